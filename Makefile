@@ -65,7 +65,7 @@ lock:
 	$(call pinned,uv) > $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/python -m pip install --quiet --require-hashes -r $(VENV)/lock/uv.txt
 	$(VENV)/lock/bin/uv pip compile --quiet --universal --generate-hashes --no-annotate --custom-compile-command 'make lock' \
-		--extra dev --extra browser --extra docs --extra reference --extra rig --extra train --group install \
+		--extra dev --extra browser --extra docs --extra photos --extra reference --extra rig --extra train --group install \
 		$(LOCK_ARGS) --output-file constraints.txt pyproject.toml
 
 clean:

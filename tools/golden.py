@@ -62,10 +62,10 @@ def entry(array: Any) -> Entry:
 
 
 def result_of(folder: Path) -> dict[str, Entry]:
-    """Arrays of ``height.npz`` and the print's pixels."""
+    """Arrays of ``height.npz``, and the print's pixels where there is one."""
     with np.load(folder / "height.npz") as arrays:
         found = {name: entry(arrays[name]) for name in sorted(arrays.files) if arrays[name].dtype.kind != "U"}
-    return {**found, "print": entry(pixels(folder / "print.png"))}
+    return {**found, "print": entry(pixels(folder / "print.png"))} if (folder / "print.png").is_file() else found
 
 
 def pixels(file: Path) -> Any:

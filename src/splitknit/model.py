@@ -194,8 +194,15 @@ class Camera:
     crosstalk: NDArray[np.float64] | None = None
     """3 x 3: signal of the red, green and blue pixels (rows) under a red, a green and a blue LED (columns), each row
     relative to its own colour. None: every LED is seen by the pixels of its own colour alone."""
+    scale_known: bool = True
+    """False: nobody has measured `px_per_mm`, which is then a number to work with (:func:`camera_without_scale`);
+    results are in pixels."""
 
     def __post_init__(self) -> None:
+        require(
+            self.scale_known or self.model == "orthographic",
+            "a perspective camera needs its scale: camera.px_per_mm is missing.",
+        )
         if self.crosstalk is not None:
             mixing = np.asarray(self.crosstalk, dtype=np.float64)
             require(
@@ -221,6 +228,30 @@ class Camera:
         return 1.0 / self.px_per_mm
 
 
+def _scale_words(camera: Camera) -> str:
+    return f"{camera.px_per_mm:.2f} px/mm" if camera.scale_known else "scale unknown"
+
+
+_UNKNOWN_SIDE_MM = 25.0
+
+
+def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = None) -> Camera:
+    """A camera with parallel rays whose scale nobody has measured.
+
+    Parameters
+    ----------
+    image_size : rows, columns
+    px_per_mm : to work with, where there is a better guess than a picture of 25 mm (its shorter side), as of a finger
+
+    Returns
+    -------
+    Camera
+        Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
+    """
+    guess = min(image_size) / _UNKNOWN_SIDE_MM if px_per_mm is None else px_per_mm
+    return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rig:
     """Camera, lights and mirrors."""
@@ -234,6 +265,10 @@ class Rig:
     def __post_init__(self) -> None:
         names = [mirror.name for mirror in self.mirrors]
         require(len(set(names)) == len(names), "the rig's mirrors must have different names: left, right, tip.")
+        require(
+            self.camera.scale_known or not (self.mirrors or any(led.position_mm is not None for led in self.leds)),
+            "LEDs at positions in mm and mirrors need the camera's scale: camera.px_per_mm is missing.",
+        )
 
     def __repr__(self) -> str:
         bands: dict[str, int] = {}
@@ -242,7 +277,7 @@ class Rig:
         leds = ", ".join(f"{count} {name}" for name, count in bands.items())
         mirrors = f", mirrors {', '.join(mirror.name for mirror in self.mirrors)}" if self.mirrors else ""
         rows, columns = self.camera.image_size
-        camera = f"{self.camera.model} camera of {rows} x {columns} px, {self.camera.px_per_mm:.2f} px/mm"
+        camera = f"{self.camera.model} camera of {rows} x {columns} px, {_scale_words(self.camera)}"
         return f"Rig({camera}, LEDs: {leds}{mirrors})"
 
     def colours_of(self, groups: Sequence[Sequence[int]]) -> tuple[tuple[str, ...], ...]:
@@ -356,7 +391,7 @@ class Capture:
 
     def __repr__(self) -> str:
         bands = ", ".join(repr(band) for band in self.bands.values())
-        return f"Capture({bands}, {self.rig.camera.px_per_mm:.2f} px/mm, {self.material}, {self.encoding})"
+        return f"Capture({bands}, {_scale_words(self.rig.camera)}, {self.material}, {self.encoding})"
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -401,6 +436,11 @@ class Reconstruction:
     """Whether the surface was not split (the thesis's EA and PR): its matcher takes the height itself as the relief."""
     uncertainty_um: FloatArray | None = None
     """(H, W) standard deviation of the relief where the skin's blur was inverted, NaN outside the mask."""
+    normals_measured: FloatArray | None = None
+    """(H, W, 3) as photometric stereo found them, before they were integrated: unit length, zero outside the mask. None
+    where the method finds a surface without them (`metric` on skin)."""
+    scale_known: bool = True
+    """False: nobody has measured the camera's scale, and all that is named `_mm` is in pixels, `pitch_mm` is 1."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     quality: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -423,15 +463,18 @@ class Reconstruction:
 
     def _summary(self) -> dict[str, str]:
         known = self.mask & np.isfinite(self.height_mm)
+        size = f"{self.mask.shape[0]} x {self.mask.shape[1]} px"
+        unit, pitch = ("mm", f" at {1000 * self.pitch_mm:.1f} um") if self.scale_known else ("px", ", scale unknown")
         found = {
             "preset": f"'{self.preset}'",
-            "size": f"{self.mask.shape[0]} x {self.mask.shape[1]} px at {1000 * self.pitch_mm:.1f} um",
-            "area": f"{float(known.sum()) * self.pitch_mm**2:.0f} mm2",
+            "size": f"{size}{pitch}",
+            "area": f"{float(known.sum()) * self.pitch_mm**2:.0f} {unit}2",
         }
         if bool(known.any()):
             low, high = np.percentile(self.height_mm[known], (1, 99))
-            found["height range"] = f"{high - low:.2f} mm"
-            found["relief"] = f"{1000 * float(np.std(self.ridge_mm[known])):.1f} um rms"
+            found["height range"] = f"{high - low:.2f} {unit}"
+            relief = float(np.std(self.ridge_mm[known]))
+            found["relief"] = f"{1000 * relief:.1f} um rms" if self.scale_known else f"{relief:.2f} px rms"
         return found | {"warnings": str(len(self.warnings))}
 
     def save(self, folder: str | os.PathLike[str], capture: Capture | None = None) -> None:
@@ -483,8 +526,16 @@ class Surface:
     """See :class:`Reconstruction`."""
 
 
+UNKNOWN_SCALE = "scale unknown, heights in pixels: give --px-per-mm, or --ridge-period 0.45 where it is a finger."
+NO_SCALE = (
+    "its scale is unknown, and this needs millimetres: give --px-per-mm (here, or where it is reconstructed), or "
+    "--ridge-period 0.45 to take the scale from the ridges."
+)
+
+
 def surface_of(result: Reconstruction) -> Surface:
-    """Part of a reconstruction that matching needs."""
+    """Part of a reconstruction that matching needs. Raises BadInput where its scale is unknown."""
+    require(result.scale_known, NO_SCALE)
     return Surface(
         result.ridge_mm,
         result.shape_mm,

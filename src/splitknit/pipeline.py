@@ -8,6 +8,7 @@ steps from outside (:mod:`splitknit.steps`); every choice is a field of the sett
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,7 @@ from splitknit import steps
 from splitknit.errors import require
 from splitknit.finger.contrast import clahe
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
+from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import LightsSettings, balanced
@@ -29,7 +31,7 @@ from splitknit.integration.knit import add, crossover
 from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
-from splitknit.model import Band, Capture, FloatArray, Reconstruction, Rig
+from splitknit.model import UNKNOWN_SCALE, Band, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light
@@ -65,7 +67,11 @@ SLOW_MM = 0.32
 """Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
-NO_NIR = "there is no near-infrared band: the shape comes from the white band, in which {} bend it."
+USUAL_PERIOD_MM = 0.45
+NO_NIR = (
+    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and glare bend "
+    "it."
+)
 
 
 def reconstruct(
@@ -118,13 +124,114 @@ def reconstruct(
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    if capture.material == "skin" and not capture.rig.camera.scale_known:
+        capture = _with_working_scale(capture)
     algorithm = split_and_knit if chosen.method == "thesis" else metric
     with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)
+    if not capture.rig.camera.scale_known:
+        result = _in_pixels(result)
     return replace(
         result, preset=preset, whole=chosen.whole, settings=asdict(chosen), hashes=capture.hashes,
         timings_s=dict(seconds),
     )  # fmt: skip
+
+
+def with_scale(
+    capture: Capture, px_per_mm: float | None = None, ridge_period_mm: float | None = None
+) -> tuple[Capture, str]:
+    """Give a capture the scale that nobody has measured yet.
+
+    Parameters
+    ----------
+    capture : Capture
+        Its scale is unknown.
+    px_per_mm : pixels a millimetre on the object
+    ridge_period_mm : instead, the distance of the finger's ridges along the skin
+        0.45 is usual; people differ by 8 % (standard deviation), and heights with the scale.
+
+    Returns
+    -------
+    capture : Capture
+        With the scale; the same one where neither is given.
+    note : str
+        How the scale was found in the ridges, and how well it is known; else empty.
+
+    Raises
+    ------
+    BadInput
+        If the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or no ridges are
+        found.
+
+    Examples
+    --------
+    >>> from splitknit.pipeline import with_scale
+    >>> capture, note = with_scale(splitknit.read_capture("photos_imported"), ridge_period_mm=0.45)  # doctest: +SKIP
+    """
+    if px_per_mm is None and ridge_period_mm is None:
+        return capture, ""
+    camera, note = capture.rig.camera, ""
+    require(not camera.scale_known, f"it has a scale already: {camera.px_per_mm:g} px/mm in its rig file.")
+    if ridge_period_mm is not None:
+        normals, mask = _plain_normals(capture)
+        px_per_mm, note = scale_of_ridges(normals, mask, px_per_mm, ridge_period_mm)
+    camera = replace(camera, px_per_mm=px_per_mm or camera.px_per_mm, scale_known=True)
+    origin = {**capture.rig.provenance, **({"scale": note} if note else {})}
+    return replace(capture, rig=replace(capture.rig, camera=camera, provenance=origin)), note
+
+
+def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
+    surface = split_and_knit(replace(capture, material="opaque"), PRESETS["ea"])
+    return surface.normals, surface.mask
+
+
+def _with_working_scale(capture: Capture) -> Capture:
+    """A finger whose scale is unknown, at the scale at which its ridges lie as usual: methods for skin work in mm."""
+    found = ridge_period(*_plain_normals(capture))
+    camera = replace(capture.rig.camera, px_per_mm=found.period_px / USUAL_PERIOD_MM)
+    return replace(capture, rig=replace(capture.rig, camera=camera))
+
+
+def _in_pixels(result: Reconstruction) -> Reconstruction:
+    """A result whose scale nobody has measured, in pixels: heights, and every number and word of its facts."""
+    px = 1.0 / result.pitch_mm
+
+    def words(text: str) -> str:
+        units = {"mm": px, "um": px / 1000.0}
+        return re.sub(r"(\d+(?:\.\d+)?) (mm|um)\b", lambda m: f"{float(m[1]) * units[m[2]]:.3g} px", text)
+
+    def facts(value: Any, factor: float = 1.0) -> Any:
+        if isinstance(value, Mapping):
+            return dict(entry(str(key), item) for key, item in value.items())
+        if isinstance(value, list | tuple):
+            return [facts(item, factor) for item in value]
+        if isinstance(value, str):
+            return words(value)
+        return value * factor if isinstance(value, float) else value
+
+    def entry(name: str, value: Any) -> tuple[str, Any]:
+        for unit, other, factor in (("_per_mm", "_per_px", 1 / px), ("_mm2", "_px2", px * px), ("_mm", "_px", px),
+                                    ("_um", "_px", px / 1000.0)):  # fmt: skip
+            if name.endswith(unit):
+                return name.removesuffix(unit) + other, facts(value, factor)
+        return name, facts(value)
+
+    def scaled(part: FloatArray) -> FloatArray:
+        return (part * np.float32(px)).astype(np.float32)
+
+    return replace(
+        result,
+        height_mm=scaled(result.height_mm),
+        ridge_mm=scaled(result.ridge_mm),
+        shape_mm=scaled(result.shape_mm),
+        uncertainty_um=None,  # of micrometres
+        pitch_mm=1.0,
+        scale_known=False,
+        quality=facts(result.quality),
+        facts=facts(result.facts) | {"scale": "unknown, heights in pixels", "assumed_px_per_mm": px},
+        warnings=(UNKNOWN_SCALE, *(words(warning) for warning in result.warnings)),
+    )
 
 
 def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstruction:
@@ -140,7 +247,7 @@ def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstructi
 
     # Split: direct visible light shows the ridges, near-infrared light the shape beneath them.
     seen_by = settings.lights, settings.enhance, settings.direct, settings.normals
-    slopes, albedo = visible_slopes(capture, white, finger, *seen_by)
+    slopes, albedo, normals = visible_slopes(capture, white, finger, *seen_by)
     if visible_alone(settings):
         height_mm = integrate(slopes, finger, capture, settings)
         whole = settings.knit.method == "whole"
@@ -156,7 +263,7 @@ def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstructi
         height_mm, ridge_mm, shape_mm = smooth(height_mm, ridge_mm, finger, capture, settings)
 
     facts = {"shape_source": source_of(white, nir), "separation": separation_of(capture, settings)}
-    surface = Surface(height_mm, ridge_mm, shape_mm, albedo, None, facts, warnings)
+    surface = Surface(height_mm, ridge_mm, shape_mm, albedo, None, facts, warnings, normals)
     return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
 
 
@@ -261,6 +368,8 @@ class Surface:
     uncertainty_um: FloatArray | None
     facts: Mapping[str, Any]
     warnings: tuple[str, ...]
+    normals: FloatArray | None = None
+    """(h, w, 3) as photometric stereo found them, in the rig's frame; None where the surface was found otherwise."""
 
 
 @shared
@@ -278,8 +387,7 @@ def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, 
     if settings.shape.source != "nir" or visible_alone(settings):
         return white, white, ()
     if "nir" not in capture.bands:
-        skin = capture.material == "skin"
-        return white, white, (NO_NIR.format("ridges, scattering and glare" if skin else "ridges and glare"),)
+        return white, white, (NO_NIR,) if capture.material == "skin" else ()
     return white, capture.bands["nir"], ()
 
 
@@ -297,8 +405,8 @@ def visible_slopes(  # noqa: PLR0917
     enhance: EnhanceSettings,
     direct: DirectSettings,
     photometric: NormalsSettings,
-) -> tuple[Slopes, FloatArray]:
-    """Slopes and albedo from the direct visible light (thesis, section 3.3.1): contrast, separation, normals."""
+) -> tuple[Slopes, FloatArray, FloatArray]:
+    """Slopes, albedo and normals of the direct visible light (thesis, section 3.3.1): contrast, separation, normals."""
     images = grey_images(capture, white, finger)
     if lights.balance and white.colours:
         images = balanced(images, capture.rig, white, finger.mask[finger.window])
@@ -307,7 +415,7 @@ def visible_slopes(  # noqa: PLR0917
     if direct.method == "network" and capture.material == "skin":  # what does not scatter has direct light alone
         images = direct_images(images, capture, white, finger, direct)
     normals, albedo = distant_normals(images, capture.rig.select(white.lights), finger, enhance, photometric)
-    return slopes_of(normals, finger, capture, photometric), albedo
+    return slopes_of(normals, finger, capture, photometric), albedo, normals
 
 
 @shared
@@ -372,15 +480,15 @@ def slopes_of(normals: FloatArray, finger: Finger, capture: Capture, photometric
 
 def opaque_surface(capture: Capture, finger: Finger, white: Band, nir: Band, settings: PipelineSettings) -> Surface:
     """The surface of a thing that does not scatter light inside."""
-    slopes, albedo = near_slopes(capture, white, finger, settings)
+    slopes, albedo, normals = near_slopes(capture, white, finger, settings)
     height_mm = integrate(slopes, finger, capture, settings)
     ridge_mm = ridge_relief(slopes, finger, capture, settings)
     if nir is not white:
-        below, _ = near_slopes(capture, nir, finger, settings)
+        below, _, _ = near_slopes(capture, nir, finger, settings)
         shape_mm = integrate(below, finger, capture, settings)
         height_mm = crossover(height_mm, shape_mm, ridge_response(capture, settings), finger.inside)
     facts = {"shape_source": source_of(white, nir), "separation": "none (opaque material)"}
-    return Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, ())
+    return Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, (), normals)
 
 
 def source_of(white: Band, nir: Band) -> str:
@@ -388,13 +496,16 @@ def source_of(white: Band, nir: Band) -> str:
     return "white" if nir is white else "nir"
 
 
-def near_slopes(capture: Capture, band: Band, finger: Finger, settings: PipelineSettings) -> tuple[Slopes, FloatArray]:
-    """Slopes and albedo of one band of an opaque thing: near lights and the surface that they reach, in turns."""
+def near_slopes(
+    capture: Capture, band: Band, finger: Finger, settings: PipelineSettings
+) -> tuple[Slopes, FloatArray, FloatArray]:
+    """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
+    turns."""
     images = linear_grey(band, capture.encoding, "grey", finger.window)
     rig, photometric = capture.rig.select(band.lights), settings.normals
     if photometric.method != "near_light":
         normals, albedo = distant_normals(images, rig, finger, settings.enhance, photometric)
-        return slopes_of(normals, finger, capture, photometric), albedo
+        return slopes_of(normals, finger, capture, photometric), albedo, normals
     view = view_of(capture.rig.camera, *finger.window, along_rays=True)
     near = NearLightSettings(robust=photometric.robust)
     surface: FloatArray | float = settings.metric.plane_mm
@@ -405,7 +516,7 @@ def near_slopes(capture: Capture, band: Band, finger: Finger, settings: Pipeline
         if turn < rounds - 1:
             height = integrate(slopes, finger, capture, settings)
             surface = (height + np.float32(settings.metric.plane_mm)).astype(np.float32)
-    return slopes, albedo
+    return slopes, albedo, view.in_rig(normals)
 
 
 @step("surface")
@@ -567,14 +678,19 @@ def finished(capture: Capture, finger: Finger, surface: Surface, settings: Pipel
         return image
 
     parallel = done.x_mm is None or done.y_mm is None
-    normals = np.zeros((*mask.shape, 3), dtype=np.float32)
-    normals[window] = done.normals
+
+    def whole_normals(part: FloatArray) -> FloatArray:
+        image = np.zeros((*mask.shape, 3), dtype=np.float32)
+        image[window] = part * inside[..., None]
+        return image
+
     return Reconstruction(
         height_mm=whole(done.height_mm),
         ridge_mm=whole(surface.ridge_mm if parallel else done.height_mm - done.shape_mm),
         shape_mm=whole(done.shape_mm),
         mask=mask,
-        normals=normals,
+        normals=whole_normals(done.normals),
+        normals_measured=None if surface.normals is None else whole_normals(surface.normals),
         albedo=whole(surface.albedo),
         pitch_mm=camera.pitch_mm,
         x_mm=None if done.x_mm is None else whole(done.x_mm),
@@ -584,6 +700,6 @@ def finished(capture: Capture, finger: Finger, surface: Surface, settings: Pipel
         preset="",
         uncertainty_um=None if surface.uncertainty_um is None else whole(surface.uncertainty_um),
         quality=finger.quality,
-        facts={**finger.facts, **surface.facts},
+        facts={"material": capture.material, **finger.facts, **surface.facts},
         warnings=(*finger.warnings, *surface.warnings),
     )

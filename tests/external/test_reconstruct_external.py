@@ -14,6 +14,7 @@ from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
 from splitknit.io.plain import capture_from_plain_images, read_lights_txt
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
+from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.pipeline import reconstruct
 from splitknit.report.result import FILES
@@ -95,6 +96,22 @@ def test_normals_of_the_bear(bear: tuple[Capture, np.ndarray], preset: str, limi
         assert error < angle_deg(normals, truth, capture.mask) + 0.5
 
 
+def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, np.ndarray]) -> None:
+    """Integration costs `ea` some of what its photometric stereo found; both are kept."""
+    capture, truth = bear
+    assert capture.mask is not None
+    result = reconstruct(capture, "ea")
+    assert result.normals_measured is not None
+    white = capture.bands["white"]
+    lights = capture.rig.select(white.leds).light_vectors()
+    plain, _ = lambertian(linear_stack(white, capture.encoding), lights, capture.mask)
+    np.testing.assert_allclose(result.normals_measured[capture.mask], plain[capture.mask], atol=1e-6)
+    measured = angle_deg(result.normals_measured, truth, capture.mask)
+    assert measured < 8.95 and measured + 0.2 < angle_deg(result.normals, truth, capture.mask)
+    assert not result.normals_measured[~capture.mask].any()
+    assert result.facts["yaw_deg"] == 0.0 and result.warnings == ()
+
+
 @pytest.mark.parametrize(("preset", "limit"), [("metric", 0.04), ("snk", 0.03), ("ea", 0.03), ("pr", 0.05)])
 def test_heights_of_the_ball(ball: tuple[Capture, np.ndarray], preset: str, limit: float) -> None:
     """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
@@ -140,11 +157,13 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
     out = tmp_path / "result"
     assert main(["reconstruct", str(tmp_path / "capture"), "--out", str(out), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert {path.name for path in out.iterdir()} >= set(FILES)
+    assert {path.name for path in out.iterdir()} >= set(FILES) - {"print.png"}  # an opaque thing is no finger
     assert facts["facts"]["separation"] == "none (opaque material)"
     with np.load(out / "height.npz") as arrays:
         mask = arrays["mask"]
         assert (mask & given).sum() > 0.94 * (mask | given).sum()
         assert np.isfinite(arrays["height_mm"][mask]).all()
-    prints = cv2.imread(str(out / "print.png"), cv2.IMREAD_GRAYSCALE)
+    assert facts["warnings"] == [] and not (out / "print.png").exists()
+    assert main(["print", str(out), "--method", "relief", "--out", str(tmp_path / "print")]) == 0
+    prints = cv2.imread(str(tmp_path / "print" / "print.png"), cv2.IMREAD_GRAYSCALE)
     assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys

@@ -70,7 +70,8 @@ from splitknit.io.minutiae_files import (
     read_minutiae_record,
 )
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.photos import read_photo
+from splitknit.io.plain import capture_from_photographs, capture_from_plain_images, read_lights_txt
 from splitknit.io.ply import read_ply, write_ply
 from splitknit.io.prints import read_print_png, read_print_tiff, write_print_png, write_print_tiff
 from splitknit.io.results import read_result
@@ -255,6 +256,39 @@ def _pixels(path: Path) -> None:
     assert said_hash == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@cache
+def _photographs() -> list[Files]:
+    """RAW files are left out: LibRaw prints a line of its own on stderr where one is damaged."""
+    from PIL import Image
+
+    exif = Image.Exif()
+    exif[274] = 6
+    smooth = Image.fromarray(cv2.GaussianBlur(_noise(40, 48, 3), (9, 9), 3))
+    floats = np.linspace(0, 1, 20 * 24 * 3, dtype=np.float32).reshape(20, 24, 3)
+    made = _written(
+        "x.webp",
+        lambda path: smooth.save(path, exif=exif),
+        lambda path: smooth.save(path, lossless=True),
+    )
+    made += _written("x.bmp", smooth.save, smooth.convert("L").save)
+    made += _written("x.jpg", lambda path: smooth.save(path, exif=exif))
+    made += _written("x.png", lambda path: smooth.save(path, exif=exif))
+    made += _written("x.tif", lambda path: smooth.save(path, exif=exif))
+    made += _written("x.tif", lambda path: write_light_tiff(path, floats, "light"))
+    with contextlib.suppress(ImportError):
+        import pillow_heif
+
+        made += _written("x.heic", pillow_heif.from_pillow(smooth).save)
+    return made
+
+
+def _photograph(folder: Path, files: Files) -> None:
+    for name in files:
+        pixels = read_photo(folder / name).pixels
+        assert pixels.ndim == 3 and pixels.shape[2] in (1, 3)
+        assert pixels.dtype in (np.uint8, np.uint16, np.float32)
+
+
 def _print() -> Any:
     rows, columns = np.mgrid[:120, :100]
     return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
@@ -295,7 +329,9 @@ def _capture(folder: Path, files: Files) -> None:
 
 def _plain_images() -> list[Files]:
     lights = b"3\n0.5 0 1\n-0.3 0.4 1\n-0.3 -0.4 1\n"
-    return [{"lights.txt": lights, **{f"{k}.png": encode_image(_noise(5, 6, seed=k), ".png") for k in range(3)}}]
+    named = b"".join(b"%d.png %s" % (k, line) for k, line in enumerate(lights.splitlines(True)[1:]))
+    photos = {f"{k}.png": encode_image(_noise(5, 6, seed=k), ".png") for k in range(3)}
+    return [{"lights.txt": lights, **photos}, {"lights.txt": named, **photos, "mask.png": photos["0.png"]}]
 
 
 def _plain_capture(folder: Path, files: Files) -> None:
@@ -304,6 +340,7 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
     capture_from_plain_images([folder / f"{k}.png" for k in range(3)], lights, 10.0)
+    capture_from_photographs(folder)
 
 
 @cache
@@ -870,6 +907,7 @@ TARGETS = (
     Target("image", _images, _of_files("image", _pixels)),
     Target("capture", _captures, _capture),
     Target("plain_images", _plain_images, _plain_capture),
+    Target("photograph", _photographs, _photograph),
     Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),

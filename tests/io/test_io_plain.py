@@ -59,7 +59,8 @@ def test_an_image_as_background(plain: Path) -> None:
     [
         ({"count": 2, "lights": LIGHTS[:2]}, "at least three"),
         ({"lights": LIGHTS[:3]}, "differ in number"),
-        ({"lights": LIGHTS * [1, 0, 1]}, "same direction"),
+        ({"lights": LIGHTS * [1, 0, 1]}, "coplanar"),
+        ({"lights": LIGHTS * [0, 0, 1]}, "three different light directions"),
         ({"lights": [[0, 0, 1], [1, 0, 1], [2, 0, 1], [3, 0, 1]]}, "coplanar"),
         ({"lights": np.where(LIGHTS == 3, np.nan, LIGHTS)}, "NaN"),
         ({"lights": LIGHTS * [1, 1, -1]}, "points away"),

@@ -82,6 +82,7 @@ def build_parser() -> argparse.ArgumentParser:
     from splitknit.cli.evaluate import add_evaluate  # noqa: PLC0415
     from splitknit.cli.gallery import add_gallery_verbs  # noqa: PLC0415
     from splitknit.cli.identify import add_identify  # noqa: PLC0415
+    from splitknit.cli.import_photos import add_import  # noqa: PLC0415
     from splitknit.cli.match import add_match  # noqa: PLC0415
     from splitknit.cli.print import add_print  # noqa: PLC0415
     from splitknit.cli.reconstruct import add_reconstruct  # noqa: PLC0415
@@ -100,6 +101,7 @@ def build_parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
     add_demo(verbs)
     add_simulate(verbs)
+    add_import(verbs)
     add_reconstruct(verbs)
     add_separate(verbs)
     add_train(verbs)

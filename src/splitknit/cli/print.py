@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from splitknit.cli.import_photos import add_scale_options, check_scale_options
 from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, new_verb
 
 
@@ -32,6 +33,7 @@ def add_print(verbs: Any) -> None:
         "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)",
     )
     verb.add_argument("--ppi", type=int, choices=(500, 1000), default=500, help="pixels per inch (default: 500)")
+    add_scale_options(verb)
     add_preset(verb)
     add_settings(verb)
 
@@ -41,6 +43,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
     from splitknit.prints.folder import print_to_folder  # noqa: PLC0415
 
+    check_scale_options(options)
     changes = read_changes(options.settings, options.assignments)
     with Progress(options) as progress:
         facts = print_to_folder(
@@ -52,6 +55,8 @@ def _run(options: argparse.Namespace) -> Outcome:
             preset=options.preset,
             changes=changes,
             progress=progress.update,
+            px_per_mm=options.px_per_mm,
+            ridge_period_mm=options.ridge_period,
         )
     return facts, _words(facts)
 
@@ -70,6 +75,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
         f"Print ({facts['method']}) of {columns} x {rows} pixels at {facts['ppi']:g} ppi, {where}: "
         f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart.",
     ]
+    if "scale" in facts:
+        lines.append(f"Please note: {facts['scale']}")
     if "rolled" in facts:
         lines.append(_rolled_words(facts["rolled"]))
         lines += [f"Please note: {warning}" for warning in facts["rolled"]["warnings"]]

@@ -1,4 +1,4 @@
-"""``splitknit reconstruct CAPTURE``: a capture folder in, a folder of results out."""
+"""``splitknit reconstruct``: a capture folder, or photographs and light directions, in; a folder of results out."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from splitknit.cli.import_photos import add_photo_options, check_photo_options, read_photographs
 from splitknit.cli.verb import PRESETS, Outcome, Progress, add_settings, new_verb
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, naming, require
 
 if TYPE_CHECKING:
     from splitknit.model import Capture
@@ -18,8 +19,10 @@ if TYPE_CHECKING:
 
 def add_reconstruct(verbs: Any) -> None:
     """Add ``splitknit reconstruct``."""
-    verb = new_verb(verbs, "reconstruct", "turn a capture folder into a 3D fingerprint in millimetres", _run)
-    verb.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder (with capture.json)")
+    verb = new_verb(verbs, "reconstruct", "turn a capture folder, or photographs, into a 3D fingerprint", _run)
+    verb.add_argument(
+        "capture", type=Path, nargs="?", metavar="CAPTURE", help="capture folder (with capture.json), or see --images"
+    )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
         "--preset",
@@ -38,14 +41,8 @@ def add_reconstruct(verbs: Any) -> None:
         help="where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in "
         "mirrors beside it (mirror)",
     )
-    verb.add_argument(
-        "--tip-direction",
-        type=float,
-        default=None,
-        metavar="DEG",
-        help="where the tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found",
-    )
     add_settings(verb)
+    add_photo_options(verb, required=False)
 
 
 def _run(options: argparse.Namespace) -> Outcome:
@@ -55,18 +52,19 @@ def _run(options: argparse.Namespace) -> Outcome:
     changes = read_changes(options.settings, options.assignments)
     if options.shape is not None:
         changes = {**changes, "shape.source": options.shape}
+    require(
+        (options.capture is None) != (options.images is None),
+        "name a capture folder, or photographs with --images DIR --lights FILE"
+        + ("; both were given." if options.capture is not None else "."),
+    )
+    check_photo_options(options)
+    require(options.images is None or options.rig is None, "--rig replaces the rig of a capture; --images have none.")
     with Progress(options) as progress:
-        facts = _reconstruct_to_folder(
-            options.capture,
-            options.out,
-            preset=options.preset,
-            rig=options.rig,
-            tip_direction_deg=options.tip_direction,
-            changes=changes,
-            progress=progress.update,
-        )
+        facts = _reconstruct_to_folder(options, changes, progress.update)
+    area = facts["result"]["area_px"]
+    measured = f"{facts['area_mm2']:.0f} mm²" if facts["result"]["scale_known"] else f"{area} px (scale unknown)"
     lines = [
-        f"{facts['area_mm2']:.0f} mm² reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
+        f"{measured} reconstructed with preset {facts['preset']} in {facts['total_s']:.1f} s.",
         f"Written to {options.out}: {', '.join(facts['files'])}.",
     ]
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]
@@ -80,65 +78,58 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 
 def _reconstruct_to_folder(
-    capture_folder: Path,
-    out: Path,
-    *,
-    preset: str,
-    rig: Path | None,
-    tip_direction_deg: float | None,
-    changes: Mapping[str, Any],
-    progress: Callable[[str, float], None],
+    options: argparse.Namespace, changes: Mapping[str, Any], progress: Callable[[str, float], None]
 ) -> dict[str, Any]:
-    """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more.
-
-    `rig` names a rig file that replaces the capture's own, such as a later calibration; `tip_direction_deg` replaces
-    what the capture states.
-    """
+    """Read a capture or photographs, reconstruct, write all results; return the facts of ``report.json`` and more."""
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415
-    from splitknit.pipeline import reconstruct  # noqa: PLC0415
+    from splitknit.pipeline import reconstruct, with_scale  # noqa: PLC0415
     from splitknit.presets import preset_settings  # noqa: PLC0415
-    from splitknit.report.result import FILES, write_files  # noqa: PLC0415
+    from splitknit.report.result import write_files  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
 
     started = time.perf_counter()
-    require(
-        tip_direction_deg is None or abs(tip_direction_deg) <= 360.0,
-        "--tip-direction must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",
-    )
+    source, out, preset = options.capture or options.images, options.out, options.preset
     override(preset_settings(preset), changes)  # a wrong setting is refused before the images are read
-    check_target(out, "height.npz", "an earlier result", keep=capture_folder)
+    check_target(out, "height.npz", "an earlier result", keep=source)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
-        capture = read_capture(capture_folder)
-        if rig is not None:
-            capture = with_rig(capture, rig)
-        if tip_direction_deg is not None:
-            capture = replace(capture, tip_direction_deg=tip_direction_deg)
+        if options.images is not None:
+            capture, notes = read_photographs(options)
+        else:
+            capture = read_capture(source)
+            if options.rig is not None:
+                capture = with_rig(capture, options.rig)
+            if options.tip_direction is not None:
+                capture = replace(capture, tip_direction_deg=options.tip_direction)
+            capture, note = naming(source, lambda: with_scale(capture, options.px_per_mm, options.ridge_period))
+            notes = [note] if note else []
         read_s = time.perf_counter() - started
         try:
             result = reconstruct(
                 capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
             )
-            result = replace(result, timings_s={"reading": read_s, **result.timings_s})
+            said = [note for note in notes if not any(note in warning for warning in result.warnings)]
+            result = replace(
+                result, timings_s={"reading": read_s, **result.timings_s}, warnings=(*said, *result.warnings)
+            )
             progress("writing", 0.8)
             capture = _shown_of(capture)
             facts = write_files(result, capture, target, _truth_of(capture))
         except BadInput as error:  # stages know arrays only
-            raise BadInput(f"{capture_folder}: {error}") from error
+            raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
     return {
         **facts,
         "out": str(out),
-        "files": list(FILES),
         "area_mm2": facts["result"]["area_mm2"],
         "total_s": time.perf_counter() - started,
     }
 
 
 def _truth_of(capture: Capture) -> dict[str, Any] | None:
-    if capture.truth is None:
+    if capture.truth is None or not capture.rig.camera.scale_known:
         return None
     from splitknit.evaluation.accuracy import read_truth  # noqa: PLC0415 - only what was simulated has one
 

@@ -15,7 +15,7 @@ from splitknit.errors import BadInput, require
 from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
-from splitknit.finger.orientation import Upright, find_upright
+from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
 from splitknit.finger.quality import QualitySettings, capture_quality, photometric_mask, quality_warnings
 from splitknit.imaging.areas import without_mirrors
@@ -29,6 +29,7 @@ from splitknit.imaging.band import (
     saturation_levels,
 )
 from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
+from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.settings import Checked
 
@@ -36,6 +37,7 @@ SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
 MIN_WIDTH_MM = 2.0
 """A mask that is nowhere as wide as this, about four ridges, is no surface to reconstruct."""
+NO_CREASE = Crease(False, float("nan"), float("nan"), None, verdict="none is sought on an opaque thing")
 BEYOND_CREASE_MM = 2.5
 """Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
 
@@ -94,6 +96,9 @@ def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Captur
 def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
+    An opaque thing is no finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
+    capture gives a `tip_direction_deg`.
+
     Raises
     ------
     BadInput
@@ -106,6 +111,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     grey = pick_channel(mean, "grey")
     small_px = px_per_mm / binning
     given = capture.mask is not None
+    skin = capture.material == "skin"
     if capture.mask is not None:
         outline = reduced(capture.mask, grey.shape)
         require(
@@ -118,11 +124,14 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
             mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
             image = without_mirrors(image, capture.rig.camera, mirrors, binning)
         outline = finger_mask(image, small_px, settings.mask)
-        check_borders(outline)
-    searched = capture.tip_direction_deg is None and capture.material == "skin" and not capture.rig.mirrors
-    upright = find_upright(outline, None if searched else capture.tip_direction_deg or 0.0)
-    crease = find_crease(grey, outline, upright, small_px)
-    cut = settings.cut_at_crease and not given
+        if skin:
+            check_borders(outline)
+    searched = skin and capture.tip_direction_deg is None and not capture.rig.mirrors
+    finger = skin or capture.tip_direction_deg is not None
+    direction = None if searched else capture.tip_direction_deg or 0.0
+    upright = find_upright(outline, direction) if finger else as_it_lies(outline)
+    crease = find_crease(grey, outline, upright, small_px) if skin else NO_CREASE
+    cut = settings.cut_at_crease and not given and skin
     kept = phalange_mask(outline, crease, upright) if cut else outline
     limits = saturation_levels(white, capture.encoding)
     usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
@@ -135,7 +144,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     else:
         wide = enlarged(wider & (usable | ~kept), full, binning)
         mask = enlarged(usable, full, binning) & wide
-    _check_width(kept if given else usable, small_px, given)
+    if skin:
+        _check_width(kept if given else usable, small_px, given)
     notes = [upright.note] if upright.note else []
     if cut and not crease.found:
         notes.append(crease.verdict)
@@ -194,8 +204,9 @@ def _quality(  # noqa: PLR0917
             lights = lights * colour_factors_of(stack, capture.rig, band, outline)[:, None]
         ambient = _ambient(band, capture.encoding, binning)
         found = capture_quality(stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation)
-        words = list(quality_warnings(found, settings.quality))
-        if len(stack) >= 4:
+        skin = capture.material == "skin"
+        words = [*few_lights(lights), *quality_warnings(found, settings.quality, finger=skin)]
+        if len(stack) >= 4 and skin:
             motion = shot_motion(stack, outline, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]

@@ -199,6 +199,11 @@ def _difference(across: NDArray[np.float64], down: NDArray[np.float64], inside: 
     return best, width
 
 
+def as_it_lies(mask: BoolArray) -> Upright:
+    """The frame of a thing that is no finger, not turned."""
+    return replace(_frame(mask, 0.0), reliable=True, clear=True)
+
+
 def _start(small: FloatArray, expected: float) -> float:
     """First guess: from the middle of the finger's entry at the image's border to the middle of the mask."""
     rows, columns = np.nonzero(small > 0.5)

@@ -237,10 +237,12 @@ def capture_quality(
     }
 
 
-def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | None = None) -> tuple[str, ...]:
+def quality_warnings(
+    quality: Mapping[str, Any], settings: QualitySettings | None = None, *, finger: bool = True
+) -> tuple[str, ...]:
     """What is wrong with a capture and what to do about it, one sentence each; empty if nothing is.
 
-    `quality` is what :func:`capture_quality` returned.
+    `quality` is what :func:`capture_quality` returned. Without `finger` nothing is said of ridges, skin and tip.
     """
     settings = settings or QualitySettings()
     words: list[str] = []
@@ -249,16 +251,14 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
     worst = int(np.argmax(quality["saturated_per_image"]))
     fraction = quality["saturated_per_image"][worst]
     if fraction > _MAX_SATURATED:
-        words.append(
-            f"{100 * fraction:.0f} % of the finger is saturated in image {worst}: shorten the exposure or dry the "
-            "finger."
-        )
-    if quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
+        what, cure = ("finger", " or dry the finger") if finger else ("surface", "")
+        words.append(f"{100 * fraction:.0f} % of the {what} is saturated in image {worst}: shorten the exposure{cure}.")
+    if finger and quality["ridge_contrast"] < _MIN_RIDGE_CONTRAST:
         words.append(
             f"ridges hardly show (contrast {100 * quality['ridge_contrast']:.2f} %): focus the camera on the finger, "
             "clean the lens, dry a wet finger, or moisten a worn one."
         )
-    words += _speck_words(quality, settings.specks)
+    words += _speck_words(quality, settings.specks) if finger else []
     if quality["ambient_share"] is not None and quality["ambient_share"] > _MAX_AMBIENT:
         words.append(
             f"ambient light is {100 * quality['ambient_share']:.0f} % of the LEDs' light: close the box, dim the room."
@@ -271,6 +271,8 @@ def quality_warnings(quality: Mapping[str, Any], settings: QualitySettings | Non
                 f"image {k} is {relative:.2f} times as bright as the rig file promises: check the LED, or calibrate "
                 "the rig again."
             )
+    if not finger:
+        return tuple(words)
     if quality["length_mm"] < _MIN_LENGTH_MM:
         words.append(
             f"only {quality['length_mm']:.0f} mm of the finger are in view: push it further in, or check px_per_mm."

@@ -289,19 +289,25 @@ def _worth_undoing(registered: Registered, seen_mm: float, settings: FingerSetti
     return registered.after < HELPS * registered.before
 
 
+_SWITCH = (
+    ", or leave the images as they are with --set motion.correct=off (what is no finger is imported with --material "
+    "opaque)"
+)
+
+
 def _check(registered: Registered, settings: FingerSettings) -> None:
     """Refuse motion that cannot be undone."""
     motion = settings.motion
     require(
         registered.most_mm <= motion.most_mm,
         f"the finger moved by {registered.most_mm:.2f} mm between the shots, and at most {motion.most_mm:g} mm can be "
-        "undone; rest the finger on its support and capture again.",
+        f"undone; rest the finger on its support and capture again{_SWITCH}.",
     )
     if registered.after > motion.most_left:
         raise BadInput(
             f"the shots do not fit together: {100 * registered.after:.0f} % of their details are left over when "
             f"the motion between them is undone, and at most {100 * motion.most_left:.0f} % may be; rest the finger on "
-            "its support and capture again, or set motion.correct=off."
+            f"its support and capture again{_SWITCH}."
         )
 
 

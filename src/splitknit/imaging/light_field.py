@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.chunks import row_chunks
@@ -17,6 +18,8 @@ from splitknit.model import Camera, FloatArray, Led, Rig, Shade
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
 _LONGEST = 30_000
+FEW_LIGHTS = 4
+"""So many lights, or fewer, are warned of."""
 
 
 def seen_from(camera: Camera, shape: tuple[int, int], x_mm: Any, y_mm: Any, view: View | None = None) -> View:
@@ -171,3 +174,30 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
         f"surface_mm must be a number or have the shape {shape}, but it has the shape {array.shape}.",
     )
     return np.broadcast_to(array, shape)
+
+
+def few_lights(vectors: NDArray[np.float64], name: str = "") -> list[str]:
+    """A warning where three or four lights leave little to check, with the error that noise then causes.
+
+    Least squares give the normal times the albedo with the covariance s^2 (L'L)^-1 of noise s in the images: for a
+    surface that faces the camera, its x and y parts are the normal's tilt.
+
+    Parameters
+    ----------
+    vectors : (L, 3) light vectors, the mean length one
+    name : of what they light, for the message, such as ``white band``
+    """
+    if len(vectors) > FEW_LIGHTS:
+        return []
+    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    spread = np.linalg.inv(units.T @ units)
+    tilt_deg = float(np.rad2deg(0.01 * np.sqrt(spread[0, 0] + spread[1, 1])))
+    lack = (
+        "none is spare, so that shadows and highlights bend the surface unnoticed"
+        if len(vectors) == 3
+        else ("one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of")
+    )
+    return [
+        f"{name + ': ' if name else ''}{len(vectors)} lights, of which {lack}; noise of 1 % in the images tilts "
+        f"normals by {tilt_deg:.1f} deg (rms, least squares). Seven lights are a good number."
+    ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -184,13 +185,23 @@ def write_capture(
             (target / name).write_text(text, encoding="ascii")
 
 
+def photographs_hint(folder: Path) -> str:
+    """What to do with a folder of photographs where a capture is wanted, in brackets."""
+    return (
+        f"(photographs: splitknit reconstruct --images {shlex.quote(str(folder))} --lights FILE --out RESULT, or "
+        "splitknit import)"
+    )
+
+
 def _document(path: str | os.PathLike[str]) -> Path:
     """Return the path of ``capture.json``."""
     try:
         given = Path(path)
         if given.is_dir():
             file = given / "capture.json"
-            require(file.is_file(), f"{given} is not a capture folder: it holds no capture.json.")
+            require(
+                file.is_file(), f"{given} is not a capture folder: it holds no capture.json {photographs_hint(given)}."
+            )
             return file
         require(given.is_file(), f"{given} does not exist; name a capture folder.")
         require(given.suffix == ".json", f"{given} is not a capture; name its folder or the capture.json in it.")

@@ -102,6 +102,10 @@ class Fields:
         """Whether the field is there and not null."""
         return self._value.get(key) is not None
 
+    def is_null(self, key: str) -> bool:
+        """Whether the field is there and null."""
+        return key in self._value and self._value[key] is None
+
     def keys(self) -> list[str]:
         """Names of all fields."""
         return list(self._value)

@@ -68,6 +68,8 @@ def write_height_tiff(
     height_mm: FloatArray,
     pitch_mm: float,
     metadata: Mapping[str, Any] | None = None,
+    *,
+    unit: str = "mm",
 ) -> None:
     """Write a height map as an uncompressed float32 TIFF.
 
@@ -79,6 +81,7 @@ def write_height_tiff(
     height_mm : (H, W), mm, NaN outside the mask
     pitch_mm : size of one pixel
     metadata : what JSON can hold
+    unit : ``pixel`` where the scale is unknown: the pitch is then one, and the file states no resolution
 
     Raises
     ------
@@ -88,7 +91,10 @@ def write_height_tiff(
     height = np.ascontiguousarray(height_mm, dtype=np.float32)
     require(height.ndim == 2 and height.size > 0, f"height_mm must have the shape (H, W), but it has {height.shape}.")
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
-    description = {**(metadata or {}), "pitch_mm": float(pitch_mm), "unit": "mm"}
+    if unit != "mm":
+        _write_float_tiff(path, height, {**(metadata or {}), "unit": unit})
+        return
+    description = {**(metadata or {}), "pitch_mm": float(pitch_mm), "unit": unit}
     per_cm = 10.0 / float(pitch_mm)
     _write_float_tiff(path, height, description, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
 

@@ -326,13 +326,24 @@ def _decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> Pixel
 
     header = _jpeg_header(data, name)
     with refusing(f"{name} cannot be decoded; capture or export it again."):
-        image = np.asarray(JpegImagePlugin.JpegImageFile(io.BytesIO(data)))
+        image = np.asarray(JpegImagePlugin.JpegImageFile(io.BytesIO(_without_exif(data))))
     shape = (header.rows, header.columns) if header.channels == 1 else (header.rows, header.columns, header.channels)
     require(image.shape == shape, f"{name} cannot be decoded; export it again.")
     if out is None:
         out = np.empty((header.rows, header.columns, header.channels), dtype=np.uint8)
     out[...] = image.reshape(out.shape)
     return out
+
+
+def _without_exif(data: bytes) -> bytes:
+    """A sound JPEG file without its APP1 segments: Pillow warns of damage in what is not looked at here."""
+    place, kept = 2, [data[:2]]
+    while data[place + 1] != 0xDA:
+        length = 1 if data[place + 1] == 0xFF else 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+        if data[place + 1] != 0xE1:
+            kept.append(data[place : place + length])
+        place += length
+    return b"".join([*kept, data[place:]])
 
 
 def _frame(body: bytes, name: str) -> _JpegHeader:

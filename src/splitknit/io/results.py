@@ -27,7 +27,7 @@ from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.ply import write_ply
 from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
-from splitknit.model import FloatArray, Reconstruction
+from splitknit.model import NO_SCALE, FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]
 
@@ -50,7 +50,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     Returns
     -------
     Reconstruction
-        The albedo is relative, in 255 steps.
+        The albedo is relative, in 255 steps. Where its scale is unknown, heights are in pixels and `scale_known` is
+        false.
 
     Raises
     ------
@@ -68,7 +69,8 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     folder = Path(path)
     file = folder / "height.npz" if folder.is_dir() else folder
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
-    arrays = read_fields(file, names, ("x_mm", "y_mm", "uncertainty_um", "whole", "provenance"))
+    optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "whole", "provenance")
+    arrays = read_fields(file, names, optional, unscaled=True)
     origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
     facts: dict[str, Any] = {}
     albedo = np.full(arrays["mask"].shape, np.nan, dtype=np.float32)
@@ -100,7 +102,9 @@ def _object(value: Any, where: Path) -> dict[str, Any]:
     return dict(value)
 
 
-def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
+def read_fields(
+    path: Path, names: Sequence[str], optional: Sequence[str] = (), *, unscaled: bool = False
+) -> dict[str, Any]:
     """Fields of a result's ``height.npz``, and its frame (``mask``, ``pitch_mm``, ``input_from_upright``,
     ``upright_size``), checked against each other.
 
@@ -109,19 +113,29 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
     path : file
     names : fields that must be there
     optional : fields that may be
+    unscaled : whether a result whose scale is unknown will do: then ``scale_known`` is false, ``pitch_mm`` is 1 and
+        the fields named ``_mm`` are in pixels
 
     Raises
     ------
     BadInput
-        If the file is damaged, or an array is missing, of another shape, or impossible.
+        If the file is damaged, an array is missing, of another shape, or impossible, or the scale is needed and
+        unknown.
     """
-    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional)))
+    in_pixels = [name.removesuffix("_mm") + "_px" for name in names if name.endswith("_mm")]
+    arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *in_pixels)))
+    known = "pitch_mm" in arrays or not any(name in arrays for name in in_pixels)
+    require(known or unscaled, f"{path}: {NO_SCALE}")
+    if not known:
+        arrays = {name.removesuffix("_px") + "_mm" if name in in_pixels else name: arrays[name] for name in arrays}
+        arrays["pitch_mm"] = np.array(1.0)
+    arrays = {name: array for name, array in arrays.items() if name not in in_pixels}
     for name in (*names, *_FRAME):
         remedy = f"it has no scale, so calibrate the camera and {_AGAIN}" if name == "pitch_mm" else _AGAIN
         require(name in arrays, f"{path} holds no '{name}'; {remedy}.")
     shape = arrays["mask"].shape
     sizes = {"pitch_mm": (), "provenance": (), "whole": (), "input_from_upright": (3, 3), "upright_size": (2,)}
-    sizes["normals"] = (*shape, 3)
+    sizes["normals"] = sizes["normals_measured"] = (*shape, 3)
     for name, array in arrays.items():
         kinds = "U" if name == "provenance" else "iu" if name == "upright_size" else "fiub"
         fits = array.shape == sizes.get(name, shape) and array.dtype.kind in kinds and len(shape) == 2
@@ -134,7 +148,7 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
     require(usable, f"{path}: 'input_from_upright' or 'upright_size' cannot be used; {_AGAIN}.")
     pitch = float(arrays["pitch_mm"])
     require(
-        0 < pitch * max(rows, columns) <= LARGEST_MM,
+        not known or 0 < pitch * max(rows, columns) <= LARGEST_MM,
         f"{path} has no scale (pitch_mm is {pitch}): calibrate the camera and {_AGAIN}.",
     )
     for name in (*names, *optional):
@@ -143,17 +157,21 @@ def read_fields(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
     if "whole" in arrays:
         arrays["whole"] = bool(arrays["whole"])
     frame = {"pitch_mm": pitch, "input_from_upright": matrix, "upright_size": (rows, columns)}
+    if unscaled:
+        frame["scale_known"] = known
     return {**arrays, "mask": arrays["mask"].astype(np.bool_), **frame}
 
 
 def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write ``height.npz``: all fields on the input's pixel grid."""
+    """Write ``height.npz``: all fields on the input's pixel grid; in pixels, and named so, where the scale is
+    unknown."""
+    unit = "mm" if result.scale_known else "px"
     arrays: dict[str, Any] = {
-        "height_mm": result.height_mm,
-        "ridge_mm": result.ridge_mm,
-        "shape_mm": result.shape_mm,
+        f"height_{unit}": result.height_mm,
+        f"ridge_{unit}": result.ridge_mm,
+        f"shape_{unit}": result.shape_mm,
         "mask": result.mask,
-        "pitch_mm": np.float64(result.pitch_mm),
+        **({"pitch_mm": np.float64(result.pitch_mm)} if result.scale_known else {}),
         "normals": result.normals,
         "input_from_upright": result.input_from_upright,
         "upright_size": np.asarray(result.upright_size, dtype=np.int64),
@@ -161,8 +179,9 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
     for name in ("x_mm", "y_mm"):
         if getattr(result, name) is not None:
             arrays[name] = getattr(result, name)
-    if result.uncertainty_um is not None:
-        arrays["uncertainty_um"] = result.uncertainty_um
+    for name in ("uncertainty_um", "normals_measured"):
+        if getattr(result, name) is not None:
+            arrays[name] = getattr(result, name)
     if result.whole:
         arrays["whole"] = np.True_
     arrays["provenance"] = np.array(canonical_json(origin))
@@ -203,18 +222,20 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     vertices, normals, intensity, faces = _upright_mesh(result)
     comments = [
         f"splitknit {origin['version']}, preset {result.preset}",
-        "unit mm; x right, y to the fingertip, z to the camera",
+        f"unit {'mm' if result.scale_known else 'pixel, the scale is unknown'}; x right, y to the fingertip, z to the "
+        "camera",
         f"settings_sha256 {origin['settings_sha256']}",
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
     write_ply(path, vertices, normals, intensity, faces, comments)
 
 
-def write_normals(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write the normals as a colour picture on the input's pixel grid."""
+def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:
+    """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
     box = _box(result)
-    picture[box] = normal_colours(result.normals[box]) * result.mask[box][..., None]
+    shown = result.normals if normals is None else normals
+    picture[box] = normal_colours(shown[box]) * result.mask[box][..., None]
     write_picture(path, picture, origin)
 
 

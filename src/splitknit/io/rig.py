@@ -14,7 +14,7 @@ from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
-from splitknit.model import Camera, Led, Mirror, Rig
+from splitknit.model import Camera, Led, Mirror, Rig, camera_without_scale
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _MAX_PIXELS = 200_000_000
@@ -88,7 +88,7 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
         "version": RIG_VERSION,
         "camera": {
             "model": camera.model,
-            "px_per_mm": float(camera.px_per_mm),
+            "px_per_mm": float(camera.px_per_mm) if camera.scale_known else None,
             "image_size": [int(camera.image_size[0]), int(camera.image_size[1])],
             "height_mm": float(camera.height_mm),
             "matrix": plain_json(camera.matrix),
@@ -116,7 +116,8 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     """Build a rig from its JSON document; `name` is the file's name for messages.
 
     ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
-    ``intensity`` (1), ``lobe_exponent`` (0) and ``mirrors`` (none). Fields that the format does not know are ignored.
+    ``intensity`` (1), ``lobe_exponent`` (0) and ``mirrors`` (none). A ``px_per_mm`` of null is a scale that nobody has
+    measured. Fields that the format does not know are ignored.
 
     Raises
     ------
@@ -173,7 +174,9 @@ def _camera(fields: Fields) -> Camera:
     distortion = fields.numbers("distortion", _DISTORTION_COUNTS) if fields.has("distortion") else None
     if perspective and distortion is None:
         fields.refuse("distortion", "given for a perspective camera (zeros if there is none)")
-    px_per_mm, matrix = fields.number("px_per_mm", 1e-3, 1e5), None
+    known = not (fields.is_null("px_per_mm") and not perspective)
+    px_per_mm = fields.number("px_per_mm", 1e-3, 1e5) if known else camera_without_scale((size[0], size[1])).px_per_mm
+    matrix = None
     height_mm = fields.number("height_mm", 1e-3, 1e6, None if perspective else 140.0)
     if perspective or fields.has("matrix"):
         matrix = _matrix(fields)
@@ -182,7 +185,7 @@ def _camera(fields: Fields) -> Camera:
     shading = fields.numbers("shading", (1, 2, 3, 4)) if fields.has("shading") else ()
     crosstalk = _numbers_3x3(fields, "crosstalk") if fields.has("crosstalk") else None
     try:
-        return Camera(px_per_mm, (size[0], size[1]), height_mm, model, matrix, distortion, shading, crosstalk)
+        return Camera(px_per_mm, (size[0], size[1]), height_mm, model, matrix, distortion, shading, crosstalk, known)
     except BadInput as error:
         raise BadInput(f"{fields.name}: {error}") from error
 

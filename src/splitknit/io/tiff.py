@@ -53,6 +53,7 @@ _SEPARATE = 2
 _MAX_TAGS = 4096
 _LONGEST_TEXT = 1_000_000
 _MIN_TILE = 16
+_ORIENTATION, _SHORT = 274, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,6 +255,35 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
             (where,) = struct.unpack(long, inline)
         tags[tag] = np.frombuffer(data, dtype, number * parts, where)
     return order, tags
+
+
+def exif_orientation(data: bytes, name: str) -> int:
+    """How the picture is turned, 1 to 8, by the first directory of a TIFF file or of EXIF data, which are one format.
+
+    Returns
+    -------
+    int
+        1 (as stored) where there are no data, no such tag, or one without meaning.
+
+    Raises
+    ------
+    BadInput
+        If the directory is damaged.
+    """
+    if not data:
+        return 1
+    with refusing(f"{name} has damaged EXIF data, so that nobody knows how it is turned; export it again."):
+        order, big = "<" if data[:2] == b"II" else ">", 43 in data[2:4]
+        long, entry = f"{order}Q" if big else f"{order}I", struct.Struct(f"{order}HHQ8s" if big else f"{order}HHI4s")
+        (place,) = struct.unpack_from(long, data, 8 if big else 4)
+        (count,) = struct.unpack_from(long if big else f"{order}H", data, place)
+        place += 8 if big else 2
+        for k in range(min(count, _MAX_TAGS)):
+            tag, kind, _, inline = entry.unpack_from(data, place + k * entry.size)
+            if tag == _ORIENTATION:
+                value = int(struct.unpack_from(f"{order}{'H' if kind == _SHORT else 'I'}", inline)[0])
+                return value if 1 <= value <= 8 else 1
+    return 1
 
 
 def _inflated(stored: memoryview, size: int, page: TiffPage, name: str) -> bytes | memoryview:

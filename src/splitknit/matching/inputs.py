@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import naming, require
-from splitknit.io.capture import read_capture
+from splitknit.io.capture import photographs_hint, read_capture
 from splitknit.io.images import read_image
 from splitknit.io.prints import read_print_png
 from splitknit.io.results import read_fields
@@ -60,7 +60,11 @@ def read_side(
     if path.is_dir():
         kind = "result" if (path / "height.npz").is_file() else "capture"
         known = kind == "result" or (path / "capture.json").is_file()
-        require(known, f"'{path}' is neither a result (height.npz) nor a capture (capture.json); name one of them.")
+        require(
+            known,
+            f"'{path}' is neither a result (height.npz) nor a capture (capture.json); name one "
+            f"{photographs_hint(path)}.",
+        )
         if kind == "result":
             surface = read_surface(path / "height.npz")
         else:

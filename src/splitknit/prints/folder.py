@@ -59,8 +59,12 @@ def print_to_folder(
     preset: str = "metric",
     changes: Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
+    px_per_mm: float | None = None,
+    ridge_period_mm: float | None = None,
 ) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
+
+    Where the scale is unknown, `px_per_mm` gives it, or `ridge_period_mm`, the distance of the ridges.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def print_to_folder(
     require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
-        source, around = _read(path, method, place, preset, settings, progress)
+        source, around = _read(path, method, place, preset, settings, progress, (px_per_mm, ridge_period_mm))
         timings = {"reading": time.perf_counter() - started}
         progress("printing", 0.75)
         try:
@@ -110,6 +114,7 @@ def print_to_folder(
             "source": {"path": str(path), "kind": source.kind, "preset": source.preset, "pitch_mm": source.pitch_mm},
             "ppi": ppi,
             "enhanced": settings.enhance,
+            **({"scale": source.scale} if source.scale else {}),
             **_sizes(made, enhanced, ppi),
         }
         if made.unrolled is not None:
@@ -137,14 +142,20 @@ def print_to_folder(
 
 
 def _read(  # noqa: PLR0917
-    path: Path, method: str, place: str, preset: str, settings: PrintingSettings, progress: Progress
+    path: Path, method: str, place: str, preset: str, settings: PrintingSettings, progress: Progress,
+    scale: tuple[float | None, float | None],
 ) -> tuple[Source, Rolled | None]:  # fmt: skip
     """What the print is made from, and the finger around its front where the print is rolled."""
     if method == "rolled":
+        require(scale == (None, None), "a rig with mirrors has a scale; leave out --px-per-mm and --ridge-period.")
         return read_rolled(path, preset, settings.rolled, progress)
     photo = method == "photo"
     surface = not photo or place != "plane"
-    return read_source(path, photo=photo, surface=surface, preset=preset, progress=progress), None
+    source = read_source(
+        path, photo=photo, surface=surface, preset=preset, progress=progress, px_per_mm=scale[0],
+        ridge_period_mm=scale[1],
+    )  # fmt: skip
+    return source, None
 
 
 def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:

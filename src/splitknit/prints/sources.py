@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
 from splitknit.finger.locate import find_finger
+from splitknit.finger.ridge_period import scale_of_ridges
 from splitknit.imaging.band import has_colour, linear_channels
-from splitknit.io.capture import read_capture
+from splitknit.io.capture import photographs_hint, read_capture
 from splitknit.io.provenance import file_hash
 from splitknit.io.results import read_fields
-from splitknit.model import BoolArray, Capture, FloatArray, Progress, Reconstruction, no_progress
-from splitknit.pipeline import reconstruct
+from splitknit.model import NO_SCALE, BoolArray, Capture, FloatArray, Progress, Reconstruction, no_progress
+from splitknit.pipeline import reconstruct, with_scale
 from splitknit.presets import preset_settings
 
 
@@ -44,10 +45,19 @@ class Source:
     preset: str | None = None
     hashes: Mapping[str, str] = field(default_factory=dict)
     subject: Mapping[str, Any] = field(default_factory=dict)
+    scale: str = ""
+    """How the scale was found in the ridges, where it was."""
 
 
 def read_source(
-    path: Path, *, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
+    path: Path,
+    *,
+    photo: bool,
+    surface: bool,
+    preset: str = "metric",
+    progress: Progress = no_progress,
+    px_per_mm: float | None = None,
+    ridge_period_mm: float | None = None,
 ) -> Source:
     """Read a result folder (or its ``height.npz``), or a capture folder, which is reconstructed where `surface` is set.
 
@@ -56,11 +66,12 @@ def read_source(
     path : path
     photo : whether the photograph is needed
     surface : whether the surface is needed
+    px_per_mm, ridge_period_mm : the scale, or the distance of the ridges that it follows from, where it is unknown
 
     Raises
     ------
     BadInput
-        If it is neither, is damaged, has no scale, or holds no photograph where one is needed.
+        If it is neither, is damaged, has no scale or two, or holds no photograph where one is needed.
     """
     progress("reading", 0.05)
     try:
@@ -69,37 +80,51 @@ def read_source(
         found, folder = False, False
     require(found, f"there is no '{path}'; name a capture folder or a result folder.")
     if folder and (path / "capture.json").is_file():
-        return naming(path, lambda: source_of_capture(read_capture(path), photo, surface, preset, progress))
+        capture, note = naming(path, lambda: with_scale(read_capture(path), px_per_mm, ridge_period_mm))
+        source = naming(path, lambda: source_of_capture(capture, photo, surface, preset, progress))
+        return replace(source, scale=note)
     result = path / "height.npz" if folder else path
     require(
         result.is_file() and result.suffix.lower() == ".npz",
-        f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one of them.",
+        f"'{path}' is neither a capture (capture.json) nor a result (height.npz); name one {photographs_hint(path)}.",
     )
     require(
         not photo,
         f"'{path}' is a result, which holds no photograph of the finger; name the capture folder for --method photo.",
     )
-    return _of_result(result)
+    return _of_result(result, px_per_mm, ridge_period_mm)
 
 
 def source_of(result: Reconstruction) -> Source:
-    """What prints need of a reconstruction in memory."""
+    """What prints need of a reconstruction in memory. Raises BadInput where its scale is unknown."""
+    require(result.scale_known, NO_SCALE)
     return Source(
         "result", result.mask, result.pitch_mm, result.input_from_upright, result.upright_size, result.height_mm,
         result.ridge_mm, result.shape_mm, result.x_mm, result.y_mm, preset=result.preset, hashes=result.hashes,
     )  # fmt: skip
 
 
-def _of_result(path: Path) -> Source:
-    arrays = read_fields(path, ("height_mm", "ridge_mm", "shape_mm"), ("x_mm", "y_mm"))
+def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
+    names, unscaled = ("height_mm", "ridge_mm", "shape_mm"), px_per_mm is not None or ridge_period_mm is not None
+    needed = (*names, "normals") if ridge_period_mm is not None else names
+    arrays = read_fields(path, needed, ("x_mm", "y_mm"), unscaled=unscaled)
     require(bool(arrays["mask"].any()), f"{path}: the mask is empty; reconstruct the capture again.")
-    return Source("result", hashes={path.name: file_hash(path)}, **arrays)
+    note, normals = "", arrays.pop("normals", None)
+    if unscaled:
+        require(not arrays.pop("scale_known"), f"{path} has a scale already: {1 / arrays['pitch_mm']:g} px/mm.")
+        if ridge_period_mm is not None:
+            px_per_mm, note = naming(path, lambda: scale_of_ridges(normals, arrays["mask"], px_per_mm, ridge_period_mm))
+        arrays["pitch_mm"] = 1.0 / float(px_per_mm or 1.0)
+        for name in names:
+            arrays[name] = arrays[name] * np.float32(arrays["pitch_mm"])
+    return Source("result", hashes={path.name: file_hash(path)}, scale=note, **arrays)
 
 
 def source_of_capture(
     capture: Capture, photo: bool, surface: bool, preset: str = "metric", progress: Progress = no_progress
 ) -> Source:
     """What prints need of a capture, see :func:`read_source`."""
+    require(capture.rig.camera.scale_known, NO_SCALE)
     light = _photograph(capture) if photo else None
     if surface:
         result = reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.6 * fraction))

@@ -28,7 +28,13 @@ if TYPE_CHECKING:
     from splitknit.evaluation.accuracy import Comparison
 
 RELIEF_EXAGGERATION = 2.0
+"""Of a finger's ridges; an opaque thing is drawn as it is."""
 TILT_DEG = 56.0
+
+
+def is_finger(result: Reconstruction) -> bool:
+    """Whether it was captured as one: of skin, not of opaque material."""
+    return str(result.facts.get("material", "skin")) == "skin"
 
 
 def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
@@ -40,7 +46,10 @@ def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
     return captioned(
         "Surface normals",
         picture,
-        "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
+        "Direction of the surface: red grows to the right, green upwards, blue towards the camera. "
+        "Good: colours change smoothly, with details as fine lines on top, and no blotches."
+        if not is_finger(result)
+        else "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
         "Good: colours change smoothly over the finger, with the ridges as fine lines on top, and no blotches.",
         pitch_mm=frame.pitch_mm,
         photo=True,
@@ -48,29 +57,35 @@ def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
 
 
 def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
-    """Show the ridges and valleys in micrometres."""
+    """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
     values, weight = to_frame(result.ridge_mm, result.mask, frame)
-    relief = 1000.0 * values
-    low, high = _relief_limits_um(result)
+    factor, unit = (1000.0, "µm") if result.scale_known else (1.0, "px")
+    relief = factor * values
+    low, high = _relief_limits(result, factor)
     picture = on_paper(colour(relief, low, high), weight)
     return captioned(
         "Relief",
         picture,
         "Height of the ridges above their surroundings, without the shape of the finger. Yellow is high. "
-        "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top.",
-        charts.colour_bar(low, high, "µm"),
+        "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top."
+        if is_finger(result)
+        else "Height of fine details above their surroundings, without the shape. Yellow is high.",
+        charts.colour_bar(low, high, unit),
         frame.pitch_mm,
     )
 
 
-def _relief_limits_um(result: Reconstruction) -> tuple[float, float]:
-    """Limits of a colour scale for the relief: what ridges span where the skin faces the camera, in whole fives."""
+def _relief_limits(result: Reconstruction, factor: float) -> tuple[float, float]:
+    """Limits of a colour scale for the relief times `factor`: what ridges span where the skin faces the camera, in
+    whole fives of um, or of the first figure that counts."""
     facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
     where = facing if bool(facing.any()) else result.mask
-    relief = 1000.0 * result.ridge_mm[where][::3]
+    relief = factor * result.ridge_mm[where][::3]
     low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
     margin = 0.1 * (high - low)
-    return 5.0 * float(np.floor((low - margin) / 5.0)), 5.0 * float(np.ceil((high + margin) / 5.0 + 1e-9))
+    step = 5.0 if result.scale_known else 0.5 * 10.0 ** float(np.floor(np.log10(max(high - low, 1e-6))))
+    ends = step * float(np.floor((low - margin) / step)), step * float(np.ceil((high + margin) / step + 1e-9))
+    return float(f"{ends[0]:.6g}"), float(f"{ends[1]:.6g}")
 
 
 def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
@@ -79,7 +94,10 @@ def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - np.float32(top)
     low = float(np.percentile(depth[weight > 0.5], 0.5))
-    step = 0.5 if low > -6 else 1.0
+    step, unit = 0.5 if low > -6 else 1.0, "mm" if result.scale_known else "px"
+    if not (is_finger(result) and result.scale_known):
+        tens = 10.0 ** float(np.floor(np.log10(max(-low, 1e-6))))
+        step = tens / 2 if -low > 3 * tens else tens / 5 if -low > 1.5 * tens else tens / 10
     picture = colour(depth, low, 0.0)
     level = np.floor(depth / step)
     edge = np.zeros(level.shape, dtype=bool)
@@ -91,9 +109,11 @@ def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
     return captioned(
         "Shape",
         on_paper(picture, weight),
-        f"Height of the finger without its ridges, below its highest point; a line every {step:g} mm. "
-        "Good: smooth, rounded contours that close towards the tip, with no dents and no waves at the edge.",
-        charts.colour_bar(round(low, 1), 0.0, "mm"),
+        f"Height of the finger without its ridges, below its highest point; a line every {step:g} {unit}. "
+        "Good: smooth, rounded contours that close towards the tip, with no dents and no waves at the edge."
+        if is_finger(result)
+        else f"Height without fine details, below the highest point; a line every {step:g} {unit}.",
+        charts.colour_bar(round(low, 1), 0.0, unit),
         frame.pitch_mm,
     )
 
@@ -131,21 +151,23 @@ class Views:
 
 def render_views(result: Reconstruction, frame: Frame) -> Views:
     """Render the surface from above and from two sides."""
-    surface = upright_surface(result, frame, RELIEF_EXAGGERATION)
+    surface = upright_surface(result, frame, RELIEF_EXAGGERATION if is_finger(result) else 1.0)
     left, right = (oblique_view(surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
     return Views(_top_view(surface), left, right, frame.pitch_mm)
 
 
-def view_pictures(views: Views) -> list[Picture]:
+def view_pictures(views: Views, finger: bool = True) -> list[Picture]:
     """Show the surface from above and from two sides."""
     stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
+    good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
+    if not finger:
+        stated, good = "Heights are true.", "Good: no bumps or waves that the thing has not."
     oblique = f"The same surface at {TILT_DEG:g} deg from the camera's axis. {stated}"
     return [
         captioned(
             "From above",
             views.above,
-            f"Measured surface, lit from the upper left. {stated} "
-            "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves.",
+            f"Measured surface, lit from the upper left. {stated} {good}",
             pitch_mm=views.pitch_mm,
             photo=True,
         ),

@@ -88,7 +88,9 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
-    _draw(picture, [_axis(result)], scale, SKY)
+    finger = result.facts.get("material", "skin") == "skin"
+    if finger:
+        _draw(picture, [_axis(result)], scale, SKY)
     crease = result.facts.get("crease_line")
     if crease is not None:
         _draw(picture, [np.asarray(crease, dtype=np.float64)], scale, BLUE)
@@ -100,7 +102,14 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
         "Dark blue: the flexion crease at which the phalange was cut. " if crease is not None else "No crease was cut. "
     )
     caption += "Good: the outline follows the finger closely and holds neither background nor shadow."
-    return captioned("Finger found", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True)
+    if not finger:
+        caption = (
+            "Mean of the images, as the camera saw it. Orange: the outline of what was measured. Good: the outline "
+            "follows the thing closely and holds neither background nor shadow."
+        )
+    return captioned(
+        "Finger found" if finger else "Outline", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True
+    )
 
 
 def _axis(result: Reconstruction) -> NDArray[np.float64]:

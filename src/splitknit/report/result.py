@@ -11,7 +11,7 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,7 @@ from splitknit.io.results import Origin, write_albedo, write_arrays, write_mesh,
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, render
-from splitknit.report.figures import Views, render_views
+from splitknit.report.figures import Views, is_finger, render_views
 from splitknit.report.photos import LONGEST_PX, Picture, mask_on_image, mirror_pictures
 
 if TYPE_CHECKING:
@@ -64,13 +64,13 @@ class Report:
 def make_report(
     result: Reconstruction,
     capture: Capture | None,
-    prints: NDArray[np.uint8],
+    prints: NDArray[np.uint8] | None,
     views: Views | None = None,
     *,
     truth: Truth | None = None,
     others: Sequence[Reconstruction] = (),
     files: Sequence[str] = (),
-    title: str = "3D fingerprint",
+    title: str = "",
 ) -> Report:
     """Build the report of `result`.
 
@@ -89,7 +89,10 @@ def make_report(
         The same capture by other presets.
     files : sequence of str
         Names of the files written beside the report.
+    title : str
+        By default "3D fingerprint", or "Surface" of what is no finger.
     """
+    finger = is_finger(result)
     comparisons = [] if truth is None else _compared((result, *others), truth)
     facts = _facts(result, capture, comparisons, files)
     frame = upright_frame(result, LONGEST_PX)
@@ -98,15 +101,22 @@ def make_report(
     maps += [picture(result, frame) for picture in (figures.normals_picture, figures.relief_picture)]
     maps += [figures.shape_picture(result, frame)]
     maps += [] if capture is None else mirror_pictures(result, capture)
+
+    def of_size(pictures: list[Picture]) -> list[Picture]:
+        """Without bars of a length in mm where there is no scale."""
+        return pictures if result.scale_known else [replace(picture, scale_percent=0.0) for picture in pictures]
+
     html = render(
         "report.html",
-        title=title,
+        title=title or ("3D fingerprint" if finger else "Surface"),
+        finger=finger,
+        unit="millimetres" if result.scale_known else "pixels: its scale is unknown",
         facts=facts,
         summary=_summary(result),
         warnings=[sentence(warning) for warning in result.warnings],
-        views=figures.view_pictures(views or figures.render_views(result, frame)),
-        prints=figures.print_picture(prints),
-        maps=maps + ([uncertainty] if uncertainty is not None else []),
+        views=of_size(figures.view_pictures(views or figures.render_views(result, frame), finger)),
+        prints=None if prints is None else figures.print_picture(prints),
+        maps=of_size(maps + ([uncertainty] if uncertainty is not None else [])),
         profiles=_profiles(result, truth),
         quality=_tables(facts["quality"]),
         found=_tables({name: fact for name, fact in facts["facts"].items() if name != "mirror_drawing"}),
@@ -148,16 +158,18 @@ def _facts(
             "material": capture.material,
             "encoding": capture.encoding,
             "image_size": list(capture.shape),
-            "px_per_mm": capture.rig.camera.px_per_mm,
+            "px_per_mm": capture.rig.camera.px_per_mm if capture.rig.camera.scale_known else None,
             "bands": {name: len(band.leds) for name, band in capture.bands.items()},
             "captured_at": capture.captured_at,
             "subject": plain(capture.subject),
         },
         "result": {
-            "pitch_mm": result.pitch_mm,
+            "pitch_mm": result.pitch_mm if result.scale_known else None,
+            "scale_known": result.scale_known,
             "input_from_upright": plain(result.input_from_upright),
             "upright_size": list(result.upright_size),
-            "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2,
+            "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2 if result.scale_known else None,
+            "area_px": int(np.sum(result.mask)),
         },
         "warnings": list(result.warnings),
         "quality": plain(result.quality),
@@ -199,6 +211,20 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
     relief = result.ridge_mm[facing]
     swing = 1000.0 * float(np.subtract(*np.percentile(relief, (95, 5)))) if relief.size else 0.0
+    if not result.scale_known:
+        return [
+            ("Scale", "unknown, heights in pixels"),
+            ("Size seen from above", f"{width:.0f} px wide, {length:.0f} px long, {depth:.1f} px deep"),
+            ("Area measured", f"{int(np.sum(result.mask))} px in projection"),
+            ("Relief of fine details", f"{swing / 1000.0:.2f} px (5th to 95th percentile where it faces the camera)"),
+        ]
+    if not is_finger(result):
+        return [
+            ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
+            ("Area measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
+            ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm"),
+            ("Relief of fine details", f"{swing:.0f} µm (5th to 95th percentile where it faces the camera)"),
+        ]
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
         ("Skin measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
@@ -213,6 +239,8 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     origin = (np.linalg.inv(result.input_from_upright) @ whole.input_from_picture)[:2, 2]
     middle = (float(origin[0]) + whole.size[1] / 2, float(origin[1]) + whole.size[0] / 2)
     pitch = result.pitch_mm
+    large, small, factor = ("mm", "µm", 1000.0) if result.scale_known else ("px", "px", 1.0)
+    thing, axis = ("finger", ", tip to the left") if is_finger(result) else ("surface", "")
 
     def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
         step = np.array([0.0, half]) if along else np.array([half, 0.0])
@@ -227,17 +255,18 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
             {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
         )
         if lines:
-            chart = charts.line_chart(lines, "mm from the middle", "height, mm", equal=True)
-            caption = f"Height {words} the finger, through its middle, both axes to one scale."
-            charted.append((f"Section {words} the finger", chart, caption))
-    half = min(3.0 / pitch, whole.size[0] / 2)
+            chart = charts.line_chart(lines, f"{large} from the middle", f"height, {large}", equal=True)
+            caption = f"Height {words} the {thing}, through its middle, both axes to one scale."
+            charted.append((f"Section {words} the {thing}", chart, caption))
+    half = min(3.0 / pitch, whole.size[0] / 2) if result.scale_known else whole.size[0] / 2
     fields = [("measured", result.ridge_mm)]
     if truth is not None:
         fields.append(("truth", truth["height_mm"] - truth["shape_mm"]))
-    lines = _lines({name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}, 1000.0)
+    lines = _lines({name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}, factor)
     if lines:
-        chart = charts.line_chart(lines, "mm from the middle, tip to the left", "relief, µm")
-        charted.append(("Ridges along the finger's axis", chart, "Relief along 6 mm of the axis, mean removed."))
+        chart = charts.line_chart(lines, f"{large} from the middle{axis}", f"relief, {small}")
+        title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
+        charted.append((title, chart, f"Relief along {2 * half * pitch:.0f} {large} of the axis, mean removed."))
     return charted
 
 
@@ -367,6 +396,16 @@ FILES = (
 )
 
 
+def files_of(result: Reconstruction) -> tuple[str, ...]:
+    """Files of a result's folder: a print of a finger whose scale is known, measured normals where there are any."""
+    measured = () if result.normals_measured is None else ("normals_measured.png",)
+    return (*(name for name in FILES if name != "print.png" or _is_printed(result)), *measured)
+
+
+def _is_printed(result: Reconstruction) -> bool:
+    return result.scale_known and is_finger(result)
+
+
 def write_results(
     result: Reconstruction,
     capture: Capture | None,
@@ -406,16 +445,22 @@ def write_files(
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into an existing folder."""
     origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-    prints = surface_print(result, PRINT_PPI)
+    prints = surface_print(result, PRINT_PPI) if _is_printed(result) else None
     tasks: list[Callable[[], object]] = [
         partial(_write_pages, target, result, capture, prints, origin, truth, others),
         partial(write_arrays, target / "height.npz", result, origin),
         partial(write_mesh, target / "phalange.ply", result, origin),
         partial(write_normals, target / "normals.png", result, origin),
         partial(write_albedo, target / "albedo.png", result, origin),
-        partial(write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin),
-        partial(write_print_png, target / "print.png", prints, PRINT_PPI, provenance_texts(origin)),
-    ]
+        partial(
+            write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin,
+            unit="mm" if result.scale_known else "pixel",
+        ),
+    ]  # fmt: skip
+    if prints is not None:
+        tasks.append(partial(write_print_png, target / "print.png", prints, PRINT_PPI, provenance_texts(origin)))
+    if (measured := result.normals_measured) is not None:
+        tasks.append(partial(write_normals, target / "normals_measured.png", result, origin, measured))
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         jobs = [pool.submit(task) for task in tasks]
         done = [job.result() for job in jobs]
@@ -427,7 +472,7 @@ def _write_pages(  # noqa: PLR0917
     target: Path,
     result: Reconstruction,
     capture: Capture | None,
-    prints: NDArray[np.uint8],
+    prints: NDArray[np.uint8] | None,
     origin: Origin,
     truth: Truth | None,
     others: Sequence[Reconstruction],
@@ -435,7 +480,7 @@ def _write_pages(  # noqa: PLR0917
     """Write what people look at: the preview and the report."""
     views = render_views(result, upright_frame(result, LONGEST_PX))
     write_picture(target / "preview.png", _shaded(views), origin)
-    report = make_report(result, capture, prints, views, truth=truth, others=others, files=FILES)
+    report = make_report(result, capture, prints, views, truth=truth, others=others, files=files_of(result))
     write_report(target, report.html, report.facts)
     return report.facts
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.io.npz import read_npz
-from splitknit.model import BoolArray, FloatArray
+from splitknit.model import NO_SCALE, BoolArray, FloatArray
 
 _LONGEST = 20_000
 _LONGEST_MM = 1000.0
@@ -175,7 +175,8 @@ def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) 
         If the file is missing, a link, damaged, too large, or lacks an array.
     """
     require(path.is_file() and not path.is_symlink(), f"'{path.parent}' is not a result: it holds no height.npz.")
-    arrays = read_npz(path, (*needed, *wanted))
+    arrays = read_npz(path, (*needed, *wanted, "height_px"))
+    require("height_px" not in arrays, f"{path}: {NO_SCALE}")
     missing = [name for name in needed if name not in arrays]
     require(not missing, f"{path} holds no '{''.join(missing[:1])}'; reconstruct the capture again.")
     return arrays

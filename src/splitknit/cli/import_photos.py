@@ -1,0 +1,170 @@
+"""``splitknit import``: photographs and light directions in, a capture folder out.
+
+``splitknit reconstruct`` takes the same options.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from splitknit.cli.verb import Outcome, Progress, new_verb
+from splitknit.errors import naming, require
+
+if TYPE_CHECKING:
+    from splitknit.model import Capture
+
+_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background")
+
+
+def add_import(verbs: Any) -> None:
+    """Add ``splitknit import``."""
+    verb = new_verb(verbs, "import", "turn photographs and a list of light directions into a capture folder", _run)
+    add_photo_options(verb, required=True)
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
+
+
+def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
+    """Add what photographs need to become a capture."""
+    group = verb.add_argument_group("photographs")
+    group.add_argument(
+        "--images",
+        type=Path,
+        required=required,
+        metavar="DIR",
+        help="folder of photographs, one for each light, in the order of their names: JPEG, PNG, TIFF, WEBP, BMP; with "
+        "the extra 'photos' HEIC and camera RAW",
+    )
+    group.add_argument(
+        "--lights",
+        type=Path,
+        metavar="FILE",
+        help="directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y up, z to "
+        "the camera (default: lights.txt beside the images)",
+    )
+    group.add_argument(
+        "--mask", type=Path, metavar="FILE", help="image, white = object (default: mask.png beside the images, if any)"
+    )
+    group.add_argument(
+        "--material",
+        choices=("skin", "opaque"),
+        help="skin: a finger, whose blur of light is undone; opaque (default): any other thing, left as it lies",
+    )
+    group.add_argument(
+        "--tip-direction",
+        type=float,
+        metavar="DEG",
+        help="where a finger's tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found",
+    )
+    group.add_argument(
+        "--encoding",
+        choices=("linear", "srgb"),
+        help="of the photographs (default: srgb for JPEG, WEBP and HEIC, else linear)",
+    )
+    group.add_argument(
+        "--background",
+        metavar="VALUE|FILE",
+        help="stored value that every pixel has without light, or a photograph with all lights off",
+    )
+    add_scale_options(group)
+
+
+def add_scale_options(verb: Any) -> None:
+    """Add the two ways to give a scale that nobody has measured yet."""
+    verb.add_argument(
+        "--px-per-mm",
+        type=float,
+        metavar="X",
+        help="scale on the object, where the input has none; without it heights are in pixels",
+    )
+    verb.add_argument(
+        "--ridge-period",
+        type=float,
+        metavar="MM",
+        help="take the scale from a finger's ridges, which lie MM apart: 0.45 is usual, people differ by 8 %%",
+    )
+
+
+def check_photo_options(options: argparse.Namespace) -> None:
+    """Refuse options of photographs where a capture is named, and two scales. Raises BadInput."""
+    require(
+        options.tip_direction is None or abs(options.tip_direction) <= 360.0,
+        "--tip-direction must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",
+    )
+    if options.images is None:
+        unused = [name for name in _OF_PHOTOGRAPHS if getattr(options, name) is not None]
+        require(not unused, f"--{unused[0].replace('_', '-') if unused else ''} goes with --images.")
+    check_scale_options(options)
+
+
+def check_scale_options(options: argparse.Namespace) -> None:
+    """Refuse two scales, and numbers that are none. Raises BadInput."""
+    both = options.px_per_mm is not None and options.ridge_period is not None
+    require(not both, "--px-per-mm and --ridge-period both give the scale; choose one.")
+    require(
+        options.px_per_mm is None or 1e-3 <= options.px_per_mm <= 1e5,
+        f"--px-per-mm must be a number from 0.001 to 100000, not {options.px_per_mm}.",
+    )
+
+
+def read_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
+    """The capture of the photographs that the options name, and notes on it."""
+    from splitknit.io.plain import capture_from_photographs  # noqa: PLC0415 - verbs import what they need
+    from splitknit.model import UNKNOWN_SCALE  # noqa: PLC0415
+    from splitknit.pipeline import with_scale  # noqa: PLC0415
+
+    background: float | str | None = options.background
+    with contextlib.suppress(ValueError):
+        background = None if background is None else float(background)
+    found = capture_from_photographs(
+        options.images,
+        options.lights,
+        options.px_per_mm,
+        mask=options.mask,
+        material=options.material or "opaque",
+        encoding=options.encoding,
+        background=background,
+        tip_direction_deg=options.tip_direction,
+    )
+    capture, note = naming(options.images, lambda: with_scale(found.capture, None, options.ridge_period))
+    kept = [one for one in found.notes if one != UNKNOWN_SCALE or not capture.rig.camera.scale_known]
+    return capture, [*kept, *([note] if note else [])]
+
+
+def _run(options: argparse.Namespace) -> Outcome:
+    """Write a capture folder."""
+    from splitknit.io.capture import write_capture  # noqa: PLC0415
+    from splitknit.io.targets import check_target  # noqa: PLC0415
+
+    check_photo_options(options)
+    check_target(options.out, "capture.json", "an earlier capture", keep=options.images)
+    with Progress(options) as progress:
+        progress.update("reading", 0.1)
+        capture, notes = read_photographs(options)
+        progress.update("writing", 0.7)
+        write_capture(capture, options.out, overwrite=True)
+    band, camera = capture.bands["white"], capture.rig.camera
+    count, rows, columns, channels = band.pixels.shape
+    facts: dict[str, Any] = {
+        "out": str(options.out),
+        "images": count,
+        "image_size": [rows, columns],
+        "channels": channels,
+        "encoding": capture.encoding,
+        "material": capture.material,
+        "px_per_mm": camera.px_per_mm if camera.scale_known else None,
+        "mask": capture.mask is not None,
+        "notes": notes,
+    }
+    kind = "colour" if channels == 3 else "grey"
+    scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
+    covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
+    lines = [
+        f"{count} {kind} photographs of {columns} x {rows} pixels ({capture.encoding}, {capture.material}, {scale}, "
+        f"{covered}) written to {options.out}.",
+        *(f"Please note: {note}" for note in notes),
+        f"Next: splitknit reconstruct {options.out} --out RESULT",
+    ]
+    return facts, lines

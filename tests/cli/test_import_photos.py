@@ -1,0 +1,123 @@
+"""Photographs through the command line: one command to a surface, one to a capture, and a scale that is not known."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splitknit.cli.main import main
+from splitknit.errors import BadInput
+from splitknit.io.float_tiff import read_height_tiff
+from splitknit.io.results import read_fields, read_result
+from splitknit.model import surface_of
+
+AZIMUTH = 2 * np.pi * np.arange(5) / 5
+LIGHTS = np.stack([0.5 * np.cos(AZIMUTH), 0.5 * np.sin(AZIMUTH), np.full(5, 0.87)], axis=1)
+RADIUS = 90.0
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball of 90 pixels with ridges of 8 pixels all over it, under five lights."""
+    root = tmp_path_factory.mktemp("photos")
+    rows, columns = np.mgrid[:200, :200]
+    x, y = columns - 99.5, 99.5 - rows
+    inside = np.hypot(x, y) < 0.8 * RADIUS
+    height = np.sqrt(np.where(inside, RADIUS**2 - x * x - y * y, 1.0))
+    slope_x, slope_y = -x / height + 0.3 * np.cos(2 * np.pi * x / 8.0), -y / height
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    for k, light in enumerate(LIGHTS):
+        shade = np.where(inside, np.clip(normals @ light, 0, None), 0.0)
+        Image.fromarray(np.rint(shade * 60000).astype(np.uint16)).save(root / f"{k}.png")
+    Image.fromarray(inside.astype(np.uint8) * np.uint8(255)).save(root / "mask.png")
+    np.savetxt(root / "lights.txt", LIGHTS)
+    return root
+
+
+@pytest.fixture(scope="module")
+def result(photos: Path) -> Path:
+    assert main(["reconstruct", "--images", str(photos), "--preset", "ea", "--out", str(photos / "result")]) == 0
+    return photos / "result"
+
+
+def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
+    with np.load(result / "height.npz") as arrays:
+        assert {"height_px", "ridge_px", "shape_px", "normals_measured"} <= set(arrays.files)
+        assert not [name for name in arrays.files if name.endswith("_mm")]
+        rows, columns = np.nonzero(arrays["mask"])
+        ball = np.sqrt(RADIUS**2 - (columns - 99.5) ** 2 - (rows - 99.5) ** 2)
+        error = arrays["height_px"][rows, columns] - ball
+        assert np.std(error) < 0.04 * RADIUS  # pixels of height, not a guessed millimetre
+    files = {path.name for path in result.iterdir()}
+    assert "print.png" not in files and "normals_measured.png" in files
+    facts = json.loads((result / "report.json").read_text())
+    assert set(facts["files"]) == {name for name in files if not name.startswith(".")}
+    assert facts["result"]["scale_known"] is False and facts["result"]["pitch_mm"] is None
+    assert any(warning.startswith("scale unknown, heights in pixels") for warning in facts["warnings"])
+    names = {*facts["facts"], *facts["quality"]["white"]} - {"assumed_px_per_mm"}
+    assert not [name for name in names if name.endswith(("_mm", "_mm2", "_um"))]
+    page = (result / "report.html").read_text().replace("where it is a finger", "")
+    assert "in pixels: its scale is unknown" in page and "finger" not in page.split("<h2>Quality")[0]
+    assert " mm" not in page.split("<h2>Quality")[0].split("</style>")[1].replace("--px-per-mm", "")
+    assert b"unit pixel, the scale is unknown" in (result / "phalange.ply").read_bytes()[:500]
+    with pytest.raises(BadInput, match="not a height map"):
+        read_height_tiff(result / "height.tiff")
+
+
+def test_nothing_takes_pixels_for_millimetres(result: Path, photos: Path, capsys) -> None:
+    again = read_result(result)
+    assert not again.scale_known and again.pitch_mm == 1.0 and again.normals_measured is not None
+    with pytest.raises(BadInput, match="scale is unknown"):
+        surface_of(again)
+    with pytest.raises(BadInput, match="scale is unknown"):
+        read_fields(result / "height.npz", ("height_mm",))
+    for words in (["match", str(result), str(result)], ["view", str(result)],
+                  ["print", str(result), "--out", str(photos / "p")]):  # fmt: skip
+        assert main(words) == 2
+        assert "scale is unknown" in capsys.readouterr().err
+
+
+def test_the_ridges_give_the_scale(result: Path, photos: Path, capsys) -> None:
+    out = photos / "capture"
+    assert main(["import", "--images", str(photos), "--ridge-period", "0.4", "--out", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["px_per_mm"] == pytest.approx(20.0, rel=0.03)
+    assert any("8.0 px from one to the next" in note or "8.1 px" in note for note in facts["notes"])
+    assert "scale" in json.loads((out / "rig.json").read_text())["provenance"]
+    assert main(["print", str(result), "--ridge-period", "0.4", "--method", "relief", "--out", str(photos / "p")]) == 0
+    assert "scale from the ridges" in capsys.readouterr().out
+    assert json.loads((photos / "p" / "report.json").read_text())["source"]["pitch_mm"] == pytest.approx(0.05, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "name a capture folder, or photographs"),
+        (["PHOTOS"], "--images PHOTOS --lights FILE --out RESULT"),
+        (["PHOTOS", "--images", "PHOTOS"], "both were given"),
+        (["PHOTOS", "--mask", "x.png"], "--mask goes with --images"),
+        (["--images", "PHOTOS", "--px-per-mm", "0"], "--px-per-mm must be"),
+        (["--images", "PHOTOS", "--px-per-mm", "9", "--ridge-period", "1"], "choose one"),
+        (["--images", "PHOTOS", "--ridge-period", "7"], "0.2 to 1 mm apart, not 7"),
+        (["--images", "PHOTOS", "--lights", "PHOTOS/none.txt"], "does not exist"),
+        (["--images", "PHOTOS/none"], "not a folder"),
+        (["--images", "PHOTOS", "--rig", "rig.json"], "--rig replaces"),
+    ],
+)
+def test_refusals(options: list[str], words: str, photos: Path, tmp_path: Path, capsys) -> None:
+    given = [option.replace("PHOTOS", str(photos)) for option in options]
+    assert main(["reconstruct", *given, "--out", str(tmp_path / "out")]) == 2
+    assert words.replace("PHOTOS", str(photos)) in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_known_scale_is_not_replaced(photos: Path, tmp_path: Path, capsys) -> None:
+    capture = tmp_path / "capture"
+    assert main(["import", "--images", str(photos), "--px-per-mm", "20", "--out", str(capture)]) == 0
+    assert main(["reconstruct", str(capture), "--px-per-mm", "30", "--out", str(tmp_path / "x")]) == 2
+    assert "has a scale already: 20 px/mm" in capsys.readouterr().err
