@@ -79,9 +79,12 @@ def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
     return float(np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))[mask].mean())
 
 
-@pytest.mark.parametrize(("preset", "limit_deg"), [("metric", 6.0), ("snk", 9.6), ("ea", 9.6), ("pr", 12.8)])
+@pytest.mark.parametrize(("preset", "limit_deg"), [("metric", 6.0), ("snk", 9.6), ("ea", 9.6), ("pr", 19.6)])
 def test_normals_of_the_bear(bear: tuple[Capture, np.ndarray], preset: str, limit_deg: float) -> None:
-    """Of the integrated surface; integration costs `metric` less than half a degree on its photometric stereo."""
+    """Of the integrated surface; integration costs `metric` less than half a degree on its photometric stereo.
+
+    `pr` equalises the images' sRGB code, which is not linear (in linear light 12.3 deg).
+    """
     capture, truth = bear
     assert capture.mask is not None
     result = reconstruct(capture, preset)
@@ -95,9 +98,12 @@ def test_normals_of_the_bear(bear: tuple[Capture, np.ndarray], preset: str, limi
         assert error < angle_deg(normals, truth, capture.mask) + 0.5
 
 
-@pytest.mark.parametrize(("preset", "limit"), [("metric", 0.04), ("snk", 0.03), ("ea", 0.03), ("pr", 0.05)])
+@pytest.mark.parametrize(("preset", "limit"), [("metric", 0.04), ("snk", 0.03), ("ea", 0.03), ("pr", 0.105)])
 def test_heights_of_the_ball(ball: tuple[Capture, np.ndarray], preset: str, limit: float) -> None:
-    """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
+    """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic.
+
+    `pr` equalises the images' sRGB code, which is not linear: a tenth.
+    """
     capture, sphere = ball
     assert capture.mask is not None
     result = reconstruct(capture, preset)
