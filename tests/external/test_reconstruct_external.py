@@ -80,12 +80,21 @@ def angle_deg(first: np.ndarray, second: np.ndarray, mask: BoolArray) -> float:
     return float(np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))[mask].mean())
 
 
-@pytest.mark.parametrize(("preset", "limit_deg"), [("metric", 6.0), ("snk", 9.6), ("ea", 9.6), ("pr", 12.8)])
-def test_normals_of_the_bear(bear: tuple[Capture, np.ndarray], preset: str, limit_deg: float) -> None:
+LINEAR = {"enhance.cells.grey": "linear"}
+"""Equalise linear light; the thesis's images were equalised in their sRGB code, which bends shapes twice as much."""
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "limit_deg"),
+    [("metric", {}, 6.0), ("snk", {}, 9.6), ("ea", {}, 9.6), ("pr", LINEAR, 12.8), ("pr", {}, 19.6)],
+)
+def test_normals_of_the_bear(
+    bear: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit_deg: float
+) -> None:
     """Of the integrated surface; integration costs `metric` less than half a degree on its photometric stereo."""
     capture, truth = bear
     assert capture.mask is not None
-    result = reconstruct(capture, preset)
+    result = reconstruct(capture, preset, changes)
     sound(result, capture.mask)
     error = angle_deg(result.normals, truth, capture.mask)
     assert error < limit_deg
@@ -112,12 +121,17 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
     assert result.facts["yaw_deg"] == 0.0 and result.warnings == ()
 
 
-@pytest.mark.parametrize(("preset", "limit"), [("metric", 0.04), ("snk", 0.03), ("ea", 0.03), ("pr", 0.05)])
-def test_heights_of_the_ball(ball: tuple[Capture, np.ndarray], preset: str, limit: float) -> None:
+@pytest.mark.parametrize(
+    ("preset", "changes", "limit"),
+    [("metric", {}, 0.04), ("snk", {}, 0.03), ("ea", {}, 0.03), ("pr", LINEAR, 0.05), ("pr", {}, 0.105)],
+)
+def test_heights_of_the_ball(
+    ball: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit: float
+) -> None:
     """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
     capture, sphere = ball
     assert capture.mask is not None
-    result = reconstruct(capture, preset)
+    result = reconstruct(capture, preset, changes)
     sound(result, capture.mask)
     error = (result.height_mm - sphere)[np.isfinite(sphere)]
     assert error.std() < limit * np.nanmax(sphere)

@@ -59,7 +59,7 @@ def relief_images(capture: Capture, scales: Sequence[int] = SCALES) -> Reliefs:
     channels = []
     for count in scales:
         # as snk up to the relief, without its near-infrared shape
-        result = reconstruct(capture, "pr", {"shapelets.scales": count}, memory=memory)
+        result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
         images = finger_images(
             result.normals, result.ridge_mm, result.mask, result.pitch_mm, result.input_from_upright,
             result.upright_size,
@@ -92,7 +92,8 @@ def scales_table(  # noqa: PLR0917
         np.array([f"{part[0]}/{part[2]}" for part in parts]),
         np.array([part[1].removeprefix("session_") for part in parts]),
     )
-    scratch = scratch / settings_hash({"preset": "pr", "settings": preset_settings("pr"), "scales": SCALES})[:12]
+    known = {"preset": "pr-split", "settings": preset_settings("pr-split"), "scales": SCALES}
+    scratch = scratch / settings_hash(known)[:12]
     (scratch / "reliefs").mkdir(parents=True, exist_ok=True)
     _each(partial(_keep_relief, population, scratch), names, jobs)
     all_pairs = comparisons(captures.finger.tolist(), captures.session.tolist())
