@@ -45,6 +45,13 @@ def add_reconstruct(verbs: Any) -> None:
         metavar="DEG",
         help="where the tip points, within 75 degrees: 0 = up, counter-clockwise; left out, it is found",
     )
+    verb.add_argument(
+        "--light-frame",
+        default=None,
+        metavar="FRAME",
+        help="where x and y of the lights' directions point in the image, where not right-up: right-down (y down), "
+        "left-up (mirrored), left-down, up-left, up-right, down-left, down-right",
+    )
     add_settings(verb)
 
 
@@ -62,6 +69,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             preset=options.preset,
             rig=options.rig,
             tip_direction_deg=options.tip_direction,
+            light_frame=options.light_frame,
             changes=changes,
             progress=progress.update,
         )
@@ -86,17 +94,19 @@ def _reconstruct_to_folder(
     preset: str,
     rig: Path | None,
     tip_direction_deg: float | None,
+    light_frame: str | None,
     changes: Mapping[str, Any],
     progress: Callable[[str, float], None],
 ) -> dict[str, Any]:
     """Read a capture, reconstruct it, write all results; return the facts of ``report.json`` and more.
 
     `rig` names a rig file that replaces the capture's own, such as a later calibration; `tip_direction_deg` replaces
-    what the capture states.
+    what the capture states; `light_frame` is the one in which the lights were measured.
     """
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415
+    from splitknit.photometric.frames import rig_of_frame  # noqa: PLC0415
     from splitknit.pipeline import reconstruct  # noqa: PLC0415
     from splitknit.presets import preset_settings  # noqa: PLC0415
     from splitknit.report.result import FILES, write_files  # noqa: PLC0415
@@ -116,6 +126,8 @@ def _reconstruct_to_folder(
             capture = with_rig(capture, rig)
         if tip_direction_deg is not None:
             capture = replace(capture, tip_direction_deg=tip_direction_deg)
+        if light_frame is not None:
+            capture = replace(capture, rig=rig_of_frame(capture.rig, light_frame))
         read_s = time.perf_counter() - started
         try:
             result = reconstruct(
