@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +69,12 @@ def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
         metavar="VALUE|FILE",
         help="stored value that every pixel has without light, or a photograph with all lights off",
     )
+    group.add_argument(
+        "--light-frame",
+        metavar="FRAME",
+        help="where x and y of the lights' directions point in the image, where not right-up: right-down (y down), "
+        "left-up (mirrored), left-down, up-left, up-right, down-left, down-right",
+    )
     add_scale_options(group)
 
 
@@ -113,6 +120,7 @@ def read_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
     """The capture of the photographs that the options name, and notes on it."""
     from splitknit.io.plain import capture_from_photographs  # noqa: PLC0415 - verbs import what they need
     from splitknit.model import UNKNOWN_SCALE  # noqa: PLC0415
+    from splitknit.photometric.frames import rig_of_frame  # noqa: PLC0415
     from splitknit.pipeline import with_scale  # noqa: PLC0415
 
     background: float | str | None = options.background
@@ -128,7 +136,10 @@ def read_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
         background=background,
         tip_direction_deg=options.tip_direction,
     )
-    capture, note = naming(options.images, lambda: with_scale(found.capture, None, options.ridge_period))
+    taken = found.capture
+    if options.light_frame is not None:
+        taken = replace(taken, rig=rig_of_frame(taken.rig, options.light_frame))
+    capture, note = naming(options.images, lambda: with_scale(taken, None, options.ridge_period))
     kept = [one for one in found.notes if one != UNKNOWN_SCALE or not capture.rig.camera.scale_known]
     return capture, [*kept, *([note] if note else [])]
 

@@ -84,6 +84,7 @@ def _reconstruct_to_folder(
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415
+    from splitknit.photometric.frames import rig_of_frame  # noqa: PLC0415
     from splitknit.pipeline import reconstruct, with_scale  # noqa: PLC0415
     from splitknit.presets import preset_settings  # noqa: PLC0415
     from splitknit.report.result import write_files  # noqa: PLC0415
@@ -103,6 +104,8 @@ def _reconstruct_to_folder(
                 capture = with_rig(capture, options.rig)
             if options.tip_direction is not None:
                 capture = replace(capture, tip_direction_deg=options.tip_direction)
+            if options.light_frame is not None:
+                capture = replace(capture, rig=rig_of_frame(capture.rig, options.light_frame))
             capture, note = naming(source, lambda: with_scale(capture, options.px_per_mm, options.ridge_period))
             notes = [note] if note else []
         read_s = time.perf_counter() - started

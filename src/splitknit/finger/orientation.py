@@ -126,7 +126,10 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
             "believed (set tip_direction_deg)."
         )
         reliable = False
-    yaw = float(_between(expected + turn if reliable else expected, 0.0))
+    if tip_direction_deg is None:
+        yaw = _between(angle if reliable else expected, 0.0)
+    else:
+        yaw = float(expected + turn if reliable else expected)
     if not clear and not note:
         note = (
             f"the outline does not show which way the finger's tip points; it was taken to point {np.rad2deg(yaw):.0f} "

@@ -1,0 +1,47 @@
+"""Lights of others' data, given in each of eight frames: the frame is named, and the right one never doubted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from splitknit.io.plain import read_lights_txt
+from splitknit.photometric.frames import FRAMES, fit_light_frame
+from splitknit.photometric.lambertian import lambertian
+
+pytestmark = pytest.mark.external
+
+SETS = ("bear", "ball", "phalange")
+
+
+def images_of(data_dir: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Stack, lights and mask."""
+    if name == "bear":
+        with np.load(data_dir / "diligent" / "bear.npz") as data:
+            return data["images"].astype(np.float32) / 65535, data["lights"], data["mask"].astype(bool)
+    if name == "ball":
+        folder, lights = data_dir / "psm_spheres" / "gray", data_dir / "psm_spheres" / "lights.txt"
+        files, mask, dark = [folder / f"gray.{k}.png" for k in range(12)], folder / "gray.mask.png", 0.0
+        directions = np.loadtxt(lights, skiprows=1)
+    else:
+        folder = data_dir / "blender_finger" / "phalange"
+        files, mask, dark = [folder / f"light_{k:02d}.png" for k in range(12)], folder / "mask.png", 71.0
+        directions = read_lights_txt(folder / "lights.txt")
+    read = [cv2.imread(str(file), cv2.IMREAD_ANYDEPTH) for file in (*files, mask)]
+    stack = np.stack(read[:-1]).astype(np.float32)
+    return np.maximum(stack - dark, 0) / stack.max(), directions, read[-1] > 127
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_all_eight_frames(data_dir, name):
+    if not all((data_dir / folder).is_dir() for folder in ("diligent", "psm_spheres", "blender_finger")):
+        pytest.skip("data sets are absent")
+    stack, lights, mask = images_of(data_dir, name)
+    for frame, matrix in FRAMES.items():
+        given = np.array(lights, dtype=float)
+        given[:, :2] = given[:, :2] @ np.array(matrix, dtype=float)
+        fit = fit_light_frame(lambertian(stack, given, mask)[0], mask)
+        assert fit.frame == frame
