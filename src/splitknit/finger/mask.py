@@ -257,13 +257,14 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     coarse_px = px_per_mm * fine_scale * coarse_scale
     coarse = blur(coarse, 0.5 * BLUR_MM * coarse_px)
 
+    bright = coarse
     weights = _colour_filter(coarse)
     if weights is not None:
         coarse, fine = _filtered(coarse, weights), _filtered(fine, weights)
     try:
         mask = _coarse_mask(coarse, coarse_px)
     except BadInput:
-        check_borders(_bright_side(coarse))  # so close that there is more finger than background along the border
+        check_borders(_bright_side(bright))  # so close that there is more finger than background along the border
         raise
     result = _fine_outline(fine, mask, (height, width), px_per_mm * fine_scale)
     check_borders(result)
