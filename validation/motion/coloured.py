@@ -37,7 +37,7 @@ from splitknit.simulator.twin import simulate_capture
 RESULTS = Path(__file__).resolve().parent / "coloured.json"
 SHOTS_IN_ALL = 14
 LIGHTS: Mapping[str, tuple[int, tuple[str, ...]]] = {
-    "seven white": (7, ("ea", "metric")),
+    "seven white": (7, ("ea-split", "metric")),
     "nine coloured": (3, ("lin",)),
     "six coloured": (2, ("lin",)),
 }

@@ -116,7 +116,7 @@ def check_scale_options(options: argparse.Namespace) -> None:
     )
 
 
-def read_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
+def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
     """The capture of the photographs that the options name, and notes on it."""
     from splitknit.io.plain import capture_from_photographs  # noqa: PLC0415 - verbs import what they need
     from splitknit.model import UNKNOWN_SCALE  # noqa: PLC0415
@@ -153,7 +153,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     check_target(options.out, "capture.json", "an earlier capture", keep=options.images)
     with Progress(options) as progress:
         progress.update("reading", 0.1)
-        capture, notes = read_photographs(options)
+        capture, notes = capture_of_photographs(options)
         progress.update("writing", 0.7)
         write_capture(capture, options.out, overwrite=True)
     band, camera = capture.bands["white"], capture.rig.camera

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.cli.import_photos import add_photo_options, check_photo_options, read_photographs
+from splitknit.cli.import_photos import add_photo_options, capture_of_photographs, check_photo_options
 from splitknit.cli.verb import PRESETS, Outcome, Progress, add_settings, new_verb
 from splitknit.errors import BadInput, naming, require
 
@@ -97,7 +97,7 @@ def _reconstruct_to_folder(
     with atomic_folder(out) as target:
         progress("reading", 0.0)
         if options.images is not None:
-            capture, notes = read_photographs(options)
+            capture, notes = capture_of_photographs(options)
         else:
             capture = read_capture(source)
             if options.rig is not None:
