@@ -400,7 +400,7 @@ def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[str, ...]:
     return (
         f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
         "right and up: only so does one convex surface have the slopes that were found. If they are, give "
-        f"--light-frame {fit.frame}.",
+        f"--light-frame {fit.frame}, or leave out the one that was given.",
     )
 
 
