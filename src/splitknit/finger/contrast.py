@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_image, check_mask
 from splitknit.finger.regions import bounding_box
+from splitknit.imaging.band import srgb_code
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -80,9 +81,8 @@ def clahe(
     inside = mask[box]
     white = float(np.percentile(image[box][inside], settings.high_percentile))
     grey = np.clip(image[box] / np.float32(max(white, 1e-12)), 0.0, 1.0)
-    if settings.grey == "srgb":  # IEC 61966-2-1
-        coded = np.float32(1.055) * grey ** np.float32(1 / 2.4) - np.float32(0.055)
-        grey = np.where(grey <= 0.0031308, np.float32(12.92) * grey, coded).astype(np.float32)
+    if settings.grey == "srgb":
+        grey = np.asarray(srgb_code(grey), dtype=np.float32)
     level = grey * np.float32(_BINS - 1)
     side = max(_LEAST_CELL_PX, round(settings.cell_px * px_per_mm / 75.7))
     cell = side, side

@@ -38,6 +38,11 @@ def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
     return values.astype(np.float32)
 
 
+def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Linear light in [0, 1] as sRGB stores it (IEC 61966-2-1), in [0, 1]."""
+    return np.asarray(np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
+
+
 def linear_image(
     pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: int = 1
 ) -> FloatArray:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.band import linear_channels, saturation_levels
+from splitknit.imaging.band import linear_channels, saturation_levels, srgb_code
 from splitknit.model import COLOURS, Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits
 
@@ -191,5 +191,5 @@ def _stored(light: NDArray[np.floating], encoding: str) -> NDArray[np.uint16]:
     """16-bit values of linear light in [0, 1]."""
     value = np.clip(light, 0.0, 1.0)
     if encoding == "srgb":
-        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+        value = srgb_code(value)
     return np.asarray(np.rint(value * 65535.0), dtype=np.uint16)

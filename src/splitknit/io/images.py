@@ -6,7 +6,7 @@ import hashlib
 import io
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -255,6 +255,8 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
+APP1 = 0xE1
+"""Second byte of the marker of a segment that may hold EXIF data."""
 _FRAMES = frozenset({0xC0, 0xC1, 0xC2})
 _MAX_SCANS = 100
 """Each scan costs a pass through the whole image, whatever its length; a progressive image has about ten."""
@@ -337,13 +339,20 @@ def _decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> Pixel
 
 def _without_exif(data: bytes) -> bytes:
     """A sound JPEG file without its APP1 segments: Pillow warns of damage in what is not looked at here."""
-    place, kept = 2, [data[:2]]
-    while data[place + 1] != 0xDA:
-        length = 1 if data[place + 1] == 0xFF else 2 + int.from_bytes(data[place + 2 : place + 4], "big")
-        if data[place + 1] != 0xE1:
-            kept.append(data[place : place + length])
-        place += length
-    return b"".join([*kept, data[place:]])
+    kept, end = [data[:2]], 2
+    for marker, start, end in jpeg_segments(data):
+        if marker != APP1:
+            kept.append(data[start:end])
+    return b"".join([*kept, data[end:]])
+
+
+def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Second byte of the marker, start and end of each segment of a sound JPEG file, before its first scan."""
+    place = 2
+    while (marker := data[place + 1]) != 0xDA:
+        end = place + (1 if marker == 0xFF else 2 + int.from_bytes(data[place + 2 : place + 4], "big"))
+        yield marker, place, end
+        place = end
 
 
 def _frame(body: bytes, name: str) -> _JpegHeader:

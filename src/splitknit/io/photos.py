@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io import png, tiff
-from splitknit.io.images import DEFAULTS, decode_image
+from splitknit.io.images import APP1, DEFAULTS, decode_image, jpeg_segments
 from splitknit.io.png import check_size
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
@@ -27,8 +27,6 @@ SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
 _JPEG, _BMP = b"\xff\xd8\xff", b"BM"
-_APP1, _START_OF_SCAN, _FILL = 0xE1, 0xDA, 0xFF
-"""Second bytes of JPEG's markers."""
 _EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG or TIFF."
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}
@@ -121,14 +119,12 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 def _exif_orientation(data: bytes, name: str) -> int:
     """Of a JPEG file (segment APP1) or a PNG file (chunk eXIf), both known to be sound; 1 where there is none."""
-    place, exif = 2 if data.startswith(_JPEG) else len(png.SIGNATURE), b""
+    exif = b""
     if data.startswith(_JPEG):
-        while place + 4 <= len(data) and data[place + 1] != _START_OF_SCAN and not exif:
-            length = int.from_bytes(data[place + 2 : place + 4], "big")
-            if data[place + 1] == _APP1:
-                exif = _after(data[place + 4 : place + 2 + length])
-            place += 1 if data[place + 1] == _FILL else 2 + length
+        found = (_after(data[start + 4 : end]) for marker, start, end in jpeg_segments(data) if marker == APP1)
+        exif = next(filter(None, found), b"")
     else:
+        place = len(png.SIGNATURE)
         while place + 8 <= len(data) and not exif:
             length = int.from_bytes(data[place : place + 4], "big")
             if data[place + 4 : place + 8] == b"eXIf":

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.band import decode_table, linear_image
+from splitknit.imaging.band import decode_table, linear_image, srgb_code
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.float_tiff import write_light_tiff
@@ -211,8 +211,7 @@ def _light_picture(light: FloatArray) -> NDArray[np.uint8]:
     known = np.isfinite(light)
     top = max(float(np.quantile(light[known], 0.999)) if known.any() else 1.0, 1e-12)
     scaled = np.clip(np.where(known, light, 0.0) / top, 0.0, 1.0)
-    curve = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1 / 2.4) - 0.055)
-    return np.asarray(np.round(255 * curve), dtype=np.uint8)
+    return np.asarray(np.round(255 * srgb_code(scaled)), dtype=np.uint8)
 
 
 def _phase_picture(parts: PhaseSeparation) -> NDArray[np.uint8]:
