@@ -6,8 +6,8 @@ FOLDER: a capture with ``truth.npz`` and ``info.json``, as ``make.py`` writes th
 degrees, the relative brightness of every light's image in the band of ridges is explained by least squares from the
 relief's height, height times ln(1 / cos t), t the angle between the light and the skin without ridges, the slope
 towards the light and the specular reflection. Printed for each channel: the first two in %/um, and the second over the
-first and over the square root of the effective attenuation. Coarse images make all of them too small alike, so that
-the ratio is what :meth:`splitknit.simulator.light.skin.Boundary.oblique_signal` follows.
+first and over the square root of the effective attenuation. Coarse images reduce all of them by the same factor, so
+that the ratio is what :meth:`splitknit.simulator.light.skin.Boundary.oblique_signal` follows.
 """
 
 from __future__ import annotations

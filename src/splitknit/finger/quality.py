@@ -242,7 +242,7 @@ def quality_warnings(
 ) -> tuple[str, ...]:
     """What is wrong with a capture and what to do about it, one sentence each; empty if nothing is.
 
-    `quality` is what :func:`capture_quality` returned. Without `finger` nothing is said of ridges, skin and tip.
+    `quality` is what :func:`capture_quality` returned. Without `finger`, ridges, skin and tip are not reported on.
     """
     settings = settings or QualitySettings()
     words: list[str] = []

@@ -441,7 +441,7 @@ def _as_integers(
     floats = stack.dtype.kind == "f"
     require(
         ambient is None or (ambient.dtype.kind == "f") == floats,
-        "the background image is of floats and the photographs are not, or the reverse; save them alike.",
+        "the background image is of floats and the photographs are not, or the reverse; save both in one format.",
     )
     top = float(stack.max()) if floats else float(np.iinfo(stack.dtype).max)
     require(top > 0, "the photographs are black: not one value is above zero.")

@@ -21,7 +21,7 @@ FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "up-right": ((0, 1), (1, 0)),
     "down-left": ((0, -1), (-1, 0)),
 }
-"""Where x and y point in the image, and the matrix that turns such a vector's x and y into ours (x right, y up)."""
+"""Where x and y point in the image, and the matrix that turns such a vector's x and y to x right, y up."""
 _BLUR = 0.02
 """Blur (sigma) of the slopes, as a fraction of the mask's longer side: shape is judged, not noise and texture."""
 _STEEPEST = 1.5
@@ -86,12 +86,12 @@ def fit_light_frame(normals: Any, mask: Any) -> FrameFit:
     convex = [name for name, (_, falls) in fits.items() if falls]
     best = min(convex, key=lambda name: curls[name], default="right-up")
     ratio = curls["right-up"] / max(curls[best], 1e-12)
-    opposite = best == "left-down"  # without curl in both; only the outline tells them apart
+    opposite = best == "left-down"  # without curl in both; only the outline distinguishes them
     return FrameFit(best if opposite or ratio > _WORSE else "right-up", float(ratio))
 
 
 def rig_of_frame(rig: Rig, frame: str) -> Rig:
-    """The rig whose LEDs (directions, positions, aims) were measured in `frame`, in ours: x right, y up.
+    """The rig whose LEDs (directions, positions, aims) were measured in `frame`, with x right and y up.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def rig_of_frame(rig: Rig, frame: str) -> Rig:
 
 
 def _turned(p: FloatArray, q: FloatArray, frame: str) -> tuple[FloatArray, FloatArray]:
-    """Slopes as they are if x and y of `frame` were taken for ours."""
+    """Slopes as they are if x and y of `frame` were taken for x right and y up."""
     (a, b), (c, d) = FRAMES[frame]
     return a * p + b * q, c * p + d * q
 
