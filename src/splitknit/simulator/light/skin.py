@@ -109,8 +109,8 @@ class Boundary(Checked):
     def height_signal(self, scattering_per_mm: float) -> float:
         """Brightness of heights over that behind a matt boundary above strong scattering.
 
-        Behind a matt boundary, light whose mean free path is longer than a ridge is wide carries no signal of its height;
-        refracted light brightens heights the more, the deeper it goes. Both follow our own reference walks
+        Behind a matt boundary, light whose mean free path is longer than a ridge is wide carries no signal of its
+        height; refracted light brightens heights the more, the deeper it goes. Both follow our own reference walks
         (docs/experiments/simulator-reference.md, ridges of 75 um, scattering of 1 to 10 per mm).
         """
         matt = max(1.0 - math.exp((1.0 - scattering_per_mm) / 0.65), 0.0)
