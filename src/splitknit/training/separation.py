@@ -27,6 +27,7 @@ from splitknit.training.separation_data import (
     Photograph,
     SeparationData,
     enhance,
+    enhance_linear,
     levelled,
     photographs,
 )
@@ -239,7 +240,8 @@ def _subjects(data: SeparationData) -> list[Subject]:
 
 
 def _shoot(kind: str, index: int, data: SeparationData, seed: int) -> Iterable[Sample]:
-    for photograph in photographs(kind, index, seed, data, enhance):
+    """Every second palm and finger is equalised in linear light, so that the network knows both."""
+    for photograph in photographs(kind, index, seed, data, enhance_linear if index % 2 else enhance):
         yield levelled(photograph).pixels, {**photograph.facts, "corners": photograph.corners.tolist()}
 
 

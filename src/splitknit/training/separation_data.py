@@ -9,7 +9,7 @@ stacked into batches.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.finger.contrast import clahe
+from splitknit.finger.contrast import ClaheSettings, clahe
 from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import BoolArray, Camera, FloatArray, Led, default_rig
 from splitknit.separation.checkerboard import checkerboard
@@ -130,6 +130,11 @@ def enhance(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
     return clahe(grey, px_per_mm, mask=mask)
 
 
+def enhance_linear(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
+    """Enhance the contrast in linear light, as ``enhance.cells.grey=linear`` does."""
+    return clahe(grey, px_per_mm, ClaheSettings(grey="linear"), mask=mask)
+
+
 def surface_of(kind: str, index: int, seed: int, settings: SeparationData) -> Surface:
     """The palm or finger itself, before its camera: what :func:`photographs` takes pictures of."""
     require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
@@ -175,7 +180,7 @@ def _photograph(
         "index": name[1],
         "pitch_um": 1000.0 * surface.camera.pitch_mm,
         "led_mm": list(led.position_mm or ()),
-        "skin": {field: getattr(skin, field) for field in skin.__dataclass_fields__},
+        "skin": asdict(skin),
         "exposure": sensor.exposure,
         "bits": sensor.bits,
     }
