@@ -14,15 +14,19 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from splitknit.batch.simulate import _jobs_of, _population_hash
-from splitknit.capture.enrolment import open_enrolment
+from splitknit.capture.enrolment import FINGERS, open_enrolment
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
+from splitknit.io.images import write_image
 from splitknit.io.npz import read_npz
 from splitknit.settings import override
-from splitknit.simulator.population.sessions import PopulationSettings
+from splitknit.simulator.finger.master_print import ink_print, master_print
+from splitknit.simulator.population.prints import choose_prints
+from splitknit.simulator.population.sessions import PopulationSettings, population_capture
 
 SMALL = ("--scale", "0.08", "--subjects", "2", "--fingers", "right_index,left_thumb", "--sessions", "2")
 Captured = pytest.CaptureFixture[str]
@@ -214,3 +218,81 @@ def test_one_finger_is_simulated_as_before(tmp_path: Path, capsys: Captured) -> 
         assert main(["simulate", *what, "--out", str(tmp_path / name), "--scale", "0.08", "--seed", "4"]) == 0
         assert f"Next: splitknit reconstruct {tmp_path / name} --out RESULT" in capsys.readouterr().out
     assert digests(tmp_path / "plain") == digests(tmp_path / "named")
+
+
+PRINTED = ("--scale", "0.08", "--subjects", "3", "--fingers", "right_index", "--sessions", "2")
+
+
+@pytest.fixture(scope="module")
+def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One real finger in two impressions."""
+    folder = tmp_path_factory.mktemp("prints")
+    for number, seed in enumerate((5, 6), 1):
+        write_image(folder / f"101_{number}.png", ink_print(master_print("whorl", seed)))
+    return folder
+
+
+def test_a_third_of_the_fingers_have_ridges_of_real_prints(
+    population: Path, tmp_path: Path, prints: Path, capsys: Captured
+) -> None:
+    """One real finger is one finger in all sessions; all else is as without prints, and it goes on as it was begun."""
+    out = tmp_path / "printed"
+    seeded = ("--prints", str(prints), "--workers", "1", "--seed", "1")
+    assert main(words(out, *seeded, small=PRINTED)) == 0
+    assert "1 of 3 fingers have the ridges of a real print." in capsys.readouterr().out
+    rows = list(csv.DictReader((out / "population.csv").read_text().splitlines()))
+    real = {row["subject"] for row in rows if row["print"] == "101_1.png"}
+    assert len(real) == 1 and sum(row["print"] == "" for row in rows) == 4
+    subject = real.pop()
+    document = json.loads((out / "population.json").read_text())
+    settings = PopulationSettings(scale=0.08, seed=1)
+    assert list(document["prints"]) == [f"{subject}/right_index"]
+    assert document["settings_sha256"] != _population_hash(settings)
+    for row in rows[:3]:
+        drawn = population_capture(settings, settings.person(int(row["subject"][1:])), "right_index", 1)
+        truth = read_npz(out / row["folder"] / "truth.npz")
+        both = truth["mask"] & drawn.truth["mask"]
+        np.testing.assert_allclose(truth["shape_mm"][both], drawn.truth["shape_mm"][both], atol=1e-5)
+        same = np.abs(truth["height_mm"] - drawn.truth["height_mm"])[both].max() < 1e-9
+        assert same == (row["subject"] != subject)
+        assert (truth["landmark_pattern"] == "print") == (row["pattern"] == "print") == (row["subject"] == subject)
+        assert float(row["roll_deg"]) == drawn.facts["roll_deg"]
+
+    before = digests(out)
+    shutil.rmtree(out / subject / "session_2" / "right_index")
+    assert main(words(out, *seeded, small=PRINTED)) == 0
+    assert digests(out) == before
+    assert "other settings (prints)" in refused(capsys, *words(out, "--seed", "1", small=PRINTED))
+    assert "begun without real prints" in refused(capsys, *words(population, "--prints", str(prints)))
+    others = tmp_path / "others"
+    others.mkdir()
+    shutil.copy(prints / "101_2.png", others / "101_1.png")
+    assert "is not the print" in refused(capsys, *words(out, "--seed", "1", "--prints", str(others), small=PRINTED))
+
+
+def test_prints_that_cannot_be_used_are_refused(tmp_path: Path, prints: Path, capsys: Captured) -> None:
+    out, empty = tmp_path / "out", tmp_path / "empty"
+    assert "is no folder of prints" in refused(capsys, *words(out, "--prints", str(empty)))
+    empty.mkdir()
+    assert "holds no prints" in refused(capsys, *words(out, "--prints", str(empty)))
+    write_image(empty / "1_1.png", np.full((300, 300), 255, dtype=np.uint8))
+    assert "1_1.png: the image shows no ridges" in refused(capsys, *words(out, "--prints", str(empty)))
+    assert "--prints is for 'splitknit simulate population'" in refused(
+        capsys, "simulate", "--out", str(out), "--prints", str(prints)
+    )
+    assert not out.exists()
+
+
+def test_prints_are_dealt_evenly_and_one_finger_is_one_identity(tmp_path: Path) -> None:
+    ink = ink_print(master_print("whorl", 5))
+    for name in ("a_1", "a_2", "a_10", "b_c_3", "b_c_4", "d"):
+        write_image(tmp_path / f"{name}.png", ink)
+    subjects, fingers = tuple(f"S{k:02d}" for k in range(1, 5)), ("left_ring", "right_ring", "left_index")
+    dealt = choose_prints(tmp_path, 3, subjects, fingers).of_finger
+    assert [sum(one.mirrored is mirrored for one in dealt.values()) for mirrored in (False, True)] == [3, 1]
+    assert {one.file for one in dealt.values() if not one.mirrored} == {"a_1.png", "b_c_3.png", "d.png"}
+    assert sorted(finger.split("/")[0] for finger in dealt) == list(subjects)
+    assert choose_prints(tmp_path, 3, subjects, fingers).of_finger == dealt
+    assert choose_prints(tmp_path, 4, subjects, fingers).of_finger != dealt
+    few = choose_prints(tmp_path, 3, subjects, FINGERS).of_finger
+    assert len(few) == 6, "thirteen would be a third, but there are three real fingers"

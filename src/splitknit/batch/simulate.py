@@ -20,13 +20,14 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.workers import run_jobs
-from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment
+from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment, plan_enrolment
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import plain_json, provenance, settings_hash
 from splitknit.model import Progress, no_progress
+from splitknit.simulator.population.prints import RealPrint, RealPrints, choose_prints
 from splitknit.simulator.population.sessions import DRAWS, PopulationSettings, population_capture
 
 POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
@@ -47,6 +48,7 @@ def simulate_population(
     subjects: int | None = None,
     sessions: int | None = None,
     fingers: Sequence[str] | None = None,
+    prints: Path | None = None,
     workers: int = 2,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -57,24 +59,34 @@ def simulate_population(
     out : folder of the population: a new one, or one with the same settings
     settings : of the population
     subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis (17, 4, all ten)
+    prints : folder of real prints, of whose ridges :func:`splitknit.simulator.population.prints.choose_prints` gives a
+        third of the fingers; fingers that are planned later have none
     workers : processes; the captures do not depend on their number
 
     Raises
     ------
     BadInput
-        If the folder holds something else or a population with other settings, another run writes it, or the plan
-        would shrink.
+        If the folder holds something else or a population with other settings, another run writes it, the plan would
+        shrink, or `prints` holds no usable prints or not those that the population began with.
     """
     started = time.perf_counter()
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
+    earlier = _earlier(out)
+    plan = plan_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers).plan
+    real = RealPrints()
+    if prints is not None:
+        dealt = None if earlier is None else _dealt(out, earlier)
+        real = choose_prints(prints, settings.seed, plan.subject_ids(), plan.fingers, dealt)
     document = {
         "format": _FORMAT,
         "format_version": _VERSION,
         "draws": DRAWS,
         **provenance(settings),
-        "settings_sha256": _population_hash(settings),
+        **({"prints": plain_json(real.of_finger)} if real.of_finger else {}),
+        "settings_sha256": _population_hash(settings, real),
     }
-    _check_settings(out, document)
+    if earlier is not None:
+        _check_settings(out, earlier, document)
     enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
     if not (out / POPULATION_FILE).is_file():
         with atomic_file(out / POPULATION_FILE) as stream:
@@ -84,7 +96,7 @@ def simulate_population(
         waiting = enrolment.waiting()
         before = enrolment.plan.total - len(waiting)
         progress("simulating", 0.0)
-        for done, words in _simulated(enrolment, settings, waiting, workers):
+        for done, words in _simulated(enrolment, settings, real, waiting, workers):
             progress(words, done / max(len(waiting), 1))
         _write_table(enrolment)
     seconds = time.perf_counter() - started
@@ -95,6 +107,8 @@ def simulate_population(
         "subjects": enrolment.plan.subjects,
         "sessions": enrolment.plan.sessions,
         "fingers": list(enrolment.plan.fingers),
+        "prints": len(real.of_finger),
+        "prints_mirrored": sum(one.mirrored for one in real.of_finger.values()),
         "workers": workers,
         "simulated": len(waiting),
         "found": before,
@@ -106,23 +120,25 @@ def simulate_population(
     }
 
 
-def _population_hash(settings: PopulationSettings) -> str:
+def _population_hash(settings: PopulationSettings, real: RealPrints | None = None) -> str:
     """SHA-256 of everything that the captures follow from; the number of threads is not."""
     render = replace(settings.render, workers=1)
-    return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)})
+    prints = {"prints": real.of_finger} if real is not None and real.of_finger else {}
+    return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)} | prints)
 
 
-def _simulate_job(job: Job, settings: PopulationSettings, folder: Path) -> int:
+def _simulate_job(job: Job, settings: PopulationSettings, real: RealPrints, folder: Path) -> int:
     """Simulate the captures of one finger into the enrolment `folder`; return how many."""
     place = job.places[0]
     person = settings.person(int(place.subject.removeprefix("S")))
-    master = person.fingers[place.finger].finger.master()
+    finger = person.fingers[place.finger].finger
+    master, printed = real.master(f"{place.subject}/{place.finger}", finger)
     for place in job.places:
         target = folder / place.folder
         shown = population_capture(settings, person, place.finger, place.session, master=master)
         with atomic_folder(target, overwrite=False) as made:
             write_capture(shown.capture, made, shown.truth, overwrite=True)
-            text = json.dumps(plain_json(shown.facts), indent=1, allow_nan=False) + "\n"
+            text = json.dumps(plain_json(shown.facts | {"print": printed}), indent=1, allow_nan=False) + "\n"
             (made / IMPRESSION_FILE).write_text(text, encoding="ascii")
     return len(job.places)
 
@@ -136,19 +152,19 @@ def _jobs_of(waiting: Sequence[Place]) -> list[Job]:
 
 
 def _simulated(
-    enrolment: Enrolment, settings: PopulationSettings, waiting: Sequence[Place], workers: int
+    enrolment: Enrolment, settings: PopulationSettings, real: RealPrints, waiting: Sequence[Place], workers: int
 ) -> Iterator[tuple[int, str]]:
     """Do all jobs; yield how many captures are done, and which finger was the last."""
     jobs = _jobs_of(waiting)
-    work: Callable[[Job], int] = partial(_simulate_job, settings=settings, folder=enrolment.folder)
+    work: Callable[[Job], int] = partial(_simulate_job, settings=settings, real=real, folder=enrolment.folder)
     done = 0
     for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):
         done += captures
         yield done, f"{job.places[0].subject} {job.places[0].finger}"
 
 
-def _check_settings(out: Path, document: dict[str, Any]) -> None:
-    """Refuse a folder of other captures than these settings give."""
+def _earlier(out: Path) -> dict[str, Any] | None:
+    """What the population in `out` was begun with; None if none was. Raises BadInput where it holds something else."""
     file = out / POPULATION_FILE
     if not file.is_file():
         taken = out.is_dir() and any(out.glob("S*/session_*/*"))
@@ -156,14 +172,32 @@ def _check_settings(out: Path, document: dict[str, Any]) -> None:
             not taken or not (out / PLAN_FILE).is_file(),
             f"'{out}' holds captures of something else than a simulated population; name another folder.",
         )
-        return
-    damaged = f"'{file}' cannot be read: it is damaged; name another folder for the population."
-    earlier, _ = read_json(file, damaged)
+        return None
+    damaged = _DAMAGED.format(file)
+    document, _ = read_json(file, damaged)
     with refusing(damaged):
-        known = earlier["format"] == _FORMAT and earlier["format_version"] == _VERSION
-        require(known, f"'{file}' is of another version.")
+        known = document["format"] == _FORMAT and document["format_version"] == _VERSION
+    require(known, f"'{file}' is of another version.")
+    return dict(document)
+
+
+_DAMAGED = "'{}' cannot be read: it is damaged; name another folder for the population."
+
+
+def _dealt(out: Path, earlier: dict[str, Any]) -> dict[str, RealPrint]:
+    """The prints of the population's fingers, as it was begun."""
+    with refusing(_DAMAGED.format(out / POPULATION_FILE)):
+        dealt = {finger: RealPrint(**one) for finger, one in earlier.get("prints", {}).items()}
+        require(all(one.sound() for one in dealt.values()), "")
+    return dealt
+
+
+def _check_settings(out: Path, earlier: dict[str, Any], document: dict[str, Any]) -> None:
+    """Refuse a folder of other captures than these settings give."""
+    with refusing(_DAMAGED.format(out / POPULATION_FILE)):
         same = earlier["settings_sha256"] == document["settings_sha256"]
         differing = _differing(earlier["settings"], document["settings"])
+        differing += [] if earlier.get("prints") == document.get("prints") else ["prints"]
     where = f" ({', '.join(differing[:4])})" if differing else ""
     require(
         same,

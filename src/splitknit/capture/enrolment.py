@@ -154,6 +154,21 @@ def open_enrolment(
     BadInput
         If the folder holds something else, its plan is damaged, or the plan would shrink.
     """
+    planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
+    file = folder / PLAN_FILE
+    if not file.is_file() or _read(file) != planned.plan:
+        _write(file, planned.plan)
+    return planned
+
+
+def plan_enrolment(
+    folder: Path,
+    *,
+    subjects: int | None = None,
+    sessions: int | None = None,
+    fingers: Sequence[str] | None = None,
+) -> Enrolment:
+    """What :func:`open_enrolment` would open; nothing is written."""
     file = folder / PLAN_FILE
     earlier = _read(file) if file.is_file() else None
     if earlier is None and folder.exists():
@@ -175,8 +190,6 @@ def open_enrolment(
             f"{len(earlier.fingers)} fingers; a plan may grow but not shrink: leave out --subjects, --sessions and "
             "--fingers, or name another folder.",
         )
-    if wanted != earlier:
-        _write(file, wanted)
     return Enrolment(folder, wanted)
 
 

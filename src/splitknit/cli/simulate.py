@@ -176,7 +176,7 @@ def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outco
 
 
 DEFAULT_WORKERS = 2
-_OPTIONS = ("subjects", "fingers", "sessions", "workers")
+_OPTIONS = ("subjects", "fingers", "sessions", "workers", "prints")
 
 
 def _add_population_options(verb: argparse.ArgumentParser) -> None:
@@ -187,6 +187,14 @@ def _add_population_options(verb: argparse.ArgumentParser) -> None:
         "--fingers", default=None, metavar="LIST", help="all (default), or names with commas, such as right_index"
     )
     group.add_argument("--sessions", type=natural, default=None, metavar="N", help="captures a finger (default: 4)")
+    group.add_argument(
+        "--prints",
+        type=Path,
+        default=None,
+        metavar="FOLDER",
+        help="real prints of 500 pixels an inch, FINGER_IMPRESSION.png, tip up, ridges dark: the ridges of a third of "
+        "the fingers, one print for each; with mirror images where they are too few",
+    )
     group.add_argument(
         "--workers", type=natural, default=None, metavar="N", help=f"processes (default: {DEFAULT_WORKERS})"
     )
@@ -224,6 +232,7 @@ def _run_population(options: argparse.Namespace) -> Outcome:
             subjects=options.subjects,
             sessions=options.sessions,
             fingers=fingers,
+            prints=options.prints,
             workers=DEFAULT_WORKERS if options.workers is None else options.workers,
             progress=progress.update,
         )
@@ -232,6 +241,16 @@ def _run_population(options: argparse.Namespace) -> Outcome:
     lines = [
         f"{facts['simulated']} captures simulated now{speed}, {facts['found']} were there; {facts['total']} in "
         f"{options.out}: {facts['subjects']} subjects, {len(facts['fingers'])} fingers, {facts['sessions']} sessions.",
+        *_prints_words(facts),
         f"{facts['table']} lists them with what was drawn.",
     ]
     return facts, lines
+
+
+def _prints_words(facts: Mapping[str, Any]) -> list[str]:
+    """How many fingers have a real print's ridges."""
+    if not facts["prints"]:
+        return []
+    fingers = facts["subjects"] * len(facts["fingers"])
+    mirrored = f", {facts['prints_mirrored']} of them mirrored" if facts["prints_mirrored"] else ""
+    return [f"{facts['prints']} of {fingers} fingers have the ridges of a real print{mirrored}."]

@@ -98,10 +98,16 @@ def simulate_to_folder(
     }
 
 
-def master_of_print_file(path: Path, seed: int = 0, settings: MasterPrintSettings | None = None) -> MasterPrint:
-    """Read a print of 500 pixels an inch (PNG, TIFF, JPEG) and return the master print of the finger that left it."""
+def master_of_print_file(
+    path: Path, seed: int = 0, settings: MasterPrintSettings | None = None, *, mirrored: bool = False
+) -> MasterPrint:
+    """Read a print of 500 pixels an inch (PNG, TIFF, JPEG) and return the master print of the finger that left it.
+
+    `mirrored`: of the finger that would leave its mirror image.
+    """
     pixels = read_image(path)
     grey = pixels if pixels.ndim == 2 else pixels.mean(axis=-1)
+    grey = grey[:, ::-1] if mirrored else grey
     return master_of_print(np.asarray(grey / (np.iinfo(pixels.dtype).max / 255), np.uint8), seed, settings=settings)
 
 

@@ -342,7 +342,7 @@ def _facts(
 ) -> dict[str, Any]:
     return {
         "sex": person.sex,
-        "pattern": own.finger.pattern,
+        "pattern": master.pattern,
         "print_seed": own.finger.seed,
         "width_mm": today.shape.width_mm,
         "length_mm": today.shape.length_mm,
