@@ -36,7 +36,6 @@ from splitknit.separation.single_image import single_image
 from splitknit.separation.stacks import StackSettings
 from splitknit.simulator.camera.sensor import SensorSettings, record
 from splitknit.simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
-from splitknit.simulator.light.skin import SkinSettings
 from splitknit.training.separation_data import Photograph, SeparationData, enhance, photographs, surface_of
 from splitknit.training.trainer import HELD_OUT_FROM
 
@@ -166,7 +165,7 @@ def by_one_image(
     """Nayar's separation from a single image under a checkerboard, brought to full size."""
     facts = photograph.facts
     surface = surface_of(*name, SEED, data)
-    skin, led = SkinSettings(**facts["skin"]), Led("white", position_mm=tuple(facts["led_mm"]))
+    skin, led = facts["skin"], Led("white", position_mm=tuple(facts["led_mm"]))
     pattern = Checkerboard(data.check_mm, steps=5)
     white = separate_truth(surface, led, skin, check_mm=data.check_mm, phases="centred")
     # the camera as it took the white photograph: radiance to full scale, and full scale to the exposure level

@@ -242,7 +242,9 @@ def _subjects(data: SeparationData) -> list[Subject]:
 def _shoot(kind: str, index: int, data: SeparationData, seed: int) -> Iterable[Sample]:
     """Every second palm and finger is equalised in linear light, so that the network knows both."""
     for photograph in photographs(kind, index, seed, data, enhance_linear if index % 2 else enhance):
-        yield levelled(photograph).pixels, {**photograph.facts, "corners": photograph.corners.tolist()}
+        facts = photograph.facts
+        stored = {**facts, "skin": asdict(facts["skin"]), "corners": photograph.corners.tolist()}
+        yield levelled(photograph).pixels, stored
 
 
 def _fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:

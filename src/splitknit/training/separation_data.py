@@ -9,7 +9,7 @@ stacked into batches.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -180,7 +180,7 @@ def _photograph(
         "index": name[1],
         "pitch_um": 1000.0 * surface.camera.pitch_mm,
         "led_mm": list(led.position_mm or ()),
-        "skin": asdict(skin),
+        "skin": skin,
         "exposure": sensor.exposure,
         "bits": sensor.bits,
     }

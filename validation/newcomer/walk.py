@@ -1,0 +1,159 @@
+"""What a newcomer does, command by command, in a fresh environment that has nothing but the wheel.
+
+    python validation/newcomer/walk.py [photographs] [prints] [rig] [--out DIR] [--python EXE] [--log FILE.md]
+
+photographs: a folder of photographs to a surface and a print; prints: real prints to ISO records and a DET curve; rig:
+from the parts to the first finger, on the simulated rig. Each walk also takes the wrong steps that newcomers take; the
+message of each is printed, and is what is judged: exit code 2 and the words that tell what to do.
+
+Without ``--python`` the wheel is built and put into a new environment; with it, that interpreter's splitknit walks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import venv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+EXTRAS = {"photographs": "", "prints": "[minutiae,wsq]", "rig": ""}
+"""What each walk installs with the wheel."""
+LIGHTS = """5.25 0.0 14.0
+3.27 4.1 14.0
+-1.17 5.12 14.0
+-4.73 2.28 14.0
+-4.73 -2.28 14.0
+-1.17 -5.12 14.0
+3.27 -4.1 14.0
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One command of a walk."""
+
+    command: str
+    """As a newcomer types it, without the program's name."""
+    code: int = 0
+    says: str = ""
+    """What must be in its output."""
+    makes: str = ""
+    """A file that must be there afterwards."""
+
+
+def photographs(folder: Path) -> Iterator[Step]:
+    """Photographs to a surface and a print."""
+    yield Step("simulate --seed 3 --scale 0.3 --out finger", makes="finger/white_0.png")
+    mine = folder / "photos"
+    mine.mkdir()
+    for file in sorted((folder / "finger").glob("white_*.png")):
+        shutil.copy(file, mine)
+    yield Step("reconstruct photos --out wrong", 2, "--images")  # a plain folder where a capture is wanted
+    yield Step("reconstruct --images photos --out wrong", 2, "--lights")
+    (mine / "lights.txt").write_text("\n".join(LIGHTS.splitlines()[:6]) + "\n")
+    yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "7")  # a line is missing
+    (mine / "lights.txt").write_text("\n".join(line.replace("5.25", "5,25") for line in LIGHTS.splitlines()) + "\n")
+    yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "line 1")
+    (mine / "lights.txt").write_text(LIGHTS)
+    images = "--images photos --lights photos/lights.txt --material skin"
+    yield Step(f"reconstruct {images} --out pixels", says="scale", makes="pixels/report.html")
+    yield Step("print pixels --out wrong", 2, "--px-per-mm")  # no scale, no print
+    yield Step(f"reconstruct {images} --px-per-mm 22.7 --out photos", 2, "photos")  # nothing of the user's is replaced
+    yield Step(f"reconstruct {images} --px-per-mm 22.7 --out surface", makes="surface/phalange.ply")
+    mirrored = [" ".join([str(-float(x)), y, z]) for x, y, z in (line.split() for line in LIGHTS.splitlines())]
+    (folder / "mirrored.txt").write_text("\n".join(mirrored) + "\n")
+    yield Step(
+        "reconstruct --images photos --lights mirrored.txt --material skin --px-per-mm 22.7 --out mirrored",
+        says="--light-frame",
+    )
+    yield Step("print surface --out print", makes="print/print.png")
+
+
+def rig(folder: Path) -> Iterator[Step]:
+    """Parts to the first finger, on the simulated rig."""
+    yield Step("rig circuit --out board", makes="board/parts.csv")
+    yield Step("rig circuit --out board", 2, "board")  # there is one already
+    yield Step("rig target --out targets", makes="targets")
+    yield Step("simulate --bench --seed 7 --scale 0.35 --out bench", makes="bench/plane.png")
+    camera = "calibrate camera bench/board --board 9x6 --plane bench/plane.png --rig bench/rig_drawn.json --out rig_1.json"
+    yield Step(camera, 2, "--square-mm")
+    yield Step(camera.replace("9x6", "8x6") + " --square-mm 3", 2, "8")  # the board has other corners
+    yield Step(camera + " --square-mm 3", makes="rig_1.json")
+    yield Step("calibrate lights --images bench/card --rig rig_1.json --out rig_2.json", 2)  # no nail to be seen
+    yield Step("calibrate lights --images bench/nail --rig rig_1.json --out rig_2.json", makes="rig_2.json")
+    yield Step("calibrate radiometry bench/card --rig rig_2.json --out rig_3.json", makes="rig_3.json")
+    first = "capture --device twin --seed 3 --scale 0.35 --subject S01 --finger right_index --out first"
+    yield Step(first.replace("right_index", "right_indx"), 2, "right_index")
+    yield Step(first, makes="first/capture.json")
+    yield Step("reconstruct first --out result --rig no_rig.json", 2, "no_rig.json")
+    yield Step("reconstruct first --out result", makes="result/phalange.ply")
+
+
+WALKS = {"photographs": photographs, "rig": rig}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Take the walks; return 1 if a step went otherwise than it must."""
+    parser = argparse.ArgumentParser(description="What a newcomer does, in a fresh environment.")
+    parser.add_argument("walks", nargs="*", metavar="WALK", help=f"of {', '.join(WALKS)} (default: all)")
+    parser.add_argument("--out", type=Path, default=None, help="folder to walk in (default: a new one, removed)")
+    parser.add_argument("--python", type=Path, default=None, help="interpreter that has splitknit")
+    parser.add_argument("--log", type=Path, default=None, help="commands and messages as a Markdown page")
+    options = parser.parse_args(arguments)
+    if unknown := [name for name in options.walks if name not in WALKS]:
+        parser.error(f"there is no walk {', '.join(unknown)}")
+    chosen = options.walks or list(WALKS)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(options.out or temporary).absolute()
+        python = options.python or fresh_environment(folder / "environment", chosen)
+        lines: list[str] = []
+        bad = sum(not _taken(step, name, python.absolute(), folder, lines) for name in chosen for step in _steps(name, folder))
+    if options.log is not None:
+        options.log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print(f"{bad} of {sum(line.startswith('    $') for line in lines)} steps went wrong.")
+    return int(bad > 0)
+
+
+def fresh_environment(folder: Path, walks: Sequence[str]) -> Path:
+    """Build the wheel and install it, with what the walks need, into a new environment; return its interpreter."""
+    wheels = folder / "wheels"
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", wheels, ROOT], check=True)
+    (wheel,) = wheels.glob("splitknit-*.whl")
+    venv.create(folder / "venv", with_pip=True)
+    python = folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    for extra in sorted({EXTRAS[name] for name in walks}):
+        subprocess.run([python, "-m", "pip", "install", "-q", f"{wheel}{extra}"], check=True)
+    return python
+
+
+def _steps(name: str, folder: Path) -> Iterator[Step]:
+    place = folder / name
+    place.mkdir(parents=True)
+    return WALKS[name](place)
+
+
+def _taken(step: Step, walk: str, python: Path, folder: Path, lines: list[str]) -> bool:
+    """Run one command and judge it."""
+    command = [python.with_name("splitknit"), *step.command.split()]
+    done = subprocess.run(command, cwd=folder / walk, capture_output=True, text=True, check=False)
+    said = (done.stdout + done.stderr).strip()
+    good = done.returncode == step.code and step.says in said and (folder / walk / step.makes).exists()
+    if step.code:
+        good &= len(said.splitlines()) == 1 and "Traceback" not in said
+    shown = [f"    $ splitknit {step.command}", *(f"    {line}" for line in said.splitlines())]
+    if not good:
+        shown.append(f"    !! exit code {done.returncode}, must be {step.code}; must say '{step.says}', make '{step.makes}'")
+    print("\n".join(shown), flush=True)
+    lines += [*shown, ""]
+    return good
+
+
+if __name__ == "__main__":
+    sys.exit(main())
