@@ -29,6 +29,7 @@ def commands(options: argparse.Namespace) -> list[list[str]]:
     jobs = str(options.jobs)
     simulate = ["splitknit", "simulate", "population", "--out", population, "--seed", str(options.seed)]
     simulate += ["--workers", jobs, "--scale", str(SMALL["scale"] if options.small else 0.4)]
+    simulate += [] if options.prints is None else ["--prints", str(options.prints)]
     if options.small:
         simulate += [text for name in ("subjects", "sessions", "fingers") for text in (f"--{name}", str(SMALL[name]))]
     batch = ["splitknit", "batch", population, "--out", store, "--cases", ",".join(options.cases)]
