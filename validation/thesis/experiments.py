@@ -242,11 +242,11 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
 
 def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """The distance of the patterns' neighbours, on captures of several scales."""
-    from neighbours import SCALES, SMALL_SCALES, neighbours_table  # noqa: PLC0415
+    from neighbours import FINGERS, SCALES, SMALL_SCALES, neighbours_table  # noqa: PLC0415
 
-    scales = SMALL_SCALES if options.small else SCALES
+    scales, fingers = (SMALL_SCALES, FINGERS[:1]) if options.small else (SCALES, FINGERS)
     seed = options.seed + 1  # other people than the population's
-    table = neighbours_table(options.scratch / "neighbours", options.people, seed, scales, options.jobs)
+    table = neighbours_table(options.scratch / "neighbours", options.people, fingers, seed, scales, options.jobs)
     work = _work(options, table, {})
     rows = rate_rows(work, table.trials, options.jobs, (PLAIN, THESIS))
     groups = [
@@ -261,10 +261,11 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
 
 def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figures 3.1, 3.20, 3.22 and 5.9, measured."""
-    from figures import run  # noqa: PLC0415
+    from figures import CAPTURES, choose, run  # noqa: PLC0415
 
-    names = sorted(name for name, facts in truth.items() if not facts.get("partial"))
-    return run(options.population, names, options.out, _scratch(options, "figures"), options.seed, options.jobs)
+    whole = sorted(name for name, facts in truth.items() if not facts.get("partial"))
+    chosen = choose(whole, options.seed)[: 2 if options.small else CAPTURES]
+    return run(options.population, chosen, options.out, _scratch(options, "figures"), options.seed, options.jobs)
 
 
 def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:

@@ -46,9 +46,8 @@ RESAMPLED = 1000
 Values = NDArray[np.float64]
 
 
-def run(population: Path, names: Sequence[str], out: Path, scratch: Path, seed: int, jobs: int) -> Row:  # noqa: PLR0917
-    """Write ``figures.csv``, ``figure_spectra.csv`` and the plots; return the facts."""
-    chosen = choose(names, seed)
+def run(population: Path, chosen: Sequence[str], out: Path, scratch: Path, seed: int, jobs: int) -> Row:  # noqa: PLR0917
+    """Write ``figures.csv``, ``figure_spectra.csv`` and the plots of the captures `chosen`; return the facts."""
     each(partial(_keep, population, scratch), chosen, jobs)
     found = [json.loads(_file(scratch, name).read_text(encoding="utf-8")) for name in chosen]
     known = [row for row in found if row]
@@ -59,13 +58,13 @@ def run(population: Path, names: Sequence[str], out: Path, scratch: Path, seed: 
 
 
 def choose(names: Sequence[str], seed: int) -> list[str]:
-    """Captures of different fingers, drawn by seed."""
+    """One capture of every finger, in an order drawn by seed."""
     rng = np.random.default_rng([seed, 31])
     first: dict[str, str] = {}
     for name in (names[k] for k in rng.permutation(len(names))):
         subject, _, finger = name.split("/")
         first.setdefault(f"{subject}/{finger}", name)
-    return sorted(list(first.values())[:CAPTURES])
+    return list(first.values())
 
 
 def measure(capture: Capture) -> Row:

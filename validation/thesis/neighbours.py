@@ -78,7 +78,9 @@ def ways_of(scale: float, scales: Sequence[float]) -> list[Way]:
     ]
 
 
-def neighbours_table(scratch: Path, people: int, seed: int, scales: Sequence[float], jobs: int) -> Table:
+def neighbours_table(  # noqa: PLR0917
+    scratch: Path, people: int, fingers: Sequence[str], seed: int, scales: Sequence[float], jobs: int
+) -> Table:
     """Trials at every scale of a population of its own, two sessions, all pairs.
 
     Captures, images and comparisons are kept in `scratch`: what was stopped goes on.
@@ -87,9 +89,9 @@ def neighbours_table(scratch: Path, people: int, seed: int, scales: Sequence[flo
     pairs = None
     for scale in scales:
         settings = PopulationSettings(seed=seed, scale=scale)
-        place = scratch / settings_hash([settings, preset_settings("snk"), people])[:12]
+        place = scratch / settings_hash([settings, preset_settings("snk"), people, fingers])[:12]
         facts = simulate_population(
-            place / "people", settings, subjects=people, sessions=2, fingers=FINGERS, workers=jobs
+            place / "people", settings, subjects=people, sessions=2, fingers=fingers, workers=jobs
         )
         print(f"neighbours: scale {scale:g}, {facts['simulated']} captures simulated", flush=True)
         names = [path.parent for path in sorted((place / "people").glob("S*/session_*/*/capture.json"))]
