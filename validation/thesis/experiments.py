@@ -242,11 +242,11 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
 
 def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """The distance of the patterns' neighbours, on captures of several scales."""
-    from neighbours import FINGERS, SCALES, SMALL_SCALES, neighbours_table  # noqa: PLC0415
+    from neighbours import FINGERS, PEOPLE, SCALES, SMALL_SCALES, neighbours_table  # noqa: PLC0415
 
-    scales, fingers = (SMALL_SCALES, FINGERS[:1]) if options.small else (SCALES, FINGERS)
+    scales, people, fingers = (SMALL_SCALES, 3, FINGERS[:1]) if options.small else (SCALES, PEOPLE, FINGERS)
     seed = options.seed + 1  # other people than the population's
-    table = neighbours_table(options.scratch / "neighbours", options.people, fingers, seed, scales, options.jobs)
+    table = neighbours_table(options.scratch / "neighbours", people, fingers, seed, scales, options.jobs)
     work = _work(options, table, {})
     rows = rate_rows(work, table.trials, options.jobs, (PLAIN, THESIS))
     groups = [
@@ -256,14 +256,14 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
         if trial is not table.trials[k] and trial.attribute == table.trials[k].attribute
     ]
     _write(options, "neighbours", rows, difference_rows(work, groups, (PLAIN,), options.jobs))
-    return _facts(table, table.trials) | {"people": options.people, "scales": list(scales), "own_seed": seed}
+    return _facts(table, table.trials) | {"people": people, "scales": list(scales), "own_seed": seed}
 
 
 def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figures 3.1, 3.20, 3.22 and 5.9, measured."""
     from figures import CAPTURES, choose, run  # noqa: PLC0415
 
-    whole = sorted(name for name, facts in truth.items() if not facts.get("partial"))
+    whole = sorted(name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print"))
     chosen = choose(whole, options.seed)[: 2 if options.small else CAPTURES]
     return run(options.population, chosen, options.out, _scratch(options, "figures"), options.seed, options.jobs)
 

@@ -3,7 +3,7 @@
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|descriptors --store STORE \\
         --population POPULATION
-    python validation/thesis/run.py scales|neighbours|figures --population POPULATION --people 5
+    python validation/thesis/run.py scales|neighbours|figures --population POPULATION
     python validation/thesis/run.py family|order --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
     python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
@@ -11,7 +11,7 @@
     python validation/thesis/report.py     # docs/experiments/thesis-tables.md from what lies here
 
 ``all`` and ``chain`` may be stopped at any moment: the same command goes on. A part is made again only if the
-population, the store, the options or the program changed since (or with --again); within a part finished captures and
+population, the store, the options or the version changed since (or with --again); within a part finished captures and
 comparisons are kept in --scratch.
 
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
@@ -74,7 +74,7 @@ def finished(out: Path, part: str, inputs: str) -> bool:
 
 
 def _inputs(options: argparse.Namespace, part: str) -> str:
-    """Hash of all that a part's figures follow from: options, program, population and the files of the store."""
+    """Hash of what a part's figures follow from: options, version, population and the files of the store."""
     names = ("cases", "people", "scales_impostors", "small")
     given = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
@@ -134,7 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--prints", type=Path, default=None, help="of chain: folder of real prints for a third")
     parser.add_argument("--again", action="store_true", help="make finished parts again")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
-    parser.add_argument("--people", type=int, default=5, help="of the parts scales (the first) and neighbours")
+    parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
     parser.add_argument("--scales-impostors", type=float, default=1.0, help="fraction of its impostor pairs")
     parser.add_argument(
         "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
