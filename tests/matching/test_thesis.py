@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -123,6 +126,33 @@ def test_hog_knows_the_direction_of_stripes() -> None:
     assert np.linalg.norm(upright - hog_features(3 * stripes + 1, 75.7)) < 1e-4
     # gradients lie along the columns: directions near 0 and 180 deg, the first and the last bin
     assert set(np.argsort(upright[:9])[-2:]) == {0, 8}
+
+
+def test_hog_agrees_with_scikit_image() -> None:
+    """It shares a gradient between two directions, which that one does not."""
+    feature = pytest.importorskip("skimage.feature")
+    y, x = np.mgrid[:384, :320]
+    rings = np.sin(0.2 * np.hypot(x - 100, y - 150)).astype(np.float32)
+    theirs = feature.hog(rings, 9, (64, 64), (2, 2), block_norm="L2-Hys")
+    assert np.corrcoef(hog_features(rings, 75.7), theirs)[0, 1] > 0.97
+
+
+def test_gabor_magnitudes_are_those_of_all_pixels() -> None:
+    """They are taken at as few points as the filters need."""
+    image = cv2.GaussianBlur(np.random.default_rng(3).standard_normal((384, 320)).astype(np.float32), (0, 0), 5.0)
+    smaller = cv2.resize(image, (107, 128), interpolation=cv2.INTER_AREA)  # eight pixels of the shortest period
+    v, u = np.fft.fftfreq(160)[:, None], np.fft.fftfreq(144)[None, :]
+    spectrum = np.fft.fft2(smaller, s=(160, 144))
+    parts = []
+    for wave, turn in itertools.product((1 / 8, 1 / 11, 1 / 15), np.pi * np.arange(6) / 6):
+        away = (u - wave * np.cos(turn)) ** 2 + (v - wave * np.sin(turn)) ** 2
+        answer = np.abs(np.fft.ifft2(spectrum * np.exp(-away / (2 * (wave / np.pi) ** 2))))[:128, :107]
+        parts.append(cv2.resize(answer, (5, 6), interpolation=cv2.INTER_AREA))
+    cells = np.stack(parts, axis=-1)
+    cells /= np.linalg.norm(cells, axis=-1, keepdims=True)
+    difference = gabor_features(image, 75.7).reshape(6, 5, 18) - cells
+    assert np.abs(difference).max() < 0.08
+    assert np.abs(difference).mean() < 0.01
 
 
 def test_gabor_knows_direction_and_period() -> None:

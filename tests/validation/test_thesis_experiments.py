@@ -83,6 +83,7 @@ def population(folder: Path, store: MadeUpStore) -> Path:
         facts = {
             "roll_deg": generator.normal(0, 6), "glare": generator.uniform(0.5, 1.3),
             "moisture": generator.uniform(), "partial": bool(generator.uniform() < 0.2),
+            "print": "101_1.png" if (name[:3], name[-5:]) == ("S02", "thumb") else "",
         }  # fmt: skip
         (place / "impression.json").write_text(json.dumps(facts))
     document = {"settings_sha256": "0" * 64, "settings": {"seed": 1, "scale": 0.1}}
@@ -101,10 +102,21 @@ def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatc
     people = population(tmp_path / "people", store)
     monkeypatch.setattr(run, "_store", lambda options: store)
     out = tmp_path / "out"
-    for part in ("fusion", "cases", "matchers", "sensitivity", "failures"):
+    parts = ("fusion", "cases", "matchers", "sensitivity", "failures")
+    for part in parts:
         given = [part, "--population", str(people), "--out", str(out), "--replicates", "20", "--jobs", "1"]
         assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
+    monkeypatch.setattr(run, "PARTS", parts)
+    monkeypatch.setattr(run, "run_part", lambda *_: pytest.fail("a finished part is made again"))
+    given = ["all", "--population", str(people), "--out", str(out), "--replicates", "20", "--jobs", "1"]
+    assert run.main([*given, "--cases", "snk", "pr", "ea", "none"]) == 0
+    (out / "failures.csv").unlink()
+    with pytest.raises(pytest.fail.Exception, match="made again"):
+        run.main([*given, "--cases", "snk", "pr", "ea", "none"])
     rows = read(out / "cases.csv")
+    real = [row for row in rows if row["kept"] == "printed" and (row["case"], row["attribute"]) == ("snk", "relief")]
+    assert [int(row["genuine"]) for row in real] == [3]  # one finger has a real print, in three pairs of sessions
+    assert [int(row["impostors"]) for row in real] == [2 * 9 * 3]
     assert {row["case"] for row in rows} == {"snk", "pr", "ea"}
     plain = {
         (row["case"], row["attribute"]): row
@@ -198,15 +210,15 @@ def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
     scales = thesis("scales")
     capture, _ = simulate_capture(5, None, TwinSettings(scale=0.1))
     made = scales.relief_images(capture)
-    assert made.channels.shape[0] == 6
+    assert len(made.channels) == 6
     images = surface_images(surface_of(reconstruct(capture, "snk", {"shapelets.scales": 5})))
-    np.testing.assert_array_equal(made.channels[scales.SCALES.index(5)], images.channels["relief"])
+    np.testing.assert_array_equal(made.channels["snk5"], images.channels["relief"])
     np.testing.assert_array_equal(made.mask, images.mask)
-    assert not np.array_equal(made.channels[0], made.channels[3])
+    assert not np.array_equal(made.channels["snk2"], made.channels["snk5"])
 
 
 def test_the_share_of_impostors_is_drawn_by_pair_of_fingers(thesis: Script) -> None:
-    drawn = thesis("scales").drawn
+    drawn = thesis("compared").drawn
     a, b = np.array([f"F{k // 60}" for k in range(3600)]), np.array([f"F{k % 60}" for k in range(3600)])
     first = drawn(a, b, 0.25, 3)
     assert 0.22 < first.mean() < 0.28
@@ -231,3 +243,93 @@ def test_an_order_says_which_differences_are_beyond_chance(thesis: Script) -> No
     assert order(rows, [far], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 > ea 80.0"
     by_subject = far | {"gar@0.01_low_subject": "-0.01", "gar@0.01_high_subject": "0.3"}
     assert order(rows, [by_subject], "gar@0.01", 100, "accepts@0.01") == "snk 90.0 ~ ea 80.0"
+
+
+def handmade(seed: int, session: int) -> Any:
+    """A finger's images: ridges of a direction and period of its own, noise of the session."""
+    from splitknit.matching.thesis import FingerImages
+
+    finger, day = np.random.default_rng(seed), np.random.default_rng([seed, session])
+    y, x = np.mgrid[0:150, 0:100]
+    turn, period = finger.uniform(0, np.pi), finger.uniform(11, 15)
+    ridges = np.sin(2 * np.pi / period * (x * np.cos(turn) + y * np.sin(turn) + 0.002 * (x - 50) * (y - 70)))
+    channels = {
+        name: (ridges + 0.1 * k + 0.3 * day.standard_normal(ridges.shape)).astype(np.float32)
+        for k, name in enumerate(("normal_x", "normal_y", "normal_z", "relief"))
+    }
+    return FingerImages(channels, np.ones((150, 100), np.bool_), 30.0)
+
+
+def handmade_reader(name: str) -> Any:
+    subject, session, _ = name.split("/")
+    return None if subject == "S04" else handmade(int(subject[1:]), int(session[-1]))
+
+
+def test_other_descriptors_are_compared_by_the_same_rule(
+    tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every descriptor knows fingers again, and what is finished is not compared again."""
+    compared, descriptors, trials = thesis("compared"), thesis("descriptors"), thesis("trials")
+    names = [f"S{k:02d}/session_{day}/left_ring" for k in range(1, 5) for day in (1, 2)]
+    captures = compared.captures_of(names)
+    a, b = np.nonzero((captures.session[:, None] == "1") & (captures.session[None, :] == "2"))
+    pairs = trials.Pairs(captures, a[::-1], b[::-1])
+    ways = [
+        compared.Way(name, extract, "normals", ("normal_x", "normal_y", "normal_z"))
+        for name, extract in descriptors.OTHERS.items()
+    ]
+    found = compared.compare_pairs(pairs, handmade_reader, ways, tmp_path, 1)
+    assert [trial.case for trial in found] == ["hog", "gabor", "shape context"]
+    failed = (captures.subject[pairs.a] == "S04") | (captures.subject[pairs.b] == "S04")
+    for trial in found:
+        np.testing.assert_array_equal(np.isnan(trial.similarity), failed)
+        known = trial.similarity[~failed]
+        assert known[pairs.genuine[~failed]].min() > known[~pairs.genuine[~failed]].max(), trial.case
+        assert (trial.ratio[~failed] == 1.0).all()
+    again = compared.compare_pairs(pairs, lambda _: pytest.fail("compared again"), ways, tmp_path, 1)
+    np.testing.assert_array_equal(again[2].similarity, found[2].similarity)
+
+
+def test_linear_neighbours_within_a_pixel_change_the_diagonal_bits_alone(thesis: Script) -> None:
+    from splitknit.matching.features import lbp_codes, lbp_features
+
+    neighbours = thesis("neighbours")
+    image = handmade(3, 1).channels["relief"]
+    np.testing.assert_array_equal(
+        neighbours.patterns_at(image, 30.0, 1000.0 / 30.0), lbp_features(image, 30.0)
+    )  # one pixel
+    near, far = (lbp_codes(image, radius)[2:-2, 2:-2] for radius in (0.4, 1.0))
+    np.testing.assert_array_equal(near & 0b01010101, far & 0b01010101)
+    assert (near != far).mean() > 0.02
+    finer = neighbours.patterns_at(image, 30.0, neighbours.PIXEL_UM, finer=True)
+    assert finer.shape == lbp_features(np.zeros((379, 252), np.float32), 75.7).shape
+    names = [way.name for way in neighbours.ways_of(0.4, (1.0, 0.4))][::2]
+    assert names == ["scale 0.4, 33 um", "scale 0.4, 13 um, linear", "scale 0.4, 13 um, finer"]
+    assert [way.name for way in neighbours.ways_of(1.0, (1.0, 0.4))][::2] == ["scale 1, 13 um", "scale 1, 33 um"]
+
+
+def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) -> None:
+    """A tiny population: ridges are found at their frequency, more scales take in more of the shape."""
+    from splitknit.batch.simulate import simulate_population
+    from splitknit.simulator.population.sessions import PopulationSettings
+
+    figures = thesis("figures")
+    simulate_population(
+        tmp_path / "people", PopulationSettings(seed=2, scale=0.1), subjects=1, sessions=1, fingers=("left_ring",),
+        workers=1,
+    )  # fmt: skip
+    out = tmp_path / "out"
+    out.mkdir()
+    names = ["S01/session_1/left_ring"]
+    facts = figures.run(tmp_path / "people", names, out, tmp_path / "scratch", 1, 1)
+    assert facts == {"captures": 1, "failures": 0}
+    rows = {(row["figure"], row["what"]): float(row["mean"]) for row in read(out / "figures.csv")}
+    assert 15 < rows["3.1", "true relief: peak, cycles per cm"] < 32
+    assert rows["3.1", "true shape: peak, cycles per cm"] < 1.5
+    assert rows["3.20", "n = 7 power beside the ridges, %"] > 3 * rows["3.20", "n = 2 power beside the ridges, %"]
+    assert rows["3.22", "NIR: shape error, um"] < rows["5.9", "truth: shape, um"]
+    for name in ("figure-3-1", "figure-3-20", "figure-5-9"):
+        assert (out / f"{name}.svg").read_text().startswith("<svg xmlns")
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "scratch").iterdir()}
+    figures.run(tmp_path / "people", names, out, tmp_path / "scratch", 1, 1)
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scratch").iterdir()} == files

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
+
+from splitknit.cli.main import main
 
 SMALL = {"subjects": 3, "sessions": 2, "fingers": "right_index,left_thumb", "scale": 0.2}
 """Enough that every table has a row."""
@@ -18,9 +18,9 @@ def run_chain(options: argparse.Namespace) -> None:
         options.people, options.scales_impostors, options.impostors = SMALL["subjects"], 1.0, 1.0
     for command in commands(options):
         print(" ".join(command), flush=True)
-        done = subprocess.run([sys.executable, "-m", "splitknit.cli.main", *command[1:]], check=False)
-        if done.returncode != 0:
-            raise SystemExit(f"'{' '.join(command)}' ended with {done.returncode}.")
+        code = main(command[1:])  # in this process: who stops it stops the command
+        if code != 0:
+            raise SystemExit(code)
 
 
 def commands(options: argparse.Namespace) -> list[list[str]]:
@@ -29,6 +29,7 @@ def commands(options: argparse.Namespace) -> list[list[str]]:
     jobs = str(options.jobs)
     simulate = ["splitknit", "simulate", "population", "--out", population, "--seed", str(options.seed)]
     simulate += ["--workers", jobs, "--scale", str(SMALL["scale"] if options.small else 0.4)]
+    simulate += [] if options.prints is None else ["--prints", str(options.prints)]
     if options.small:
         simulate += [text for name in ("subjects", "sessions", "fingers") for text in (f"--{name}", str(SMALL[name]))]
     batch = ["splitknit", "batch", population, "--out", store, "--cases", ",".join(options.cases)]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,10 @@ from tables import Row, write_csv
 from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
 from variants import PASSING, PLAIN, THESIS, THESIS_WHOLE, WHOLE, Variant, judged, known_of, passing_everywhere, spreads
 
+from splitknit import __version__
+from splitknit.batch.reading import places_of
 from splitknit.evaluation.intervals import BootstrapSettings
+from splitknit.io.provenance import settings_hash
 
 COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
@@ -201,9 +206,8 @@ def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
 
     people = sorted({name.split("/")[0] for name in truth})[: options.people]
     names = [name for name in truth if name.split("/")[0] in people]
-    table = scales_table(
-        options.population, names, options.scratch / "scales", options.scales_impostors, options.seed, options.jobs
-    )
+    scratch = _scratch(options, "scales")
+    table = scales_table(options.population, names, scratch, options.scales_impostors, options.seed, options.jobs)
     work = _work(options, table, truth)
     rows = rate_rows(work, table.trials, options.jobs)
     three = next(trial for trial in table.trials if trial.case == "snk3")
@@ -213,14 +217,69 @@ def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     return _facts(table, table.trials) | {"people": len(people), "impostor_share": options.scales_impostors}
 
 
+def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Section 5.2: local binary patterns beside HOG, Gabor energies and shape contexts."""
+    from descriptors import descriptors_table, reader  # noqa: PLC0415 - the others need no images
+
+    case = "snk"
+    captures = read_captures(store, (case,))
+    read = reader(places_of(store.files("features", case)))
+    scratch = _scratch(options, "descriptors", [store.document()["cases"][case], __version__])
+    table = descriptors_table(store, case, captures, read, scratch, options.jobs)
+    work = _work(options, table, truth)
+    rows = rate_rows(work, table.trials, options.jobs)
+    groups = [
+        (first, trial)
+        for first in table.trials
+        for trial in table.trials
+        if first.case == "lbp" and trial.case != "lbp" and first.attribute == trial.attribute
+    ]
+    _write(options, "descriptors", rows, difference_rows(work, groups, COMPARED, options.jobs))
+    for name in ("normals", "relief"):
+        _rocs(options, work, f"descriptors-{name}", _of(table, "thesis", name), lambda trial: trial.label)
+    return _facts(table, table.trials)
+
+
+def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
+    """The distance of the patterns' neighbours, on captures of several scales."""
+    from neighbours import FINGERS, PEOPLE, SCALES, SMALL_SCALES, neighbours_table  # noqa: PLC0415
+
+    scales, people, fingers = (SMALL_SCALES, 3, FINGERS[:1]) if options.small else (SCALES, PEOPLE, FINGERS)
+    seed = options.seed + 1  # other people than the population's
+    table = neighbours_table(options.scratch / "neighbours", people, fingers, seed, scales, options.jobs)
+    work = _work(options, table, {})
+    rows = rate_rows(work, table.trials, options.jobs, (PLAIN, THESIS))
+    groups = [
+        (table.trials[k], trial)
+        for k in (0, 1)
+        for trial in table.trials
+        if trial is not table.trials[k] and trial.attribute == table.trials[k].attribute
+    ]
+    _write(options, "neighbours", rows, difference_rows(work, groups, (PLAIN,), options.jobs))
+    return _facts(table, table.trials) | {"people": people, "scales": list(scales), "own_seed": seed}
+
+
+def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
+    """Figures 3.1, 3.20, 3.22 and 5.9, measured."""
+    from figures import CAPTURES, choose, run  # noqa: PLC0415
+
+    whole = sorted(name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print"))
+    chosen = choose(whole, options.seed)[: 2 if options.small else CAPTURES]
+    return run(options.population, chosen, options.out, _scratch(options, "figures"), options.seed, options.jobs)
+
+
 def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """Make the tables and plots of one part; `store` is None for the scales, which need none."""
-    return run_scales(options, truth) if part == "scales" else PART_OF[part](options, store, truth)
+    """Make the tables and plots of one part; `store` is None for those of :data:`WITHOUT_STORE`."""
+    return WITHOUT_STORE[part](options, truth) if part in WITHOUT_STORE else PART_OF[part](options, store, truth)
 
 
-PARTS = ("fusion", "cases", "matchers", "sensitivity", "failures", "scales")
+PARTS = (
+    "fusion", "cases", "matchers", "sensitivity", "failures", "descriptors", "figures", "scales", "neighbours",
+)  # fmt: skip
 """What ``all`` makes; ``family`` and ``order`` have cases of their own, and stores of their own, of fewer people."""
+WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "figures": run_figures}
 PART_OF = {
+    "descriptors": run_descriptors,
     "fusion": run_fusion,
     "cases": run_cases,
     "matchers": run_matchers,
@@ -243,6 +302,13 @@ def discarded_by_roll(captures: Captures, truth: Mapping[str, Row]) -> Row:
         "fingers_discarded": {f"{limit:g}": int((spread > limit).sum()) for limit in limits},
         "pairs_discarded": {f"{limit:g}": int((pairs > limit).sum()) for limit in limits},
     }  # fmt: skip
+
+
+def _scratch(options: argparse.Namespace, part: str, further: Any = None) -> Path:
+    """Folder of what a part keeps of a population."""
+    population = json.loads((options.population / "population.json").read_text(encoding="utf-8"))["settings_sha256"]
+    made_from = population if further is None else settings_hash([population, further])
+    return Path(options.scratch / part / made_from[:12])
 
 
 def _of(table: Table, matcher: str, attribute: str) -> list[Trial]:

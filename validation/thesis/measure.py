@@ -50,7 +50,7 @@ def difference_rows(
 def _rate_row(work: Work, trial: Trial, variant: Variant) -> Row:
     head = {"case": trial.case, "matcher": trial.matcher, "attribute": trial.attribute, **asdict(variant)}
     scores = work.judged(trial, variant)
-    methods = METHODS if variant.kept in ("all", "whole") else METHODS[:1]
+    methods = METHODS if variant.kept not in ("pairs", "fingers") else METHODS[:1]
     return {**head, **(_nothing() if scores is None else rates_of(scores, work.settings, methods))}
 
 

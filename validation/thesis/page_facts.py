@@ -65,11 +65,22 @@ def failures_table(rows: Sequence[Row], roll: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def figures_table(rows: Sequence[Row]) -> str:
+    """Means over captures, with their intervals."""
+    if not rows:
+        return "Not measured."
+    lines = ["| figure | what | mean | captures |", "| --- " * 4 + "|"]
+    for row in rows:
+        mean, low, high = (f"{float(row[name]):.3g}" for name in ("mean", "low", "high"))
+        lines.append(f"| {row['figure']} | {row['what']} | {mean} [{low}, {high}] | {row['captures']} |")
+    return "\n".join(lines)
+
+
 def run_words(runs: Mapping[str, Any]) -> str:
     """From what, and how much of it."""
     lines = ["| table | genuine / impostor pairs | impostors that pass | fingers | left out | seconds |"]
     lines.append("| --- " * 6 + "|")
-    parts = [(name, runs.get(name, {})) for name in ("scales", "fusion", "cases")]
+    parts = [(name, runs.get(name, {})) for name in ("scales", "fusion", "cases", "descriptors", "neighbours")]
     parts += [(name, runs.get("matchers", {}).get(name, {})) for name in ("ridge", "minutiae")]
     for name, part in parts:
         if "genuine" in part:

@@ -16,6 +16,8 @@ JUDGED = {
     ("none", "single", "all"): "no gate, single",
     ("none", "single", "whole"): "no gate, single, whole views",
     ("none", "single", "pairs"): "no gate, single, like rolls",
+    ("none", "single", "printed"): "no gate, single, real prints",
+    ("none", "single", "drawn"): "no gate, single, drawn prints",
     ("passing", "single", "all"): "impostors that pass, single",
     ("passing", "single", "whole"): "impostors that pass, single, whole views",
 }

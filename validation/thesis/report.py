@@ -14,10 +14,11 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from page_facts import failures_table, population_words, run_words, sensitivity_table
+from page_facts import failures_table, figures_table, population_words, run_words, sensitivity_table
 from page_tables import (
     JUDGED,
     PLAIN,
+    THESIS_WHOLE,
     WHOLE,
     Row,
     difference_table,
@@ -98,6 +99,16 @@ def blocks(folder: Path) -> dict[str, str]:
         read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
     )
     made["family_differences"] = difference_table(read(folder / "family_differences.csv"), (WHOLE,))
+    described, apart = (read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences"))
+    near, nearer = (read(folder / f"neighbours{ending}.csv") for ending in ("", "_differences"))
+    for name in ("normals", "relief"):
+        rows, two = ([row for row in part if row["attribute"] == name] for part in (described, apart))
+        made[f"descriptors_{name}"] = rate_table(rows, f"feature, {name}", lambda row: row["case"])
+        made[f"descriptors_{name}_differences"] = difference_table(two, (THESIS_WHOLE, WHOLE))
+        rows, two = ([row for row in part if row["attribute"] == name] for part in (near, nearer))
+        made[f"neighbours_{name}"] = rate_table(rows, f"neighbours, {name}", lambda row: row["case"], (PLAIN,))
+        made[f"neighbours_{name}_differences"] = difference_table(two, (PLAIN,))
+    made["figures"] = figures_table(read(folder / "figures.csv"))
     sensitivity = read(folder / "sensitivity.csv")
     for factor in ("roll", "glare", "moisture", "partial"):
         made[factor] = sensitivity_table([row for row in sensitivity if row["factor"] == factor])

@@ -1,13 +1,18 @@
 """The thesis's matching experiments on a simulated population: one command each, tables and plots beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
-    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures --store STORE --population POPULATION
-    python validation/thesis/run.py scales --population POPULATION --people 5
+    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|descriptors --store STORE \\
+        --population POPULATION
+    python validation/thesis/run.py scales|neighbours|figures --population POPULATION
     python validation/thesis/run.py family|order --store STORE --population POPULATION
-    python validation/thesis/run.py chain --population DIR            # from nothing: simulate, batch, then all
+    python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
+    python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
-    python validation/thesis/report.py                                # docs/experiments/thesis-tables.md from what
-    lies here
+    python validation/thesis/report.py     # docs/experiments/thesis-tables.md from what lies here
+
+``all`` and ``chain`` may be stopped at any moment: the same command goes on. A part is made again only if the
+population, the store, the options or the version changed since (or with --again); within a part finished captures and
+comparisons are kept in --scratch.
 
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
 finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.
@@ -24,11 +29,13 @@ from pathlib import Path
 from typing import Any
 
 from chain import run_chain
-from experiments import PARTS, run_part
+from experiments import PARTS, WITHOUT_STORE, run_part
 from tables import Row
 from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
 
-from splitknit.io.provenance import provenance
+from report import PAGE, blocks, fill
+from splitknit.io.atomic import atomic_file
+from splitknit.io.provenance import provenance, settings_hash
 
 HERE = Path(__file__).resolve().parent
 CASES = ("snk", "pr", "ea", "pr-split", "ea-split", "metric")
@@ -38,17 +45,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.part == "chain":
         run_chain(options)
-        options.part = "all"
-    parts = PARTS if options.part == "all" else (options.part,)
+    options.out = options.out or (options.scratch / "small" if options.small else HERE)
+    parts = PARTS if options.part in ("all", "chain") else (options.part,)
     options.out.mkdir(parents=True, exist_ok=True)
     truth = read_truth(options.population)
     for part in parts:
+        inputs = _inputs(options, part)
+        if len(parts) > 1 and not options.again and finished(options.out, part, inputs):
+            print(part, "is finished", flush=True)
+            continue
         started = time.perf_counter()
-        facts = run_part(part, options, None if part == "scales" else _store(options), truth)
-        facts |= {"seconds": round(time.perf_counter() - started, 1)}
+        facts = run_part(part, options, None if part in WITHOUT_STORE else _store(options), truth)
+        facts |= {"seconds": round(time.perf_counter() - started, 1), "inputs_sha256": inputs}
         _remember(options.out / "runs.json", part, facts | _origin(options))
         print(part, json.dumps(facts), flush=True)
+    if options.part == "chain":
+        page = PAGE if options.out == HERE else options.out / PAGE.name
+        page.write_text(fill(PAGE.read_text(encoding="utf-8"), blocks(options.out)), encoding="utf-8")
+        print(f"{page} is written", flush=True)
     return 0
+
+
+def finished(out: Path, part: str, inputs: str) -> bool:
+    """Whether a part has its table, made of the same."""
+    runs = out / "runs.json"
+    known = json.loads(runs.read_text(encoding="utf-8")) if runs.is_file() else {}
+    return known.get(part, {}).get("inputs_sha256") == inputs and (out / f"{part}.csv").is_file()
+
+
+def _inputs(options: argparse.Namespace, part: str) -> str:
+    """Hash of what a part's figures follow from: options, version, population and the files of the store."""
+    names = ("cases", "people", "scales_impostors", "small")
+    given = {name: str(getattr(options, name)) for name in names}
+    store = options.store if part not in WITHOUT_STORE else None
+    files = [] if store is None else sorted(path for path in store.rglob("*.parquet") if path.is_file())
+    sizes = [[path.relative_to(store).as_posix(), path.stat().st_size] for path in files]
+    captures = len(list(options.population.glob("*/session_*/*/impression.json")))
+    return settings_hash([given, _origin(options), sizes, captures])
 
 
 def read_truth(population: Path) -> dict[str, Row]:
@@ -62,7 +95,8 @@ def read_truth(population: Path) -> dict[str, Row]:
 def _remember(file: Path, part: str, facts: Row) -> None:
     known = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     known[part] = facts
-    file.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    with atomic_file(file) as stream:
+        stream.write((json.dumps(known, indent=1, sort_keys=True) + "\n").encode("utf-8"))
 
 
 def _origin(options: argparse.Namespace) -> Row:
@@ -93,8 +127,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("part", choices=[*PARTS, "family", "order", "all", "chain"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
-    parser.add_argument("--out", type=Path, default=HERE)
-    parser.add_argument("--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="of the part scales")
+    parser.add_argument("--out", type=Path, default=None, help="of tables and plots (default: this folder)")
+    parser.add_argument(
+        "--scratch", type=Path, default=HERE.parent / "out" / "thesis", help="what parts keep to go on when stopped"
+    )
+    parser.add_argument("--prints", type=Path, default=None, help="of chain: folder of real prints for a third")
+    parser.add_argument("--again", action="store_true", help="make finished parts again")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
     parser.add_argument("--scales-impostors", type=float, default=1.0, help="fraction of its impostor pairs")

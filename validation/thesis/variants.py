@@ -36,7 +36,8 @@ class Variant:
     """``single``: every comparison of two captures. ``averaged``: the mean over pairs of sessions, as the thesis."""
     kept: str
     """``all``; ``fingers``: without fingers whose roll differs; ``pairs``: without such genuine comparisons; ``whole``:
-    without comparisons with a partial view."""
+    without comparisons with a partial view; ``printed``: of fingers with the ridges of a real print, impostor pairs
+    where one of the two has them; ``drawn``: the others."""
 
 
 VARIANTS = tuple(
@@ -45,7 +46,7 @@ VARIANTS = tuple(
         ("none", "gate", "passing"),
         (*product(("single", "averaged"), ("all", "whole")), ("single", "pairs"), ("averaged", "fingers")),
     )
-)
+) + tuple(Variant("none", "single", kept) for kept in ("printed", "drawn"))
 THESIS = Variant("gate", "averaged", "all")
 PLAIN = Variant("none", "single", "all")
 PASSING = Variant("passing", "single", "all")
@@ -63,17 +64,23 @@ class Known:
     """(N,) comparisons with a finger that the rule for fingers discards."""
     partial: NDArray[np.bool_]
     """(N,) comparisons with a partial view."""
+    printed: NDArray[np.bool_]
+    """(N,) comparisons with a finger that has the ridges of a real print."""
 
 
 def known_of(pairs: Pairs, truth: Mapping[str, Mapping[str, Any]]) -> Known:
     """Apply the rule for fingers; `truth` is ``impression.json`` by capture."""
     captures = pairs.captures
     rolls = np.array([float(truth.get(str(name), {}).get("roll_deg", np.nan)) for name in captures.names])
-    partial = np.array([bool(truth.get(str(name), {}).get("partial", False)) for name in captures.names])
+    partial, printed = (
+        np.array([bool(truth.get(str(name), {}).get(key, False)) for name in captures.names])
+        for key in ("partial", "print")
+    )
     gone = [name for name, spread in spreads(captures.finger, rolls).items() if spread > FINGER_LIMIT_DEG]
     out = np.isin(captures.finger, gone)
     sides = pairs.of_both(rolls)
-    return Known(np.abs(sides[:, 0] - sides[:, 1]), out[pairs.a] | out[pairs.b], partial[pairs.a] | partial[pairs.b])
+    either = [found[pairs.a] | found[pairs.b] for found in (out, partial, printed)]
+    return Known(np.abs(sides[:, 0] - sides[:, 1]), *either)
 
 
 def spreads(finger: NDArray[np.str_], rolls: Values) -> dict[str, float]:
@@ -110,6 +117,8 @@ def judged(pairs: Pairs, trial: Trial, variant: Variant, known: Known, passing: 
         kept &= ~(genuine & (known.roll_difference_deg > PAIR_LIMIT_DEG))
     elif variant.kept == "whole":
         kept &= ~known.partial
+    elif variant.kept in ("printed", "drawn"):
+        kept &= known.printed == (variant.kept == "printed") if known.printed.any() else False
     made = np.isfinite(similarity)
     if not (kept & made & genuine).any() or not (kept & made & ~genuine).any():
         return None

@@ -217,15 +217,17 @@ def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
     height, width = image.shape[0] // cell, image.shape[1] // cell
     require(height > 0 and width > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
     cut = slice(0, height * cell), slice(0, width * cell)
-    place = np.asarray(angle)[cut] * np.float32(bins / np.pi) - np.float32(0.5)
-    low = np.floor(place)
-    fraction, size_of = place - low, np.asarray(size)[cut]
-    number = np.arange(height * cell)[:, None] // cell * width + np.arange(width * cell)[None, :] // cell
-    low_bin = np.mod(low.astype(np.int64), bins)
+    place = np.asarray(angle)[cut] * np.float32(bins / np.pi) + np.float32(bins - 0.5)
+    low = place.astype(np.uint8)  # from bins - 1 to 3 bins: none is negative
+    size_of = np.asarray(size)[cut]
+    upper = (place - low) * size_of
+    first = bins * (np.arange(height * cell)[:, None] // cell * width + np.arange(width * cell)[None, :] // cell)
     counts = [
-        np.bincount((number * bins + which).ravel(), weights=weight.ravel(), minlength=height * width * bins)
-        for which, weight in ((low_bin, (1 - fraction) * size_of), (np.mod(low_bin + 1, bins), fraction * size_of))
-    ]
+        np.bincount((first + turned[low]).ravel(), weights=weight.ravel(), minlength=height * width * bins)
+        for turned, weight in (
+            (np.arange(3 * bins + 2) % bins, size_of - upper), (np.arange(1, 3 * bins + 3) % bins, upper),
+        )
+    ]  # fmt: skip
     grid = (counts[0] + counts[1]).reshape(height, width, bins)
     rows, columns = max(1, grid.shape[0] - 1), max(1, grid.shape[1] - 1)
     blocks = np.concatenate(
@@ -255,27 +257,43 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     shrink = max(1.0, min(_GABOR_PERIODS_PX) * factor / 8.0)
     size = max(1, round(image.shape[1] / shrink)), max(1, round(image.shape[0] / shrink))
     small: AnyArray = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    small = small - blur(small, 3 * _GABOR_PERIODS_PX[-1] * factor / shrink)
+    quarter = max(1, size[0] // 4), max(1, size[1] // 4)  # enough for what is as smooth as this mean
+    mean = blur(
+        cv2.resize(small, quarter, interpolation=cv2.INTER_AREA), 0.75 * _GABOR_PERIODS_PX[-1] * factor / shrink
+    )
+    small = small - cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
     cell = _cell(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
     require(rows > 0 and columns > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
     plane = [scipy.fft.next_fast_len(side + 32) for side in small.shape]  # a border against wrapping round
     spectrum = scipy.fft.fft2(small, s=plane)
-    v, u = np.fft.fftfreq(plane[0])[:, None], np.fft.fftfreq(plane[1])[None, :]
     parts = []
     for period_px in _GABOR_PERIODS_PX:
         wave = 1.0 / max(2.5, period_px * factor / shrink)
         width = wave / np.pi  # of a window in space whose sigma is half a period
         for k in range(_GABOR_DIRECTIONS):
             turn = np.pi * k / _GABOR_DIRECTIONS
-            passed = np.exp(-((u - wave * np.cos(turn)) ** 2 + (v - wave * np.sin(turn)) ** 2) / (2 * width * width))
-            answer = np.abs(scipy.fft.ifft2(spectrum * passed.astype(np.float32)))
-            parts.append(
-                cv2.resize(answer[: small.shape[0], : small.shape[1]], (columns, rows), interpolation=cv2.INTER_AREA)
+            down, across = (
+                _passed(side, middle, width)
+                for side, middle in zip(plane, (wave * np.sin(turn), wave * np.cos(turn)), strict=True)
             )
+            band = spectrum[np.ix_(down[0], across[0])] * (down[1][:, None] * across[1])
+            # the magnitude at as many points as the filter's band needs; a band's middle turns the phase alone
+            answer = np.abs(scipy.fft.ifft2(band)) * np.float32(band.size / (plane[0] * plane[1]))
+            seen = [-(-side * of // whole) for side, of, whole in zip(small.shape, band.shape, plane, strict=True)]
+            parts.append(cv2.resize(answer[: seen[0], : seen[1]], (columns, rows), interpolation=cv2.INTER_AREA))
     grid = np.stack(parts, axis=-1)
     length = np.sqrt((grid * grid).sum(axis=-1, keepdims=True))
     return np.asarray(grid / np.maximum(length, 1e-12), dtype=np.float32).ravel()
+
+
+def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way), and its gain there."""
+    centre, reach = round(middle * side), int(np.ceil(6.0 * width * side))
+    count = min(side, scipy.fft.next_fast_len(2 * reach + 1))
+    number = centre - count // 2 + np.arange(count)
+    gain = np.exp(-((number / side - middle) ** 2) / (2 * width * width))
+    return np.mod(number, side), gain.astype(np.float32)
 
 
 def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:

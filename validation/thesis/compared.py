@@ -1,0 +1,161 @@
+"""Pairs of captures by the thesis's rule with any features; what is finished is kept."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from trials import Captures, Pairs, Trial, Values
+
+from splitknit.matching.score import dissimilarity
+from splitknit.matching.thesis import FingerImages, align_masks, to_box
+from splitknit.model import FloatArray
+
+Extract = Callable[[FloatArray, float], NDArray[np.float32]]
+"""Features of a channel (h, w) at a number of pixels per mm."""
+Read = Callable[[str], FingerImages | None]
+"""Images of a capture by its name; None where it could not be acquired."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """What is compared: an attribute (its channels) by a feature."""
+
+    name: str
+    extract: Extract
+    attribute: str
+    channels: tuple[str, ...]
+
+
+def captures_of(names: Sequence[str]) -> Captures:
+    """Captures by their names (``S01/session_1/right_index``)."""
+    parts = [name.split("/") for name in sorted(names)]
+    return Captures(
+        np.array(sorted(names)),
+        np.array([part[0] for part in parts]),
+        np.array([f"{part[0]}/{part[2]}" for part in parts]),
+        np.array([part[1].removeprefix("session_") for part in parts]),
+    )
+
+
+def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, jobs: int) -> tuple[Trial, ...]:
+    """One trial for each way.
+
+    Parameters
+    ----------
+    pairs : what is compared
+    read : images of a capture; a function that another process can be given
+    ways : the same everywhere
+    scratch : folder of finished comparisons; another one for other captures or other images
+    jobs : processes
+    """
+    order = np.argsort(pairs.a, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(pairs.a[order])) + 1)  # one database finger each
+    names = pairs.captures.names
+    tasks = [(str(names[pairs.a[group[0]]]), [str(names[b]) for b in pairs.b[group]]) for group in groups]
+    rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch), tasks, jobs))
+    found = np.empty_like(rows)
+    found[order] = rows
+    ratio = found[:, 0]
+    gated = 1.0 - np.exp(2.0 - ratio)
+    return tuple(
+        Trial(way.name, "thesis", way.attribute, 1.0 - found[:, 1 + k], ratio, gated) for k, way in enumerate(ways)
+    )
+
+
+def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: tuple[str, list[str]]) -> Values:
+    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2); NaN where a capture failed."""
+    first, others = task
+    key = repr((task, [(way.name, way.attribute, way.channels) for way in ways]))
+    file = scratch / (hashlib.sha256(key.encode()).hexdigest()[:24] + ".npy")
+    if file.is_file():
+        return np.asarray(np.load(file))
+    database = read(first)
+    known = [] if database is None else [features_of(database, way) for way in ways]
+    result = np.full((len(others), 1 + len(ways)), np.nan)
+    for row, other in zip(result, others, strict=True):
+        query = read(other)
+        if database is None or query is None:
+            continue
+        laid = align_masks(database.mask, query.mask)
+        size = (database.mask.shape[0], database.mask.shape[1])
+        needed = dict.fromkeys(name for way in ways for name in way.channels)
+        boxed = {name: to_box(query.channels[name], size) for name in needed}
+        laid_query = FingerImages(boxed, database.mask, database.px_per_mm)
+        row[0] = laid.ratio
+        for k, way in enumerate(ways):
+            far = [float(np.linalg.norm(a - b)) for a, b in zip(known[k], features_of(laid_query, way), strict=True)]
+            row[1 + k] = dissimilarity(laid.ratio, far)
+    keep(file, lambda stream: np.save(stream, result))
+    return result
+
+
+def features_of(images: FingerImages, way: Way) -> list[NDArray[np.float32]]:
+    """Features of each channel."""
+    return [way.extract(images.channels[name], images.px_per_mm) for name in way.channels]
+
+
+def keep(file: Path, write: Callable[[Any], Any]) -> None:
+    """Write a file whole or not at all."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial_file = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    with partial_file.open("wb") as stream:
+        write(stream)
+    partial_file.replace(file)
+
+
+def drawn(finger_a: NDArray[np.str_], finger_b: NDArray[np.str_], fraction: float, seed: int) -> NDArray[np.bool_]:
+    """(N,) a fraction of the pairs of fingers, the same whatever else is compared."""
+
+    def chosen(a: str, b: str) -> bool:
+        digest = hashlib.sha256(f"{seed}:{a}:{b}".encode()).digest()
+        return int.from_bytes(digest[:8], "big") < fraction * 2.0**64
+
+    return np.array([chosen(a, b) for a, b in zip(finger_a.tolist(), finger_b.tolist(), strict=True)], dtype=np.bool_)
+
+
+def each(work: Any, tasks: Sequence[Any], jobs: int) -> list[Any]:
+    """Do all tasks, in processes of one thread each."""
+    if jobs <= 1 or len(tasks) <= 1:
+        _one_thread()
+        return [work(task) for task in tasks]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_one_thread) as pool:
+        return list(pool.map(work, tasks, chunksize=4))
+
+
+def _one_thread() -> None:
+    import cv2  # noqa: PLC0415
+
+    cv2.setNumThreads(1)
+
+
+def kept_images(file: Path, make: Callable[[], FingerImages | None]) -> None:
+    """Keep a capture's images in a file, unless they are there; a failure to acquire is kept as well."""
+    if file.is_file():
+        return
+    try:
+        made = make()
+    except ValueError:
+        made = None
+    if made is None:
+        keep(file, lambda stream: np.savez(stream, mask=np.zeros((0, 0), np.bool_), px_per_mm=1.0))
+    else:
+        keep(file, lambda stream: np.savez(stream, mask=made.mask, px_per_mm=made.px_per_mm, **made.channels))
+
+
+def read_images(file: Path) -> FingerImages | None:
+    """What :func:`kept_images` kept."""
+    with np.load(file) as arrays:
+        if not arrays["mask"].size:
+            return None
+        channels = {name: arrays[name] for name in arrays.files if name not in ("mask", "px_per_mm")}
+        return FingerImages(channels, arrays["mask"], float(arrays["px_per_mm"]))

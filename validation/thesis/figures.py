@@ -1,0 +1,265 @@
+"""Figures 3.1, 3.20, 3.22 and 5.9 as figures that can be measured, on whole views of the population.
+
+- 3.1: power by spatial frequency, in all directions together, of the true shape and relief, and of white and NIR images
+- 3.20: what n = 2 to 7 scales of shapelets leave of the shape in the relief
+- 3.22: error of the shape by photometric stereo under NIR and under white light
+- 5.9: error of SnK, PR and EA in bands of spatial frequency
+
+The thesis shows the last three as pictures of one finger. Each capture's figures are kept as a file.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.fft
+from compared import each, keep
+from numpy.typing import NDArray
+from plots import save
+from scales import SCALES
+from tables import Row, write_csv
+
+from splitknit.evaluation.accuracy import Comparison, compare, high_pass, read_truth
+from splitknit.imaging.band import linear_stack
+from splitknit.io.capture import read_capture
+from splitknit.model import Capture, Reconstruction
+from splitknit.pipeline import reconstruct
+from splitknit.report.evaluation import Axis, Curve, plot
+from splitknit.steps import Memory
+
+CAPTURES = 24
+"""Of different fingers, so many as there are."""
+CASES = ("snk", "pr", "ea")
+BANDS = {"shape": (0.0, 2.0), "between": (2.0, 10.0), "ridges": (10.0, 1000.0)}
+"""Cycles per cm: the shape has 0.7, ridges have 23."""
+STEP = 0.5
+FREQUENCIES = np.arange(1, 121) * STEP
+"""Cycles per cm: middles of the bins of :data:`STEP` in which power is summed."""
+PROFILE_STEP_MM = 0.05
+RESAMPLED = 1000
+
+Values = NDArray[np.float64]
+
+
+def run(population: Path, chosen: Sequence[str], out: Path, scratch: Path, seed: int, jobs: int) -> Row:  # noqa: PLR0917
+    """Write ``figures.csv``, ``figure_spectra.csv`` and the plots of the captures `chosen`; return the facts."""
+    each(partial(_keep, population, scratch), chosen, jobs)
+    found = [json.loads(_file(scratch, name).read_text(encoding="utf-8")) for name in chosen]
+    known = [row for row in found if row]
+    write_csv(out / "figures.csv", summary(known, seed))
+    if known:
+        _draw(known, out)
+    return {"captures": len(known), "failures": len(found) - len(known)}
+
+
+def choose(names: Sequence[str], seed: int) -> list[str]:
+    """One capture of every finger, in an order drawn by seed."""
+    rng = np.random.default_rng([seed, 31])
+    first: dict[str, str] = {}
+    for name in (names[k] for k in rng.permutation(len(names))):
+        subject, _, finger = name.split("/")
+        first.setdefault(f"{subject}/{finger}", name)
+    return list(first.values())
+
+
+def measure(capture: Capture) -> Row:
+    """All figures of one capture.
+
+    Raises
+    ------
+    BadInput
+        If it shows no finger, or has no truth.
+    """
+    truth, memory = read_truth(capture), Memory(capture)
+    results = {case: reconstruct(capture, case, memory=memory) for case in CASES}
+    against = {case: compare(result, truth) for case, result in results.items()}
+    row: Row = {"spectra": _spectra(capture, results["snk"], truth)}
+    for count in SCALES:
+        result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
+        seen = compare(result, truth)
+        slow = _bands(result.ridge_mm, seen.surface, result)
+        row[f"3.20 n = {count} ridge correlation"] = seen.figures["ridge_correlation"]
+        row[f"3.20 n = {count} power beside the ridges, %"] = _percent_beside(slow)
+    nir, white, enhanced = results["snk"].shape_mm, results["ea"].height_mm, results["pr"].height_mm
+    for words, surface, case in (("NIR", nir, "snk"), ("white", white, "ea"), ("white, enhanced", enhanced, "pr")):
+        error = _bands(surface - truth["shape_mm"], against[case].surface, results[case])
+        row[f"3.22 {words}: shape error, um"] = error["shape"]
+    for case, result in results.items():
+        error = _bands(result.height_mm - truth["height_mm"], against[case].surface, result)
+        row |= {f"5.9 {case}: error {band}, um": error[band] for band in BANDS}
+        row[f"5.9 {case}: ridge correlation"] = _ridge(against[case])
+    true = _bands(np.asarray(truth["height_mm"]), against["snk"].surface, results["snk"])
+    row |= {f"5.9 truth: {band}, um": true[band] for band in BANDS}
+    row["profiles"] = _profiles(results, truth)
+    return row
+
+
+def _ridge(seen: Comparison) -> float:
+    return float(seen.figures["height_band_correlation"])
+
+
+def _bands(values: NDArray[Any], where: NDArray[np.bool_], result: Reconstruction) -> dict[str, float]:
+    """Rms by band in um, on a surface and freed from its mean plane: a camera does not know it."""
+    inside = result.mask & np.isfinite(values)
+    filled = np.where(inside, values, 0.0).astype(np.float64)
+    y, x = np.nonzero(where & inside)
+    plane = np.stack([np.ones(y.size), y, x], axis=1)
+    least = np.linalg.lstsq(plane, filled[y, x], rcond=None)[0]
+    rows, columns = np.indices(filled.shape)
+    flat = np.where(inside, filled - (least[0] + least[1] * rows + least[2] * columns), 0.0).astype(np.float32)
+    above = {0.0: flat}
+    for frequency in (2.0, 10.0):
+        sigma_mm = 10.0 * np.sqrt(2.0 * np.log(2.0)) / (2.0 * np.pi * frequency)  # half the amplitude
+        above[frequency] = high_pass(flat, inside, float(sigma_mm / result.pitch_mm))
+    parts = {
+        "shape": above[0.0] - above[2.0], "between": above[2.0] - above[10.0], "ridges": above[10.0],
+    }  # fmt: skip
+    return {band: 1000.0 * float(np.sqrt(np.mean(part[y, x].astype(np.float64) ** 2))) for band, part in parts.items()}
+
+
+def _percent_beside(bands: Mapping[str, float]) -> float:
+    power = {band: value**2 for band, value in bands.items()}
+    return 100.0 * (power["shape"] + power["between"]) / sum(power.values())
+
+
+def _spectra(capture: Capture, result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
+    """Power of a square as wide as the finger, of 1 at most, in bins around :data:`FREQUENCIES`."""
+    fields = {
+        "true shape": np.asarray(truth["shape_mm"], dtype=np.float64),
+        "true relief": np.asarray(truth["height_mm"], dtype=np.float64) - truth["shape_mm"],
+    }
+    for name in ("white", "nir"):
+        fields[f"{name} images"] = _brightness(capture, name)
+    rows = np.flatnonzero(result.mask.any(axis=1))
+    middle = int(rows[rows.size // 2])
+    columns = np.flatnonzero(result.mask[middle])
+    half = min(columns.size // 2, middle - int(rows[0]), int(rows[-1]) - middle)
+    square = np.s_[middle - half : middle + half, int(columns.mean()) - half : int(columns.mean()) + half]
+    return {name: _power(field[square], result.mask[square], result.pitch_mm) for name, field in fields.items()}
+
+
+def _brightness(capture: Capture, name: str) -> Values:
+    """Logarithm of the mean image of a band."""
+    grey = linear_stack(capture.bands[name], capture.encoding).astype(np.float64).mean(axis=0)
+    return np.asarray(np.log(np.maximum(grey, 1e-3 * float(grey.max()))))
+
+
+def _power(field: Values, mask: NDArray[np.bool_], pitch_mm: float) -> list[float]:
+    inside = mask & np.isfinite(field)
+    window = np.where(inside, np.outer(np.hanning(field.shape[0]), np.hanning(field.shape[1])), 0.0)
+    values = np.where(inside, field, 0.0)
+    values = window * (values - np.sum(window * values) / np.sum(window))
+    count = scipy.fft.next_fast_len(max(3 * max(field.shape), int(np.ceil(20.0 / (STEP * pitch_mm)))))
+    power = np.abs(scipy.fft.fft2(values, s=(count, count))) ** 2
+    waves = np.fft.fftfreq(count, 0.1 * pitch_mm)
+    number = np.round(np.hypot(waves[:, None], waves[None, :]) / STEP).astype(np.int64).ravel()
+    total = np.bincount(number, weights=power.ravel(), minlength=FREQUENCIES.size + 1)[1 : FREQUENCIES.size + 1]
+    return [float(value) for value in total / max(float(total.max()), 1e-30)]
+
+
+def _profiles(results: Mapping[str, Reconstruction], truth: Mapping[str, NDArray[Any]]) -> dict[str, list[float]]:
+    """Heights along the finger's middle in mm, freed from their mean: the side view of figure 5.9."""
+    mask = results["snk"].mask
+    column = int(np.median(np.nonzero(mask)[1]))
+    along = np.flatnonzero(mask[:, column] & np.isfinite(truth["height_mm"][:, column]))
+    along = along[:: max(1, round(PROFILE_STEP_MM / results["snk"].pitch_mm))]
+    heights = {"truth": truth["height_mm"], **{case: result.height_mm for case, result in results.items()}}
+    shown = {name: np.asarray(field[along, column], dtype=np.float64) for name, field in heights.items()}
+    found = {name: (values - np.nanmean(values)).tolist() for name, values in shown.items()}
+    return {"mm": (along * results["snk"].pitch_mm).tolist(), **found}
+
+
+def summary(found: Sequence[Row], seed: int) -> list[Row]:
+    """Mean of each figure over captures, with an interval of 95 % drawn by finger."""
+    rng = np.random.default_rng([seed, 59])
+    picks = rng.integers(0, max(len(found), 1), (RESAMPLED, len(found)))
+    values = {
+        f"3.1 {name}: {words}": [of(np.array(row["spectra"][name])) for row in found]
+        for name in (found[0]["spectra"] if found else ())
+        for words, of in (("peak, cycles per cm", _peak), ("power above 10 cycles per cm, %", _above))
+    }
+    names = [name for name in (found[0] if found else ()) if name not in ("spectra", "profiles")]
+    rows = []
+    for name, each_one in (values | {name: [row[name] for row in found] for name in names}).items():
+        figure, what = name.split(" ", 1)
+        known = np.array(each_one, dtype=np.float64)
+        low, high = (float(end) for end in np.quantile(known[picks].mean(axis=1), (0.025, 0.975)))
+        mean = {"mean": float(known.mean()), "low": low, "high": high}
+        rows.append({"figure": figure, "what": what, **mean, "captures": known.size})
+    return rows
+
+
+def _peak(power: Values) -> float:
+    return float(FREQUENCIES[np.argmax(power)])
+
+
+def _above(power: Values) -> float:
+    """Percent of the power."""
+    return 100.0 * float(power[BANDS["between"][1] <= FREQUENCIES].sum() / power.sum())
+
+
+def _draw(found: Sequence[Row], out: Path) -> None:
+    spectra = {name: np.mean([row["spectra"][name] for row in found], axis=0) for name in found[0]["spectra"]}
+    write_csv(
+        out / "figure_spectra.csv",
+        [
+            {"cycles_per_cm": float(f), **{name: float(power[k]) for name, power in spectra.items()}}
+            for k, f in enumerate(FREQUENCIES)
+        ],
+    )
+    logs: Callable[[Any], Any] = np.log10
+    marks = tuple((f, f"{f:g}") for f in (0.5, 1, 2, 5, 10, 23, 60))
+    chart = plot(
+        [Curve(name, FREQUENCIES, np.maximum(power, 1e-7)) for name, power in spectra.items()],
+        Axis("cycles per cm", 0.5, 60.0, marks, logs),
+        Axis("power", 1e-7, 1.0, tuple((10.0**k, f"1e{k}") for k in range(-7, 1)), logs),
+        height=320,
+        title="Power by spatial frequency",
+    )
+    save(chart, out / "figure-3-1.svg")
+    curves = []
+    for words in ("ridge correlation", "power beside the ridges, %"):
+        factor = 0.01 if words.endswith("%") else 1.0
+        values = [factor * np.mean([row[f"3.20 n = {count} {words}"] for row in found]) for count in SCALES]
+        curves.append(Curve(words.removesuffix(", %"), np.array(SCALES, dtype=float), np.array(values)))
+    chart = plot(
+        curves,
+        Axis("scales of shapelets", 2.0, 7.0, tuple((float(n), str(n)) for n in SCALES)),
+        Axis("fraction, correlation", 0.0, 1.0, tuple((k / 5, f"{k / 5:g}") for k in range(6))),
+        height=260,
+        title="Ridges and what else is in the relief, by scales of shapelets",
+        dots=True,
+    )
+    save(chart, out / "figure-3-20.svg")
+    profile = {name: np.array(values, dtype=np.float64) for name, values in found[0]["profiles"].items()}
+    x = profile.pop("mm")
+    low, high = np.floor(min(map(np.nanmin, profile.values()))), np.ceil(max(map(np.nanmax, profile.values())))
+    along = tuple((float(v), f"{v:g}") for v in np.arange(np.ceil(x[0] / 5) * 5, x[-1], 5))
+    chart = plot(
+        [Curve(name, x, values) for name, values in profile.items()],
+        Axis("mm along the finger", float(x[0]), float(x[-1]), along),
+        Axis("height, mm", float(low), float(high), tuple((float(v), f"{v:g}") for v in np.arange(low, high + 0.5))),
+        height=300,
+        title="Side view along the middle of one finger",
+    )
+    save(chart, out / "figure-5-9.svg")
+
+
+def _keep(population: Path, scratch: Path, name: str) -> None:
+    file = _file(scratch, name)
+    if file.is_file():
+        return
+    try:
+        row = measure(read_capture(population / name))
+    except ValueError:  # a failure to acquire
+        row = {}
+    keep(file, lambda stream: stream.write(json.dumps(row).encode("ascii")))
+
+
+def _file(scratch: Path, name: str) -> Path:
+    return scratch / (name.replace("/", "_") + ".json")
