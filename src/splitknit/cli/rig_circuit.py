@@ -44,5 +44,13 @@ def _run(options: argparse.Namespace) -> Outcome:
         low, middle, high = stage["current_ma"]
         values = ", ".join(f"{role} {r['ohm']:g} ohm {r['rating_w']:g} W" for role, r in stage["resistors"].items())
         lines.append(f"  {band:5s} {middle:.0f} mA ({low:.0f} to {high:.0f} over all tolerances): {values}")
+    lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
+    lines.append("Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):")
+    for hazard in facts["safety"]:
+        lines.append(
+            f"  {hazard['leds']:5s} {hazard['hazard']:26s} {hazard['value']:9.4g} of {hazard['limit']:.4g} "
+            f"{hazard['unit']}, margin {hazard['margin']:.3g} ({hazard['margin_with_a_shorted_transistor']:.3g} with a "
+            "shorted transistor)"
+        )
     lines.append(f"Written to {options.out}: {', '.join(facts['files'])}; rig.json holds the pin map.")
     return facts, lines
