@@ -45,6 +45,8 @@ def _run(options: argparse.Namespace) -> Outcome:
         values = ", ".join(f"{role} {r['ohm']:g} ohm {r['rating_w']:g} W" for role, r in stage["resistors"].items())
         lines.append(f"  {band:5s} {middle:.0f} mA ({low:.0f} to {high:.0f} over all tolerances): {values}")
     lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
+    width, height = facts["board"]["size_mm"]
+    lines.append(f"  laid out on {width:g} x {height:g} mm, two sides, {facts['board']['vias']} vias; not yet made")
     lines.append("Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):")
     for hazard in facts["safety"]:
         lines.append(

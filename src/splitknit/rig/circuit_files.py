@@ -1,4 +1,4 @@
-"""The LED board's components and nets, and its files: KiCad netlist, parts, pin map, the schematic as plain SVG."""
+"""The LED board's components and nets, and its folder of files: netlist, layout, parts, pin map, schematic as SVG."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
+from splitknit.rig.board import lay_out
+from splitknit.rig.board_files import gerber_zip, kicad_board, wiring_svg
 from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
 from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led, resistor
 from splitknit.rig.safety import check_hazards, rig_hazards
@@ -43,7 +45,7 @@ _RESISTOR_FOOTPRINTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Component:
+class Component:
     """One part on the board."""
 
     ref: str
@@ -80,7 +82,7 @@ class Circuit:
 
     settings: CircuitSettings
     channels: tuple[Channel, ...]
-    components: tuple[_Component, ...]
+    components: tuple[Component, ...]
     nets: Mapping[str, tuple[_Node, ...]]
     fuse_a: float
     """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
@@ -133,33 +135,33 @@ def _fuse_for(led_a: float) -> float:
     return min(fitting)
 
 
-def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[_Component], dict[str, list[_Node]]]:
+def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], dict[str, list[_Node]]]:
     """The Pi's header, the LEDs' supply with its fuse, and what stores charge."""
     components = [
-        _Component(
+        Component(
             "J1",
             "Raspberry Pi GPIO",
             "Connector_Generic",
             "Conn_02x20_Odd_Even",
             "Connector_IDC:IDC-Header_2x20_P2.54mm_Vertical",
         ),
-        _Component(
+        Component(
             "J2",
             f"{s.supply_v:g} V DC, centre +",
             "Connector",
             "Barrel_Jack",
             "Connector_BarrelJack:BarrelJack_Horizontal",
         ),
-        _Component(
+        Component(
             "F1",
             f"{1000 * fuse_a:.0f} mA hold, resettable",
             "Device",
             "Polyfuse",
             FUSES_A[fuse_a][3],
         ),
-        _Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
-        _Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
-        _Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
+        Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
+        Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
+        Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
     ]
     nets = {
         "GND": [
@@ -177,7 +179,7 @@ def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[_Component], 
 
 
 def _add_stage(
-    channel: Channel, s: CircuitSettings, components: list[_Component], nets: dict[str, list[_Node]]
+    channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[_Node]]
 ) -> None:
     """Add one stage's parts, their references numbered by the channel: R101 ... R104, Q1, D1."""
     n, stage = channel.number, channel.stage
@@ -185,12 +187,12 @@ def _add_stage(
     for part in stage.resistors:
         footprint = _RESISTOR_FOOTPRINTS[part.rating_w]
         value = _resistor_text(part.ohm, part.rating_w)
-        components.append(_Component(refs[part.role], value, "Device", "R", footprint))
+        components.append(Component(refs[part.role], value, "Device", "R", footprint))
     components.append(
-        _Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline_Wide")
+        Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline_Wide")
     )
     components.append(
-        _Component(f"D{n}", f"{channel.name} ({stage.led.name})", "Device", "LED", "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical")
+        Component(f"D{n}", f"{channel.name} ({stage.led.name})", "Device", "LED", "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical")
     )
     line, base = f"GPIO{channel.gpio}", f"BASE{n}"
     require(channel.gpio in HEADER_OF_GPIO, f"GPIO {channel.gpio} is not on the Raspberry Pi's header.")
@@ -317,7 +319,16 @@ PARTS_COLUMNS = (
     "footprint",
     "references",
 )
-FILES = ("circuit.net", "schematic.svg", "parts.csv", "circuit.json", "rig.json")
+FILES = (
+    "circuit.net",
+    "schematic.svg",
+    "wiring.svg",
+    "parts.csv",
+    "board.kicad_pcb",
+    "gerber.zip",
+    "circuit.json",
+    "rig.json",
+)
 
 
 def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[str, Any]:
@@ -337,7 +348,13 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     shorted = rig_hazards(rig, stages, duty=settings.duty, shorted=True)
     pins = {band: [c.gpio for c in circuit.channels if c.stage.band == band] for band in ("white", "nir")}
     pinned = replace(rig, provenance={**rig.provenance, "pins": {band: lines for band, lines in pins.items() if lines}})
+    board = lay_out(circuit)
     facts = _facts(circuit, out)
+    facts["board"] = {
+        "size_mm": list(board.size_mm),
+        "holes_mm": [list(hole) for hole in board.holes_mm],
+        "vias": len(board.vias),
+    }
     facts["safety"] = [
         {
             "leds": hazard.band,
@@ -354,6 +371,9 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     with atomic_folder(out) as folder:
         (folder / "circuit.net").write_text(_kicad_netlist(circuit, __version__), encoding="utf-8")
         (folder / "schematic.svg").write_text(_schematic_svg(circuit) + "\n", encoding="utf-8")
+        (folder / "wiring.svg").write_text(wiring_svg(board, circuit, rig), encoding="utf-8")
+        (folder / "board.kicad_pcb").write_text(kicad_board(board, __version__), encoding="utf-8")
+        (folder / "gerber.zip").write_bytes(gerber_zip(board))
         (folder / "parts.csv").write_text(_parts_csv(circuit), encoding="utf-8")
         (folder / "circuit.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
         write_rig(pinned, folder / "rig.json")
