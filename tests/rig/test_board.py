@@ -35,6 +35,12 @@ def board(circuit: Circuit) -> Board:
     return lay_out(circuit)
 
 
+@pytest.fixture(scope="module")
+def heavy() -> Board:
+    """With resistors of 2 W."""
+    return lay_out(design_circuit(default_rig(), CircuitSettings(topology="switch")))
+
+
 def drawn(gerber: str, size_mm: tuple[float, float]) -> np.ndarray:
     """(rows, columns) bool, copper or ink, upper left corner of the board first; drawn by pygerber."""
     from PIL import Image
@@ -144,24 +150,23 @@ def rectangles(board):
     return shapes
 
 
-@pytest.mark.parametrize("topology", ["sink", "switch"])
-def test_copper_of_two_nets_keeps_its_distance(topology):
-    board = lay_out(design_circuit(default_rig(), CircuitSettings(topology=topology)))
+@pytest.mark.parametrize("which", ["board", "heavy"])
+def test_copper_of_two_nets_keeps_its_distance(which, request):
+    board = request.getfixturevalue(which)
     shapes = rectangles(board)
-    nearest = 9.0
-    for k, (net, sides, a, b, half) in enumerate(shapes):
-        for other, other_sides, c, d, other_half in shapes[k + 1 :]:
-            if net == other or not sides & other_sides:
-                continue
-            gaps = [
-                max(min(c[i], d[i]) - max(a[i], b[i]), min(a[i], b[i]) - max(c[i], d[i]), 0.0) for i in (0, 1)
-            ]
-            nearest = min(nearest, float(np.hypot(*gaps)) - half - other_half)
-    assert nearest >= 0.2 - 1e-6
-    rims = [min(*at, board.size_mm[0] - at[0], board.size_mm[1] - at[1]) - half for _, _, *ends, half in shapes for at in ends]
-    assert min(rims) >= 0.8
+    numbers = {net: k for k, net in enumerate(dict.fromkeys(shape[0] for shape in shapes))}
+    nets = np.array([numbers[shape[0]] for shape in shapes])
+    sides = np.array([[side in shape[1] for side in (0, 1)] for shape in shapes])
+    ends = np.array([[a, b] for _, _, a, b, _ in shapes])
+    low, high, half = ends.min(axis=1), ends.max(axis=1), np.array([shape[4] for shape in shapes])
+    gaps = np.maximum(np.maximum(low[:, None] - high[None], low[None] - high[:, None]), 0.0)
+    apart = np.hypot(gaps[..., 0], gaps[..., 1]) - half[:, None] - half[None]
+    foreign = (nets[:, None] != nets[None]) & (sides[:, None] & sides[None]).any(axis=2)
+    assert apart[foreign].min() >= 0.2 - 1e-6
+    assert min((low - half[:, None]).min(), (np.array(board.size_mm) - high - half[:, None]).min()) >= 0.8
     for hole in board.holes_mm:
-        assert min(np.hypot(at[0] - hole[0], at[1] - hole[1]) - half for _, _, *ends, half in shapes for at in ends) > 3.0
+        away = np.maximum(np.maximum(low - hole, hole - high), 0.0)
+        assert (np.hypot(away[:, 0], away[:, 1]) - half).min() > 3.0
 
 
 def test_the_board_fits_the_printed_box_and_parts_do_not_touch(board):
@@ -206,7 +211,7 @@ def test_kicad_reads_the_same_board(circuit, board):
     assert pads["J1", "2"][1] < pads["J1", "1"][1]
 
 
-def test_equal_circuits_give_equal_bytes(circuit, board):
+def test_equal_circuits_give_equal_bytes(board):
     again = lay_out(design_circuit(default_rig()))
     assert gerber_zip(again) == gerber_zip(board)
     assert kicad_board(again, "1") == kicad_board(board, "1")
@@ -215,12 +220,11 @@ def test_equal_circuits_give_equal_bytes(circuit, board):
         assert len(archive.namelist()) == 8
 
 
-def test_other_boards_are_laid_out():
+def test_other_boards_are_laid_out(heavy):
     rig = default_rig()
     few = replace(rig, leds=rig.leds[:3], provenance={"pins": {"white": [5, 6, 13]}})
     assert lay_out(design_circuit(few)).size_mm == (90.0, 70.0)
-    heavy = lay_out(design_circuit(rig, CircuitSettings(topology="switch")))
-    assert heavy.size_mm[0] > 100  # resistors of 2 W
+    assert heavy.size_mm[0] > 100
     assert max(x for x, _ in heavy.holes_mm) == pytest.approx(heavy.size_mm[0] - 3)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import BadInput, require
@@ -227,13 +228,17 @@ class _Router:
         self.free: BoolArray = (x >= edge) & (x <= width - edge) & (y >= edge) & (y <= height - edge)
         for hx, hy in board.holes_mm:
             self.free &= np.hypot(x - hx, y - hy) >= _HEAD_MM + TRACK_MM / 2
-        self.near: dict[Pad, BoolArray] = {}
-        self.near_via: dict[Pad, BoolArray] = {}
+        # pads that keep a track, or a via, off a place: all of them, and by net
+        self.near, self.near_via = (np.zeros(self.shape, dtype=np.int64) for _ in range(2))
+        self.own: dict[str, list[NDArray[np.int64]]] = {}
         self.on: dict[Pad, list[tuple[int, int]]] = {}
         for pad in board.pads:
             away = np.hypot(x - pad.at_mm[0], y - pad.at_mm[1]) - pad.size_mm / 2
-            self.near[pad] = away < TRACK_MM / 2 + CLEARANCE_MM - 1e-6
-            self.near_via[pad] = away < VIA_MM / 2 + CLEARANCE_MM - 1e-6
+            reaches = (TRACK_MM / 2 + CLEARANCE_MM - 1e-6, VIA_MM / 2 + CLEARANCE_MM - 1e-6)
+            own = self.own.setdefault(pad.net, [np.zeros(self.shape, dtype=np.int64) for _ in reaches])
+            for every, mine, reach in zip((self.near, self.near_via), own, reaches, strict=True):
+                every += away < reach
+                mine += away < reach
             inside = np.argwhere(away <= 1e-6 - TRACK_MM / 2)
             self.on[pad] = [(int(i), int(j)) for i, j in inside]
         terminals: dict[str, list[Pad]] = {"GND": list(grounds)} if grounds else {}
@@ -275,11 +280,8 @@ class _Router:
 
     def _connect(self, net: str, taken: dict[Node, str]) -> list[list[Node]] | None:
         """Paths that join all pads of a net, which are entered in `taken`; None where one cannot be reached."""
-        blocked, no_via = ~self.free, ~self.free
-        for pad in self.near:
-            if pad.net != net:
-                blocked = blocked | self.near[pad]
-                no_via = no_via | self.near_via[pad]
+        track, via = self.own[net]
+        blocked, no_via = ~self.free | (self.near > track), ~self.free | (self.near_via > via)
         pads = list(self.terminals[net])
         tree: set[Node] = {(side, *node) for node in self.on[pads[0]] for side in (0, 1)}
         left, paths = pads[1:], []
