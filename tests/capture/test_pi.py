@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from contextlib import ExitStack
+from pathlib import Path
 from types import SimpleNamespace
 
 import gpiozero
@@ -187,6 +188,16 @@ def test_sizes_of_the_modules():
         PiCameraSettings(camera="uvc", image_size=(64, 96))
     with pytest.raises(BadInput, match=r"pi\.camera must be"):
         PiCameraSettings(camera="imx500")
+
+
+def test_the_page_lists_the_modules():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "guide" / "capture.md").read_text(encoding="utf-8")
+    table = page.partition("<!-- cameras -->")[2].partition("<!-- /cameras -->")[0].strip().splitlines()[2:]
+    assert table == [
+        f"| `{name}` | {s.module} | {s.image_size[0]} x {s.image_size[1]} | {s.pixel_um:g} | {s.bits} | "
+        f"{'global' if s.global_shutter else 'rolling'} | {s.full_well_e:g} | {s.read_noise_e:g} | `{s.tuning}` |"
+        for name, s in SENSORS.items()
+    ]
 
 
 def test_another_module_than_asked_for_is_named(world):

@@ -6,6 +6,7 @@ What joins what is found on the pictures of the layers that pygerber draws, not 
 from __future__ import annotations
 
 import io
+import itertools
 import re
 import zipfile
 from dataclasses import replace
@@ -137,16 +138,20 @@ def test_the_copper_joins_what_the_netlist_joins_and_nothing_else(circuit, board
     assert all(len(groups) == 1 for groups in found.values()), [net for net, g in found.items() if len(g) > 1]
     assert len({next(iter(groups)) for groups in found.values()}) == len(circuit.nets)
     spare = [pad for pad in board.pads if not pad.net]
-    assert not {root((0, under(0, *pad.at_mm, 0.6 * pad.size_mm / 1.6))) for pad in spare} & set().union(*found.values())
+    assert not {root((0, under(0, *pad.at_mm, 0.6 * pad.size_mm / 1.6))) for pad in spare} & set().union(
+        *found.values()
+    )
 
 
 def rectangles(board):
     """Net, side, first and last corner and half the width of all copper that is no plane; pads are on both sides."""
     shapes = []
     for net, side, corners in board.tracks:
-        shapes += [(net, {side}, a, b, 0.25) for a, b in zip(corners, corners[1:], strict=False)]
+        shapes += [(net, {side}, a, b, 0.25) for a, b in itertools.pairwise(corners)]
     shapes += [(net, {0, 1}, at, at, 0.4) for net, at in board.vias]
-    shapes += [(pad.net or f"none {pad.ref}.{pad.pin}", {0, 1}, pad.at_mm, pad.at_mm, pad.size_mm / 2) for pad in board.pads]
+    shapes += [
+        (pad.net or f"none {pad.ref}.{pad.pin}", {0, 1}, pad.at_mm, pad.at_mm, pad.size_mm / 2) for pad in board.pads
+    ]
     return shapes
 
 

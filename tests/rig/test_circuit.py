@@ -247,7 +247,10 @@ def test_parts_add_up_and_every_line_names_three_parts(board: Circuit) -> None:
     assert orders["360R 0.25 W"].alternatives == ("TE LR1F360R", "Yageo MF0207FTE52-360R")
     assert orders["160 mA hold, resettable"].part == "Bel Fuse 0ZRE0016FF"
     assert "3.1 to 3.7 V" in orders["white, 0.5 W LED"].check  # as the settings have it
-    assert pytest.approx((3.1, 3.7)) == (WHITE_LED.forward_v - WHITE_LED.spread_v, WHITE_LED.forward_v + WHITE_LED.spread_v)
+    assert pytest.approx((3.1, 3.7)) == (
+        WHITE_LED.forward_v - WHITE_LED.spread_v,
+        WHITE_LED.forward_v + WHITE_LED.spread_v,
+    )
 
 
 def test_weak_leds_and_other_transistors_get_their_own_lines() -> None:

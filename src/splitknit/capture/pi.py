@@ -86,9 +86,7 @@ _MAX_FRAMES = 30
 """Frames that are thrown away, at most, while waiting for a good one."""
 _PREVIEW_COLUMNS = 800
 """Width of a preview, about."""
-UNTESTED = (
-    "not tested on hardware: this program has driven only substitutes of cameras and GPIO lines; look at the first frames"
-)
+UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
 """Printed and stored with every capture until somebody has run it."""
 
 
@@ -203,7 +201,9 @@ class PiCamera(Closing):
         require(gains is not None, f"the bands are white and nir, not '{band}'.")
         assert gains is not None
         exposure_us = round(exposure_s * 1e6)
-        frame_us = max(exposure_us + 1000, round(self._sensor.frame_s * 1e6))  # as fast as exposure and reading of the sensor allow
+        frame_us = max(
+            exposure_us + 1000, round(self._sensor.frame_s * 1e6)
+        )  # as fast as exposure and reading of the sensor allow
         self._opened().set_controls(
             {
                 "ExposureTime": exposure_us,
@@ -339,6 +339,7 @@ def _began_ns(metadata: Mapping[str, Any]) -> int:
 
 
 # Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
+
 
 def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
     """Return a tuning of the Pi's image processor without what bends light: tone curve, colour mixing, shading.

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -143,7 +144,7 @@ class StreamCamera(Closing):
         rows, columns, channels = frame.pixels.shape
         factor = max(1, round(columns / _PREVIEW_COLUMNS))
         size = (columns // factor, rows // factor)
-        small = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], channels)
+        small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], channels)
         return Frame(small, frame.exposure_s, frame.gain, frame.black_level, frame.at_s, frame.discarded)
 
     def close(self) -> None:
@@ -272,7 +273,9 @@ def open_uvc(number: int, make: Callable[[int], Any] = cv2.VideoCapture) -> Stre
     return _Uvc(make(number), number)
 
 
-_FORMATS = tuple(f"{kind}{bits}" for bits in (16, 12, 10, 8) for kind in ("BayerRG", "BayerBG", "BayerGR", "BayerGB", "Mono"))
+_FORMATS = tuple(
+    f"{kind}{bits}" for bits in (16, 12, 10, 8) for kind in ("BayerRG", "BayerBG", "BayerGR", "BayerGB", "Mono")
+)
 """Pixel formats of GenICam that are read, the best first."""
 
 
@@ -296,7 +299,7 @@ class _GenICam:
         nodes.PixelFormat.value = offered[0]
         nodes.TriggerMode.value, nodes.TriggerSource.value = "On", "Software"
         self._order = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(offered[0][5:7], "")
-        self._bits = int(offered[0].lstrip("BayerMonoRG"))
+        self._bits = int(re.sub(r"\D", "", offered[0]))
         acquirer.start()
 
     @property
@@ -357,7 +360,9 @@ def open_genicam(number: int) -> Stream:
     try:
         from harvesters.core import Harvester  # type: ignore[import-not-found]  # noqa: PLC0415 - optional
     except ImportError as error:
-        raise BadInput("harvesters, which drives GenICam cameras, is not installed; install the extra genicam.") from error
+        raise BadInput(
+            "harvesters, which drives GenICam cameras, is not installed; install the extra genicam."
+        ) from error
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     producers = sorted(file for folder in folders for file in folder.glob("*.cti"))
     require(

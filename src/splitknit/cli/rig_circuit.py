@@ -47,7 +47,9 @@ def _run(options: argparse.Namespace) -> Outcome:
     lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
     width, height = facts["board"]["size_mm"]
     lines.append(f"  laid out on {width:g} x {height:g} mm, two sides, {facts['board']['vias']} vias; not yet made")
-    lines.append("Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):")
+    lines.append(
+        "Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):"
+    )
     for hazard in facts["safety"]:
         lines.append(
             f"  {hazard['leds']:5s} {hazard['hazard']:26s} {hazard['value']:9.4g} of {hazard['limit']:.4g} "

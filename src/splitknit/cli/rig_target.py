@@ -8,14 +8,15 @@ from typing import Any
 
 from splitknit.cli.verb import Outcome, new_verb
 
-
 _SHEET = "target.pdf"
 
 
 def add_target(kinds: Any) -> None:
     """Add the verb."""
     verb = new_verb(kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", _run)
-    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write, for target.pdf; or a PDF file")
+    verb.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to write, for target.pdf; or a PDF file"
+    )
     verb.add_argument("--board", default="9x6", metavar="CxR", help="inner corners each way (default: 9x6)")
     verb.add_argument("--square-mm", type=float, default=3.0, metavar="N", help="side of a square (default: 3)")
     verb.add_argument(
@@ -40,7 +41,11 @@ def _run(options: argparse.Namespace) -> Outcome:
     as_file = options.out.suffix.lower() == ".pdf"  # as before, when only a file was taken
     if not as_file:
         check_target(options.out, _SHEET, "an earlier sheet of targets")
-    check_file(options.out if as_file else None, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
+    check_file(
+        options.out if as_file else None,
+        "a sheet of targets",
+        lambda data: data.startswith(b"%PDF") and PRODUCER in data,
+    )
     board = Board.named(options.board, options.square_mm)
     settings = TargetSettings(
         columns=board.columns, rows=board.rows, square_mm=options.square_mm, spacing_mm=options.dot_mm
@@ -62,9 +67,10 @@ def _run(options: argparse.Namespace) -> Outcome:
         "disc": {"dots": len(dots_mm(settings)), "dot_mm": DOT_MM, "spacing_mm": settings.spacing_mm},
         "ruler_mm": RULER_MM,
     }
+    sheet = options.out if as_file else options.out / _SHEET
     lines = [
-        f"{options.out if as_file else options.out / _SHEET}: {across * down} checkerboards of {width:g} x {height:g} mm ({board.columns} x {board.rows} "
-        f"inner corners), and the disc with {len(dots_mm(settings))} dots, on one sheet of A4.",
+        f"{sheet}: {across * down} checkerboards of {width:g} x {height:g} mm ({board.columns} x "
+        f"{board.rows} inner corners), and the disc with {len(dots_mm(settings))} dots, on one sheet of A4.",
         f"Print it at 100 %; the ruler must measure {RULER_MM:g} mm.",
     ]
     return facts, lines

@@ -12,6 +12,7 @@ C. Y. Lee, "An algorithm for path connections and its applications", IRE Transac
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput
 from splitknit.model import BoolArray
 from splitknit.rig.part_settings import BoardSettings
 
@@ -172,9 +173,11 @@ def _placed(circuit: Circuit, settings: BoardSettings) -> tuple[tuple[Placed, ..
     count = len(circuit.channels)
     columns = max(-(-count // 2), 1)
     kinds = {_shape_of(part)[0] for ref, part in by_ref.items() if ref.startswith("R")}
-    long = max(max(round(_SHAPES[kind].pins["2"][0] / GRID_MM) for kind in kinds), 8)
+    long = max(*(round(_SHAPES[kind].pins["2"][0] / GRID_MM) for kind in kinds), 8)
     step, pitch = max(_RESISTOR_STEPS[kind] for kind in kinds), long + 2
-    rows = max(sum(by_ref.get(f"R{100 * role + c.number}") is not None for role in (1, 2, 3, 4)) for c in circuit.channels)
+    rows = max(
+        sum(by_ref.get(f"R{100 * role + c.number}") is not None for role in (1, 2, 3, 4)) for c in circuit.channels
+    )
     height = 3 + step * (rows - 1)
     # half the board in grid steps: header and its box, a channel for tracks, a row of stages, the strip above
     inner = 9
@@ -229,16 +232,15 @@ class _Router:
         for hx, hy in board.holes_mm:
             self.free &= np.hypot(x - hx, y - hy) >= _HEAD_MM + TRACK_MM / 2
         # pads that keep a track, or a via, off a place: all of them, and by net
-        self.near, self.near_via = (np.zeros(self.shape, dtype=np.int64) for _ in range(2))
-        self.own: dict[str, list[NDArray[np.int64]]] = {}
+        self.near: NDArray[np.int64] = np.zeros((2, *self.shape), dtype=np.int64)
+        self.own: dict[str, NDArray[np.int64]] = {}
         self.on: dict[Pad, list[tuple[int, int]]] = {}
         for pad in board.pads:
             away = np.hypot(x - pad.at_mm[0], y - pad.at_mm[1]) - pad.size_mm / 2
             reaches = (TRACK_MM / 2 + CLEARANCE_MM - 1e-6, VIA_MM / 2 + CLEARANCE_MM - 1e-6)
-            own = self.own.setdefault(pad.net, [np.zeros(self.shape, dtype=np.int64) for _ in reaches])
-            for every, mine, reach in zip((self.near, self.near_via), own, reaches, strict=True):
-                every += away < reach
-                mine += away < reach
+            near = away < np.array(reaches)[:, None, None]
+            self.near += near
+            self.own[pad.net] = self.own.get(pad.net, 0) + near
             inside = np.argwhere(away <= 1e-6 - TRACK_MM / 2)
             self.on[pad] = [(int(i), int(j)) for i, j in inside]
         terminals: dict[str, list[Pad]] = {"GND": list(grounds)} if grounds else {}
@@ -280,14 +282,13 @@ class _Router:
 
     def _connect(self, net: str, taken: dict[Node, str]) -> list[list[Node]] | None:
         """Paths that join all pads of a net, which are entered in `taken`; None where one cannot be reached."""
-        track, via = self.own[net]
-        blocked, no_via = ~self.free | (self.near > track), ~self.free | (self.near_via > via)
+        blocked: BoolArray = ~self.free | (self.near > self.own[net])
         pads = list(self.terminals[net])
         tree: set[Node] = {(side, *node) for node in self.on[pads[0]] for side in (0, 1)}
         left, paths = pads[1:], []
         while left:
             goals = {(side, *node): pad for pad in left for node in self.on[pad] for side in (0, 1)}
-            path = self._shortest(net, tree, goals, blocked, no_via, taken)
+            path = self._shortest(net, tree, goals, blocked, taken)
             if path is None:
                 return None
             reached = goals[path[-1]]
@@ -297,7 +298,7 @@ class _Router:
         for path in paths:
             for node in path:
                 taken[node] = net
-            for (side, *before), (other, *after) in zip(path, path[1:], strict=False):
+            for (side, *before), (other, *after) in itertools.pairwise(path):
                 if side != other and before == after:
                     taken[0, before[0], before[1]] = taken[1, before[0], before[1]] = net
         return paths
@@ -308,9 +309,9 @@ class _Router:
         tree: set[Node],
         goals: Mapping[Node, Pad],
         blocked: BoolArray,
-        no_via: BoolArray,
         taken: Mapping[Node, str],
     ) -> list[Node] | None:
+        """Cheapest way from a tree to one of the goals; `blocked` (2, W, H): for tracks, for vias."""
         cost: dict[Node, float] = dict.fromkeys(tree, 0.0)
         came: dict[Node, Node] = {}
         heap = [(0.0, node) for node in sorted(tree)]
@@ -329,11 +330,11 @@ class _Router:
             around: list[tuple[Node, float]] = [
                 ((side, i + 1, j), step), ((side, i - 1, j), step), ((side, i, j + 1), step), ((side, i, j - 1), step),
             ]  # fmt: skip
-            if not no_via[i, j]:
+            if not blocked[1, i, j]:
                 around.append(((1 - side, i, j), _VIA_COST))
             for following, price in around:
                 _, u, v = following
-                if not (0 <= u < width and 0 <= v < height) or blocked[u, v] or taken.get(following, net) != net:
+                if not (0 <= u < width and 0 <= v < height) or blocked[0, u, v] or taken.get(following, net) != net:
                     continue
                 total = spent + price
                 if total < cost.get(following, np.inf):
@@ -351,7 +352,7 @@ class _Router:
         tracks, vias = [], set()
         for net, path in paths:
             run = [path[0]]
-            for before, node in zip(path, path[1:], strict=False):
+            for before, node in itertools.pairwise(path):
                 if before[0] != node[0]:
                     tracks.append((net, before[0], self._corners(run)))
                     if before[1:] not in pad_nodes:
@@ -395,7 +396,7 @@ def _off_the_plane(board: Board) -> set[Pad]:
     for hole in board.holes_mm:
         keep_away(hole, hole, _HEAD_MM)
     for net, side, corners in board.tracks:
-        for first, last in zip(corners, corners[1:], strict=False):
+        for first, last in itertools.pairwise(corners):
             if side == 1 and net != "GND":
                 keep_away(first, last, TRACK_MM / 2 + PLANE_CLEARANCE_MM)
     for net, via in board.vias:
@@ -407,7 +408,9 @@ def _off_the_plane(board: Board) -> set[Pad]:
     regions = ndimage.label(plane)[0]
     largest = int(np.bincount(regions.ravel())[1:].argmax()) + 1
     bridged = {
-        pad for pad, (u, v) in spokes(board) if regions[min(round(v * scale), height - 1), min(round(u * scale), width - 1)] == largest
+        pad
+        for pad, (u, v) in spokes(board)
+        if regions[min(round(v * scale), height - 1), min(round(u * scale), width - 1)] == largest
     }
     return {pad for pad in board.pads if pad.net == "GND"} - bridged
 
@@ -419,7 +422,7 @@ def spokes(board: Board) -> Iterator[tuple[Pad, tuple[float, float]]]:
     others += [(at, at, VIA_MM / 2) for net, at in board.vias if net != "GND"]
     for net, side, corners in board.tracks:
         if net != "GND" and side == 1:
-            others += [(a, b, TRACK_MM / 2) for a, b in zip(corners, corners[1:], strict=False)]
+            others += [(a, b, TRACK_MM / 2) for a, b in itertools.pairwise(corners)]
     first, last = (np.array([shape[k] for shape in others]).reshape(-1, 2) for k in (0, 1))
     half = np.array([shape[2] for shape in others])
     low, high = np.minimum(first, last), np.maximum(first, last)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import html
 import io
+import itertools
 import math
 import uuid
 import zipfile
@@ -16,7 +17,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from splitknit.model import Rig
-from splitknit.rig.board import EDGE_MM, HOLE_MM, PLANE_CLEARANCE_MM, SPOKE_MM, TRACK_MM, VIA_DRILL_MM, VIA_MM, Board, spokes
+from splitknit.rig.board import (
+    EDGE_MM,
+    HOLE_MM,
+    PLANE_CLEARANCE_MM,
+    SPOKE_MM,
+    TRACK_MM,
+    VIA_DRILL_MM,
+    VIA_MM,
+    Board,
+    spokes,
+)
 
 if TYPE_CHECKING:
     from splitknit.rig.circuit_files import Circuit
@@ -214,7 +225,7 @@ def kicad_board(board: Board, version: str) -> str:
         middle = f"(at {_mm((left + right) / 2)} {_mm((top + bottom) / 2)})"
         font = "(effects (font (size 1 1) (thickness 0.15)))"
         lines += [
-            f"  (footprint {_quoted('splitknit:' + part.footprint.partition(':')[2])} (layer \"F.Cu\") "
+            f'  (footprint {_quoted("splitknit:" + part.footprint.partition(":")[2])} (layer "F.Cu") '
             f"(tstamp {_stamp(part.ref)}) (at {_mm(x)} {_mm(y)})",
             f'    (fp_text reference {_quoted(part.ref)} {middle} (layer "F.SilkS") {font})',
             f'    (fp_text value {_quoted(part.value)} {middle} (layer "F.Fab") {font})',
@@ -235,7 +246,7 @@ def kicad_board(board: Board, version: str) -> str:
             f'np_thru_hole circle (at 0 0) (size {HOLE_MM} {HOLE_MM}) (drill {HOLE_MM}) (layers "*.Cu" "*.Mask"))\n  )'
         )
     for net, side, corners in board.tracks:
-        for first, last in zip(corners, corners[1:], strict=False):
+        for first, last in itertools.pairwise(corners):
             lines.append(
                 f"  (segment (start {_mm(first[0])} {_mm(first[1])}) (end {_mm(last[0])} {_mm(last[1])}) "
                 f'(width {TRACK_MM}) (layer "{"FB"[side]}.Cu") (net {nets[net]}))'
@@ -313,15 +324,16 @@ def wiring_svg(board: Board, circuit: Circuit, rig: Rig) -> str:
         f'{pin_1[1] - 10:g}" stroke="#888888" stroke-width="14" fill="none" opacity="0.75"/>',
         _words(20, top + height - 214, "ribbon cable, 40 ways,", fill=_QUIET),
         _words(20, top + height - 198, "pin 1 to pin 1", fill=_QUIET),
-        _words(left, top + height + 24, "The board from its front. Red: tracks on the front; blue: on the back, in the "
-               "ground plane.", fill=_QUIET),
-        _words(left, top + height + 42, "A: anode, the LED's longer leg. Black edge of Q: its flat side. Each LED on its own pair of wires: D1 to "
-               f"D{len(circuit.channels)}.", fill=_QUIET),
+        _words(left, top + height + 24, "The board from its front. Red: tracks on the front; blue: on "
+               "the back, in the ground plane.", fill=_QUIET),
+        _words(left, top + height + 42, "A: anode, the LED's longer leg. Black edge of Q: its flat side. "
+               f"Each LED on its own pair of wires: D1 to D{len(circuit.channels)}.", fill=_QUIET),
     ]  # fmt: skip
     reach = max((math.hypot(led.position_mm[0], led.position_mm[1]) for led in rig.leds if led.position_mm), default=1)
     radius = 150.0
     parts.append(
-        f'<circle cx="{ring[0]:g}" cy="{ring[1]:g}" r="{radius:g}" fill="none" stroke="#BBBBBB" stroke-dasharray="4 4"/>'
+        f'<circle cx="{ring[0]:g}" cy="{ring[1]:g}" r="{radius:g}" fill="none" stroke="#BBBBBB" '
+        'stroke-dasharray="4 4"/>'
     )
     for channel, led in zip(circuit.channels, rig.leds, strict=True):
         if led.position_mm is None:
@@ -346,7 +358,9 @@ def wiring_svg(board: Board, circuit: Circuit, rig: Rig) -> str:
 def _board_picture(board: Board) -> str:
     """The board in mm."""
     width, height = board.size_mm
-    parts = [f'<rect width="{width:g}" height="{height:g}" rx="0.5" fill="{_GREEN}" stroke="{_INK}" stroke-width="0.2"/>']
+    parts = [
+        f'<rect width="{width:g}" height="{height:g}" rx="0.5" fill="{_GREEN}" stroke="{_INK}" stroke-width="0.2"/>'
+    ]
     for side, colour in ((1, _BACK), (0, _FRONT)):
         for _, at, corners in board.tracks:
             if at == side:
@@ -359,30 +373,36 @@ def _board_picture(board: Board) -> str:
         parts.append(f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="#B8963E"/>')
         parts.append(f'<circle cx="{x:g}" cy="{y:g}" r="{pad.drill_mm / 2:g}" fill="white"/>')
     for x, y in board.holes_mm:
-        parts.append(f'<circle cx="{x:g}" cy="{y:g}" r="{HOLE_MM / 2:g}" fill="white" stroke="{_INK}" stroke-width="0.15"/>')
+        parts.append(
+            f'<circle cx="{x:g}" cy="{y:g}" r="{HOLE_MM / 2:g}" fill="white" stroke="{_INK}" stroke-width="0.15"/>'
+        )
     for placed in board.parts:
-        (x, y), (l, t, r, b) = placed.at_mm, placed.outline_mm
+        (x, y), (left, top, right, bottom) = placed.at_mm, placed.outline_mm
         led = placed.part.symbol == "LED"
         colour = _COLOURS["nir" if placed.part.value.startswith("nir") else "white"] if led else "none"
         parts.append(
-            f'<rect x="{x + l:g}" y="{y + t:g}" width="{r - l:g}" height="{b - t:g}" fill="{colour}" '
-            f'fill-opacity="0.5" stroke="{_INK}" stroke-width="0.15"/>'
+            f'<rect x="{x + left:g}" y="{y + top:g}" width="{right - left:g}" height="{bottom - top:g}" '
+            f'fill="{colour}" fill-opacity="0.5" stroke="{_INK}" stroke-width="0.15"/>'
         )
         if placed.part.ref.startswith("Q"):
-            parts.append(f'<rect x="{x + l:g}" y="{y + b - 0.5:g}" width="{r - l:g}" height="0.5" fill="{_INK}"/>')
+            parts.append(
+                f'<rect x="{x + left:g}" y="{y + bottom - 0.5:g}" width="{right - left:g}" height="0.5" fill="{_INK}"/>'
+            )
         if placed.part.ref == "J1":
             parts.append(_words(x, y + 2.6, "pin 1", "middle", size=1.5))
         if placed.part.ref == "C1":
             parts.append(_words(x, y - 1.3, "+", "middle", size=2.2))
         if placed.part.ref == "D90":
-            parts.append(f'<rect x="{x + l + 0.5:g}" y="{y + t:g}" width="0.6" height="{b - t:g}" fill="{_INK}"/>')
+            parts.append(
+                f'<rect x="{x + left + 0.5:g}" y="{y + top:g}" width="0.6" height="{bottom - top:g}" fill="{_INK}"/>'
+            )
         label = placed.part.ref if placed.part.ref[0] != "R" else f"{placed.part.ref} {placed.part.value.split()[0]}"
-        middle_y = y + (t + b) / 2 + 0.5
+        middle_y = y + (top + bottom) / 2 + 0.5
         if led:  # above or below, free of the pins
             outside = -1.9 if y < height / 2 else 2.9
             middle_y = y + outside
             parts.append(_words(placed.pads[1].at_mm[0] + 1.0, middle_y, "A", "middle", size=1.3))
-        parts.append(_words(x + (l + r) / 2 - (0.6 if led else 0.0), middle_y, label, "middle", size=1.5))
+        parts.append(_words(x + (left + right) / 2 - (0.6 if led else 0.0), middle_y, label, "middle", size=1.5))
     return "".join(parts)
 
 

@@ -22,7 +22,7 @@ from splitknit.model import Rig
 from splitknit.rig.board import lay_out
 from splitknit.rig.board_files import gerber_zip, kicad_board, wiring_svg
 from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
-from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led, resistor
+from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led_order, resistor
 from splitknit.rig.safety import check_hazards, rig_hazards
 
 HEADER_OF_GPIO: Mapping[int, int] = {
@@ -178,9 +178,7 @@ def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], d
     return components, nets
 
 
-def _add_stage(
-    channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[_Node]]
-) -> None:
+def _add_stage(channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[_Node]]) -> None:
     """Add one stage's parts, their references numbered by the channel: R101 ... R104, Q1, D1."""
     n, stage = channel.number, channel.stage
     refs = {role: f"R{100 * (k + 1) + n}" for k, role in enumerate(("base", "emitter", "series", "pull_down"))}
@@ -192,7 +190,13 @@ def _add_stage(
         Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline_Wide")
     )
     components.append(
-        Component(f"D{n}", f"{channel.name} ({stage.led.name})", "Device", "LED", "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical")
+        Component(
+            f"D{n}",
+            f"{channel.name} ({stage.led.name})",
+            "Device",
+            "LED",
+            "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical",
+        )
     )
     line, base = f"GPIO{channel.gpio}", f"BASE{n}"
     require(channel.gpio in HEADER_OF_GPIO, f"GPIO {channel.gpio} is not on the Raspberry Pi's header.")
@@ -289,7 +293,7 @@ def _bill_of_materials(circuit: Circuit) -> list[_Line]:
         if part.symbol == "LED":
             stage = stages[int(part.ref[1:])]
             kind = (f"{stage.led.name} LED", part.footprint)
-            orders[kind] = led(stage.band, stage.led.current_a)
+            orders[kind] = led_order(stage.band, stage.led.current_a)
         elif part.value in resistors:
             chosen = resistors[part.value]
             orders[kind] = resistor(chosen.ohm, chosen.rating_w, _ohm_text(chosen.ohm))
@@ -337,8 +341,8 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     Raises
     ------
     BadInput
-        If the folder holds something else, no board can be made with these settings, or its light would be above a limit
-        of :mod:`splitknit.rig.safety`.
+        If the folder holds something else, no board can be made with these settings, or its light would be above a
+        limit of :mod:`splitknit.rig.safety`.
     """
     check_target(out, "circuit.net", "an earlier board")
     circuit = design_circuit(rig, settings)

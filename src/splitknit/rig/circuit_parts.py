@@ -76,7 +76,7 @@ _NIR = Order(
 )
 
 
-def led(band: str, current_a: float) -> Order:
+def led_order(band: str, current_a: float) -> Order:
     """Return what to order for an LED that carries a current."""
     if band == "nir":
         return _NIR
@@ -94,7 +94,8 @@ FIXED: Mapping[str, Order] = {
     "BC337-40": Order(
         "onsemi BC33740TA",
         ("Diotec BC337-40", "Taiwan Semiconductor BC337-40 A1"),
-        "NPN, gain 250 to 630 at 100 mA (suffix -40), 0.8 A, 45 V; legs C, B, E seen from the flat side, bent to 2.54 mm",
+        "NPN, gain 250 to 630 at 100 mA (suffix -40), 0.8 A, 45 V; legs C, B, E seen from the flat side, bent to "
+        "2.54 mm",
     ),
     "J1": Order(
         "Wuerth 61204021621",
@@ -106,7 +107,9 @@ FIXED: Mapping[str, Order] = {
         ("Wuerth 694106301002", "Switchcraft RAPC722X"),
         "barrel jack 5.5 mm for the adapter's pin of 2.1 mm, centre positive",
     ),
-    "D90": Order("onsemi 1N5819RLG", ("STMicroelectronics 1N5819", "Vishay 1N5819-E3/54"), "Schottky, 1 A, 40 V, DO-41"),
+    "D90": Order(
+        "onsemi 1N5819RLG", ("STMicroelectronics 1N5819", "Vishay 1N5819-E3/54"), "Schottky, 1 A, 40 V, DO-41"
+    ),
     "C1": Order(
         "Panasonic EEU-FR1E471",
         ("Rubycon 25ZLH470MEFC10X12.5", "Nichicon UHE1E471MPD"),
@@ -129,7 +132,9 @@ OFF_BOARD: tuple[tuple[Callable[[int], int], str, Order], ...] = (
     (
         lambda leds: leds,
         "socket 1 x 2 on the LED's wires",
-        Order("Harwin M20-1060200 with M20-1160042", ("Molex 22-01-3027 with 08-50-0114", "Wuerth 61900211621"), "2.54 mm"),
+        Order(
+            "Harwin M20-1060200 with M20-1160042", ("Molex 22-01-3027 with 08-50-0114", "Wuerth 61900211621"), "2.54 mm"
+        ),
     ),
     (
         lambda _: 1,

@@ -11,10 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import FloatArray, Rig
+from splitknit.model import Rig
 from splitknit.rig.circuit import LedPart, Stage
+
+_Array = NDArray[np.float64]
 
 EXEMPT_S = 30_000.0
 """Exposure time that no limit of the exempt group goes beyond (IEC 62471, 6.1.1)."""
@@ -38,7 +41,7 @@ _TABLE_B = np.array([
 ])  # fmt: skip
 
 
-def blue_weight(nm: FloatArray) -> FloatArray:
+def blue_weight(nm: _Array) -> _Array:
     """Return the blue-light hazard function B at wavelengths in nm (same shape; IEC 62471:2006, table 4.2).
 
     >>> blue_weight(np.array([440.0, 470.0, 550.0, 650.0, 850.0])).tolist()
@@ -50,7 +53,7 @@ def blue_weight(nm: FloatArray) -> FloatArray:
     return np.where(nm < 300, 0.0, np.where(nm <= 500, short, np.where(nm <= 600, middle, long)))
 
 
-def burn_weight(nm: FloatArray) -> FloatArray:
+def burn_weight(nm: _Array) -> _Array:
     """Return the burn hazard function R at wavelengths in nm (same shape; IEC 62471:2006, table 4.2).
 
     >>> burn_weight(np.array([440.0, 550.0, 850.0])).round(3).tolist()
@@ -63,12 +66,12 @@ def burn_weight(nm: FloatArray) -> FloatArray:
     return np.select(bounds, [np.zeros_like(nm), short, np.ones_like(nm), near, np.full_like(nm, 0.2), far, 0.02], 0.0)
 
 
-def _bell(middle_nm: float, sigma_nm: float) -> FloatArray:
-    bell: FloatArray = np.exp(-0.5 * ((_NM - middle_nm) / sigma_nm) ** 2)
-    return bell / bell.sum()
+def _bell(middle_nm: float, sigma_nm: float) -> _Array:
+    bell = np.exp(-0.5 * ((_NM - middle_nm) / sigma_nm) ** 2)
+    return np.asarray(bell / bell.sum())
 
 
-_SPECTRA: Mapping[str, FloatArray] = {
+_SPECTRA: Mapping[str, _Array] = {
     # blue chip and phosphor: 7900 K, 1.03 mW of blue-light hazard a lumen, the upper end of cool white
     "white": 0.3 * _bell(450.0, 10.0) + 0.7 * _bell(560.0, 52.0),
     "nir": _bell(850.0, 17.0),
@@ -76,11 +79,11 @@ _SPECTRA: Mapping[str, FloatArray] = {
 """Fraction of an LED's light in each nm from 300 to 3000."""
 
 
-def _luminous(nm: FloatArray) -> FloatArray:
+def _luminous(nm: _Array) -> _Array:
     """V of CIE 1924, as two lobes (C. Wyman, P.-P. Sloan, P. Shirley, JCGT 2 (2), 2013, equation 4)."""
 
-    def lobe(middle: float, below: float, above: float) -> FloatArray:
-        bell: FloatArray = np.exp(-0.5 * ((nm - middle) * np.where(nm < middle, below, above)) ** 2)
+    def lobe(middle: float, below: float, above: float) -> _Array:
+        bell: _Array = np.exp(-0.5 * ((nm - middle) * np.where(nm < middle, below, above)) ** 2)
         return bell
 
     return 0.821 * lobe(568.8, 0.0213, 0.0247) + 0.286 * lobe(530.9, 0.0613, 0.0322)
@@ -156,7 +159,8 @@ def hazards(
     current_a : through it; its intensity is taken in proportion
     distance_mm : from the eye
     together : LEDs so near each other that they are seen within 0.1 rad
-    duty : fraction of the time that it is on
+    duty : fraction of the time that it is on; heat of the retina is taken as though it were always on, for a single
+        flash may be long enough
     exposure_s : how long somebody looks, at least 10 s; 30,000 s gives the limits of the exempt group
 
     Examples
@@ -170,13 +174,13 @@ def hazards(
     IEC 62471:2006, 4.2.2, 4.3.3 to 4.3.6, table 6.1.
     """
     require(exposure_s >= 10 and distance_mm > 0, "an exposure needs 10 s or more and a distance.")
-    irradiance = _irradiance(band, part, current_a, distance_mm) * duty
+    irradiance = _irradiance(band, part, current_a, distance_mm)
     alpha = min(part.source_mm / distance_mm, _ALPHA_MAX)
     thermal_alpha = max(alpha, _SMALL)
     burn = irradiance * float(_SPECTRA[band] @ burn_weight(_NM)) / _solid_angle(thermal_alpha)
     if band == "nir":
         return (Hazard(band, "retina, heat, nothing seen", "4.3.6", burn, 6000.0 / thermal_alpha, "W/m2/sr"),)
-    blue_irradiance = irradiance * float(_SPECTRA[band] @ blue_weight(_NM))
+    blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ blue_weight(_NM))
     if alpha < _SMALL:
         limit = 100.0 / exposure_s if exposure_s < 100 else 1.0
         blue = Hazard(band, "retina, blue light, small source", "4.3.4", blue_irradiance * together, limit, "W/m2")
