@@ -66,12 +66,15 @@ class SimulatedStream:
             self.given += 1
         ended = began + round(exposure_s * 1e9)
         world.now_ns = max(world.now_ns, ended)
-        lit = world.lit_throughout(began, ended)
-        level = 255 if -1 in lit else 2 + sum(1 + line for line in lit) * 3
-        pixels = np.full((64, 96, 3), level, dtype=np.uint8)
+        pixels = self.pixels_of(began, ended, exposure_s, gain)
         if self.kind == "blind":
             return Grab(pixels, self.now_s())
         return Grab(pixels, self.now_s(), began * 1e-9, exposure_s, gain)
+
+    def pixels_of(self, began: int, ended: int, exposure_s: float, gain: float) -> np.ndarray:
+        lit = self.world.lit_throughout(began, ended)
+        level = 255 if -1 in lit else 2 + sum(1 + line for line in lit) * 3
+        return np.full((64, 96, 3), level, dtype=np.uint8)
 
     def now_s(self) -> float:
         return self.world.now_ns * 1e-9
