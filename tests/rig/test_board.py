@@ -19,8 +19,8 @@ from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.rig.board import Board, _Router, lay_out
 from splitknit.rig.board_files import gerber_zip, gerbers, kicad_board, wiring_svg
-from splitknit.rig.circuit import CircuitSettings
-from splitknit.rig.circuit_files import Circuit, design_circuit
+from splitknit.rig.circuit import Circuit, CircuitSettings
+from splitknit.rig.circuit_files import design_circuit
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # pygerber's, of its parser
 PX_PER_MM = 20

@@ -20,6 +20,7 @@ from splitknit.rig.circuit import (
     RASPBERRY_PI,
     RATINGS_W,
     WHITE_LED,
+    Circuit,
     CircuitSettings,
     Stage,
     _preferred,
@@ -29,7 +30,6 @@ from splitknit.rig.circuit import (
 from splitknit.rig.circuit_files import (
     GROUND_PINS,
     HEADER_OF_GPIO,
-    Circuit,
     _bill_of_materials,
     _fuse_for,
     _kicad_netlist,

@@ -15,7 +15,6 @@ import heapq
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +22,8 @@ from scipy import ndimage
 
 from splitknit.errors import BadInput
 from splitknit.model import BoolArray
+from splitknit.rig.circuit import Circuit, Component
 from splitknit.rig.part_settings import BoardSettings
-
-if TYPE_CHECKING:
-    from splitknit.rig.circuit_files import Circuit, Component
 
 GRID_MM = 1.27
 TRACK_MM, VIA_MM, VIA_DRILL_MM = 0.5, 0.8, 0.4

@@ -14,7 +14,6 @@ import math
 import uuid
 import zipfile
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from splitknit.model import Rig
 from splitknit.rig.board import (
@@ -28,9 +27,7 @@ from splitknit.rig.board import (
     Board,
     spokes,
 )
-
-if TYPE_CHECKING:
-    from splitknit.rig.circuit_files import Circuit
+from splitknit.rig.circuit import Circuit
 
 Point = tuple[float, float]
 _SCREW_CLEAR_MM = 6.6

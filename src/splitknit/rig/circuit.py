@@ -8,6 +8,7 @@ series with the LED sets the current, so that supply and forward voltage show in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Annotated, Literal
@@ -210,6 +211,50 @@ class Stage:
     def ohm(self, role: str) -> float:
         """Value of a resistor; 0 where the stage has none in that place."""
         return next((r.ohm for r in self.resistors if r.role == role), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """One part on the board."""
+
+    ref: str
+    value: str
+    library: str
+    symbol: str
+    footprint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One pin on a net."""
+
+    ref: str
+    pin: str
+    function: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One LED's stage on the board."""
+
+    name: str
+    """Of the LED, such as ``white 3``."""
+    gpio: int
+    stage: Stage
+    number: int
+    """From 1, in the order of the rig file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Circuit:
+    """The whole board."""
+
+    settings: CircuitSettings
+    channels: tuple[Channel, ...]
+    components: tuple[Component, ...]
+    nets: Mapping[str, tuple[Node, ...]]
+    fuse_a: float
+    """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
 
 
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:

@@ -21,7 +21,7 @@ from splitknit.io.targets import check_target
 from splitknit.model import Rig
 from splitknit.rig.board import lay_out
 from splitknit.rig.board_files import gerber_zip, kicad_board, wiring_svg
-from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
+from splitknit.rig.circuit import Channel, Circuit, CircuitSettings, Component, Node, Stage, design_stage
 from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led_order, resistor
 from splitknit.rig.safety import check_hazards, rig_hazards
 
@@ -42,50 +42,6 @@ _RESISTOR_FOOTPRINTS = {
     2.0: "Resistor_THT:R_Axial_DIN0414_L11.9mm_D4.5mm_P15.24mm_Horizontal",
     3.0: "Resistor_THT:R_Axial_DIN0617_L17.0mm_D6.0mm_P20.32mm_Horizontal",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Component:
-    """One part on the board."""
-
-    ref: str
-    value: str
-    library: str
-    symbol: str
-    footprint: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Node:
-    """One pin on a net."""
-
-    ref: str
-    pin: str
-    function: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One LED's stage on the board."""
-
-    name: str
-    """Of the LED, such as ``white 3``."""
-    gpio: int
-    stage: Stage
-    number: int
-    """From 1, in the order of the rig file."""
-
-
-@dataclass(frozen=True, slots=True)
-class Circuit:
-    """The whole board."""
-
-    settings: CircuitSettings
-    channels: tuple[Channel, ...]
-    components: tuple[Component, ...]
-    nets: Mapping[str, tuple[_Node, ...]]
-    fuse_a: float
-    """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
 
 
 def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit:
@@ -135,7 +91,7 @@ def _fuse_for(led_a: float) -> float:
     return min(fitting)
 
 
-def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], dict[str, list[_Node]]]:
+def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], dict[str, list[Node]]]:
     """The Pi's header, the LEDs' supply with its fuse, and what stores charge."""
     components = [
         Component(
@@ -165,20 +121,20 @@ def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], d
     ]
     nets = {
         "GND": [
-            *(_Node("J1", str(pin), "GND") for pin in GROUND_PINS),
-            _Node("J2", "2", "sleeve"),
-            _Node("C1", "2", "-"),
-            _Node("C2", "2"),
-            _Node("D90", "2", "A"),
+            *(Node("J1", str(pin), "GND") for pin in GROUND_PINS),
+            Node("J2", "2", "sleeve"),
+            Node("C1", "2", "-"),
+            Node("C2", "2"),
+            Node("D90", "2", "A"),
         ],
-        "SUPPLY_IN": [_Node("J2", "1", "tip"), _Node("F1", "1")],
+        "SUPPLY_IN": [Node("J2", "1", "tip"), Node("F1", "1")],
         # a supply the wrong way round is shorted by the diode and trips the fuse
-        "V_LED": [_Node("F1", "2"), _Node("D90", "1", "K"), _Node("C1", "1", "+"), _Node("C2", "1")],
+        "V_LED": [Node("F1", "2"), Node("D90", "1", "K"), Node("C1", "1", "+"), Node("C2", "1")],
     }
     return components, nets
 
 
-def _add_stage(channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[_Node]]) -> None:
+def _add_stage(channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[Node]]) -> None:
     """Add one stage's parts, their references numbered by the channel: R101 ... R104, Q1, D1."""
     n, stage = channel.number, channel.stage
     refs = {role: f"R{100 * (k + 1) + n}" for k, role in enumerate(("base", "emitter", "series", "pull_down"))}
@@ -201,23 +157,23 @@ def _add_stage(channel: Channel, s: CircuitSettings, components: list[Component]
     line, base = f"GPIO{channel.gpio}", f"BASE{n}"
     require(channel.gpio in HEADER_OF_GPIO, f"GPIO {channel.gpio} is not on the Raspberry Pi's header.")
     nets[line] = [
-        _Node("J1", str(HEADER_OF_GPIO[channel.gpio]), line),
-        _Node(refs["base"], "1"),
-        _Node(refs["pull_down"], "1"),
+        Node("J1", str(HEADER_OF_GPIO[channel.gpio]), line),
+        Node(refs["base"], "1"),
+        Node(refs["pull_down"], "1"),
     ]
-    nets["GND"].append(_Node(refs["pull_down"], "2"))
-    nets[base] = [_Node(refs["base"], "2"), _Node(f"Q{n}", "2", "B")]
+    nets["GND"].append(Node(refs["pull_down"], "2"))
+    nets[base] = [Node(refs["base"], "2"), Node(f"Q{n}", "2", "B")]
     if stage.ohm("emitter"):
-        nets[f"EMITTER{n}"] = [_Node(f"Q{n}", "3", "E"), _Node(refs["emitter"], "1")]
-        nets["GND"].append(_Node(refs["emitter"], "2"))
+        nets[f"EMITTER{n}"] = [Node(f"Q{n}", "3", "E"), Node(refs["emitter"], "1")]
+        nets["GND"].append(Node(refs["emitter"], "2"))
     else:
-        nets["GND"].append(_Node(f"Q{n}", "3", "E"))
-    nets[f"COLLECTOR{n}"] = [_Node(f"Q{n}", "1", "C"), _Node(f"D{n}", "1", "K")]
+        nets["GND"].append(Node(f"Q{n}", "3", "E"))
+    nets[f"COLLECTOR{n}"] = [Node(f"Q{n}", "1", "C"), Node(f"D{n}", "1", "K")]
     if stage.ohm("series"):
-        nets[f"ANODE{n}"] = [_Node(f"D{n}", "2", "A"), _Node(refs["series"], "1")]
-        nets["V_LED"].append(_Node(refs["series"], "2"))
+        nets[f"ANODE{n}"] = [Node(f"D{n}", "2", "A"), Node(refs["series"], "1")]
+        nets["V_LED"].append(Node(refs["series"], "2"))
     else:
-        nets["V_LED"].append(_Node(f"D{n}", "2", "A"))
+        nets["V_LED"].append(Node(f"D{n}", "2", "A"))
 
 
 def _ohm_text(ohm: float) -> str:
@@ -262,7 +218,7 @@ def _kicad_netlist(circuit: Circuit, version: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _node(node: _Node) -> str:
+def _node(node: Node) -> str:
     function = f" (pinfunction {_quoted(node.function)})" if node.function else ""
     return f'(node (ref {_quoted(node.ref)}) (pin {_quoted(node.pin)}){function} (pintype "passive"))'
 
