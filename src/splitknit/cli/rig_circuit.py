@@ -1,4 +1,4 @@
-"""``splitknit rig circuit``: the LED board as netlist, drawing and list of parts, and the rig file's pin map."""
+"""``splitknit rig circuit``: the LED board, its parts, its light on eye and skin, and the rig file's pin map."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, add_settings, new_verb
 
 def add_circuit(kinds: Any) -> None:
     """Add ``splitknit rig circuit``."""
-    verb = new_verb(kinds, "circuit", "the LED board: KiCad netlist, schematic, parts, pin map", _run)
+    verb = new_verb(kinds, "circuit", "the LED board: layout, Gerbers, schematic, parts, pin map, light on eye and skin", _run)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
     verb.add_argument(
@@ -46,7 +46,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         lines.append(f"  {band:5s} {middle:.0f} mA ({low:.0f} to {high:.0f} over all tolerances): {values}")
     lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
     width, height = facts["board"]["size_mm"]
-    lines.append(f"  laid out on {width:g} x {height:g} mm, two sides, {facts['board']['vias']} vias; not yet made")
+    lines.append(f"  laid out on {width:g} x {height:g} mm with two layers; not yet made")
     lines.append(
         "Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):"
     )

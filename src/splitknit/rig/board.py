@@ -6,7 +6,8 @@ are mm from its upper left corner, x right, y down, seen from the front, as KiCa
 References
 ----------
 C. Y. Lee, "An algorithm for path connections and its applications", IRE Transactions on Electronic Computers EC-10
-(1961), with the costs of E. W. Dijkstra's search.
+(1961), with costs; P. E. Hart, N. J. Nilsson, B. Raphael, "A formal basis for the heuristic determination of minimum
+cost paths", IEEE Transactions on Systems Science and Cybernetics 4 (1968).
 """
 
 from __future__ import annotations
@@ -311,10 +312,19 @@ class _Router:
         """Cheapest way from a tree to one of the goals; `blocked` (2, W, H): for tracks, for vias."""
         cost: dict[Node, float] = dict.fromkeys(tree, 0.0)
         came: dict[Node, Node] = {}
-        heap = [(0.0, node) for node in sorted(tree)]
         width, height = self.shape
+        columns, rows = ([node[k] for node in goals] for k in (1, 2))
+        left, right, top, bottom = min(columns), max(columns), min(rows), max(rows)
+
+        def ahead(node: Node) -> float:
+            """No way to a goal is shorter: steps to the box around them."""
+            _, i, j = node
+            return float(max(left - i, i - right, 0) + max(top - j, j - bottom, 0))
+
+        heap = [(ahead(node), 0.0, node) for node in sorted(tree)]
+        heapq.heapify(heap)
         while heap:
-            spent, node = heapq.heappop(heap)
+            _, spent, node = heapq.heappop(heap)
             if spent > cost[node]:
                 continue
             if node in goals:
@@ -336,7 +346,7 @@ class _Router:
                 total = spent + price
                 if total < cost.get(following, np.inf):
                     cost[following], came[following] = total, node
-                    heapq.heappush(heap, (total, following))
+                    heapq.heappush(heap, (total + ahead(following), total, following))
         return None
 
     def _drawn(
