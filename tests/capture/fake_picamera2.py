@@ -66,9 +66,13 @@ class FakeRequest:
         world, shot = self.camera.world, self.shot
         lit = world.lit_throughout(shot.at_ns - 1000 * shot.exposure_us, shot.at_ns + READOUT_NS)
         if name == "raw":
-            values = np.full((2464, 3280), 64 + 16 * len(lit), dtype=np.uint16)
+            columns, rows = self.camera.configuration["raw"]["size"]
+            dark = {"imx477": 256, "imx296": 60}.get(self.camera.model, 64)
+            values = np.full((rows, columns), dark + 16 * len(lit), dtype=np.uint16)
             values[0::2, 0::2] += 5  # blue
             values[1::2, 1::2] += 9  # red
+            if self.camera.pi5:  # 16 bits whatever was asked for
+                values <<= 4 if self.camera.model == "imx477" else 6
             return values.view(np.uint8)
         columns, rows = self.camera.configuration["main"]["size"]
         image = np.zeros((rows, columns, 3), dtype=np.uint8)
@@ -89,15 +93,23 @@ class FakePicamera2:
     stuck = False
     broken = False
     opened: list[FakePicamera2] = []  # noqa: RUF012 - tests look into it
+    model = "imx219"
+    pi5 = False
 
     @classmethod
     def global_camera_info(cls) -> list[dict[str, Any]]:
-        return [{"Model": "imx219", "Num": n} for n in range(cls.cameras)]
+        return [{"Model": cls.model, "Num": n} for n in range(cls.cameras)]
 
-    @staticmethod
-    def load_tuning_file(name: str) -> dict[str, Any]:
-        assert name == "imx219_noir.json"
+    @classmethod
+    def load_tuning_file(cls, name: str) -> dict[str, Any]:
+        assert name.startswith(cls.model) and name.endswith(".json")
         return tuning()
+
+    def camera_configuration(self) -> dict[str, Any]:
+        raw = dict(self.configuration["raw"])
+        if self.pi5:
+            raw["format"] = raw["format"].rstrip("0123456789") + "16"
+        return self.configuration | {"raw": raw}
 
     def __init__(self, tuning: dict[str, Any] | None = None) -> None:
         if self.broken:

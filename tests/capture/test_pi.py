@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from contextlib import ExitStack
+from pathlib import Path
 from types import SimpleNamespace
 
 import gpiozero
@@ -18,12 +19,13 @@ from splitknit.capture.pi import (
     _WHITE_GAINS,
     PiCamera,
     PiCameraSettings,
-    _developed,
     _linear_tuning,
     _open_camera,
     _open_lights,
     open_pi,
 )
+from splitknit.capture.sensors import SENSORS
+from splitknit.capture.streams import developed
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 
@@ -115,15 +117,15 @@ def test_raw_pictures_are_developed_in_the_right_colours():
     raw[0::2, 1::2] += 200  # green
     raw[1::2, 0::2] += 200
     raw[1::2, 1::2] += 300  # red
-    colours = _developed(raw, (1.5, 2.0))[4:-4, 4:-4]
+    colours = developed(raw, 10, 64 * 64, "BGGR", (1.5, 2.0))[4:-4, 4:-4]
     assert colours.dtype == np.uint16
     black = 64 * 64
     np.testing.assert_allclose(colours[..., 0], black + 300 * 1.5 * 64, atol=1)
     np.testing.assert_allclose(colours[..., 1], black + 200 * 64, atol=1)
     np.testing.assert_allclose(colours[..., 2], black + 100 * 2.0 * 64, atol=1)
-    clipped = _developed(np.full((8, 8), 1023, dtype=np.uint16), (0.5, 1.0))
+    clipped = developed(np.full((8, 8), 1023, dtype=np.uint16), 10, 64 * 64, "BGGR", (0.5, 1.0))
     assert (clipped == 65535).all()
-    dark = _developed(np.full((8, 8), 60, dtype=np.uint16), (2.0, 2.0))
+    dark = developed(np.full((8, 8), 60, dtype=np.uint16), 10, 64 * 64, "BGGR", (2.0, 2.0))
     assert (dark < black).all()  # noise below black is kept
     assert (dark > 0).all()
 
@@ -137,6 +139,78 @@ def test_a_raw_frame_is_the_middle_of_the_sensor_with_its_black_level(world):
         middle = frame.pixels[8:-8, 8:-8].reshape(-1, 3).mean(axis=0) - frame.black_level
         assert middle[0] == pytest.approx(9 * 1.11 * 64, rel=0.05)
         assert middle[2] == pytest.approx(5 * 2.13 * 64, rel=0.05)
+
+
+@pytest.mark.parametrize("order", ["BGGR", "GBRG", "GRBG", "RGGB"])
+def test_colours_lie_as_the_pattern_names_them(order):
+    raw = np.zeros((32, 48), dtype=np.uint16)
+    for place, colour in enumerate(order):
+        raw[place // 2 :: 2, place % 2 :: 2] = {"R": 300, "G": 200, "B": 100}[colour]
+    colours = developed(raw, 12, 0, order)[4:-4, 4:-4]
+    np.testing.assert_array_equal(colours.reshape(-1, 3)[0], [300 * 16, 200 * 16, 100 * 16])
+    assert (colours == colours[0, 0]).all()
+
+
+@pytest.mark.parametrize("pi5", [False, True])
+@pytest.mark.parametrize("name", list(SENSORS))
+def test_every_camera_module_keeps_its_frames_apart(world, monkeypatch, name, pi5):
+    monkeypatch.setattr(FakePicamera2, "model", name)
+    monkeypatch.setattr(FakePicamera2, "pi5", pi5)
+    sensor = SENSORS[name]
+    for raw in (False, True):
+        with camera_in(world, PiCameraSettings(camera=name, image_size=(64, 96), raw=raw)) as camera:
+            camera.lock(0.02, 1.0)
+            asked = FakePicamera2.opened[-1].configuration
+            assert asked["raw"]["size"] == sensor.size[::-1]
+            dark = camera.capture()
+            assert dark.pixels.shape == (64, 96, 1 if sensor.mono else 3)
+            assert dark.pixels.dtype == (np.uint16 if raw else np.uint8)
+            world.switch(3, True)
+            lit = camera.capture()
+            world.switch(3, False)
+            assert lit.pixels[..., 0].mean() > dark.pixels[..., 0].mean() + 0.5
+            if raw:  # no light is where the sensor has it, on the scale of 16 bits, whichever Pi it is
+                assert dark.black_level == sensor.black * 2 ** (16 - sensor.bits)
+                assert dark.pixels.min() >= dark.black_level
+                assert dark.pixels.mean() - dark.black_level < 10 * 2.13 * 2 ** (16 - sensor.bits)
+        with pytest.raises(BadInput, match="gain is 1 to"):
+            camera.lock(0.02, sensor.max_gain + 1)
+
+
+def test_sizes_of_the_modules():
+    for name, sensor in SENSORS.items():
+        settings = PiCameraSettings(camera=name)
+        assert settings.image_size is None
+        PiCameraSettings(camera=name, image_size=sensor.image_size)  # even, a multiple of 32, on the sensor
+        with pytest.raises(BadInput, match=r"pi\.image_size must be even rows up to"):
+            PiCameraSettings(camera=name, image_size=(sensor.size[0] + 2, 32))
+    with pytest.raises(BadInput, match="in its own program"):
+        PiCameraSettings(camera="uvc", image_size=(64, 96))
+    with pytest.raises(BadInput, match=r"pi\.camera must be"):
+        PiCameraSettings(camera="imx500")
+
+
+def test_the_page_lists_the_modules():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "guide" / "capture.md").read_text(encoding="utf-8")
+    table = page.partition("<!-- cameras -->")[2].partition("<!-- /cameras -->")[0].strip().splitlines()[2:]
+    assert table == [
+        f"| `{name}` | {s.module} | {s.image_size[0]} x {s.image_size[1]} | {s.pixel_um:g} | {s.bits} | "
+        f"{'global' if s.global_shutter else 'rolling'} | {s.full_well_e:g} | {s.read_noise_e:g} | `{s.tuning}` |"
+        for name, s in SENSORS.items()
+    ]
+
+
+def test_another_module_than_asked_for_is_named(world):
+    with pytest.raises(BadInput, match=r"the camera is a imx219, not the imx708 .*set pi\.camera"):
+        camera_in(world, PiCameraSettings(camera="imx708"))
+
+
+def test_a_raw_format_that_cannot_be_read_is_refused(world, monkeypatch):
+    with camera_in(world, PiCameraSettings(image_size=(64, 96), raw=True)) as camera:
+        made = FakePicamera2.opened[-1]
+        monkeypatch.setattr(made, "camera_configuration", lambda: {"raw": {"format": "BGGR_PISP_COMP1"}})
+        with pytest.raises(BadInput, match="as BGGR_PISP_COMP1, which cannot be read"):
+            camera.capture()
 
 
 def test_a_pi_without_a_camera_says_so_and_its_leds_are_off(world, pins: MockFactory, monkeypatch):  # noqa: F811

@@ -16,8 +16,11 @@ from splitknit.model import Led, default_rig
 from splitknit.rig.circuit import (
     BC337,
     E24,
+    NIR_LED,
     RASPBERRY_PI,
     RATINGS_W,
+    WHITE_LED,
+    Circuit,
     CircuitSettings,
     Stage,
     _preferred,
@@ -27,8 +30,8 @@ from splitknit.rig.circuit import (
 from splitknit.rig.circuit_files import (
     GROUND_PINS,
     HEADER_OF_GPIO,
-    Circuit,
     _bill_of_materials,
+    _fuse_for,
     _kicad_netlist,
     _ohm_text,
     design_circuit,
@@ -134,9 +137,9 @@ def test_margins_are_kept() -> None:
 @pytest.mark.parametrize(
     ("band", "changes", "words"),
     [
-        ("white", {"supply_v": 5.0}, r"5 V are too little for the white LEDs.*circuit\.supply_v to 7\.9"),
-        ("white", {"supply_v": 5.0, "topology": "switch"}, "up to 155 mA through an LED of 120 mA"),
-        ("white", {"supply_v": 4.2, "topology": "switch"}, "too little for the white LEDs of 4 V"),
+        ("white", {"supply_v": 5.0}, r"5 V are too little for the white LEDs.*circuit\.supply_v to 7\.4"),
+        ("white", {"supply_v": 5.0, "topology": "switch"}, "up to 141 mA through an LED of 120 mA"),
+        ("white", {"supply_v": 3.6, "topology": "switch"}, "too little for the white LEDs of 3.4 V"),
         ("nir", {"supply_v": 14.0}, "heat its transistor"),
         ("nir", {"transistor": replace(BC337, gain=(20.0, 40.0)), "topology": "switch"}, "gain of at least 40"),
         ("nir", {"transistor": replace(BC337, limit_a=0.15)}, "transistor for at least"),
@@ -149,9 +152,9 @@ def test_missed_margins_are_named(band: str, changes: dict[str, object], words: 
 
 
 def test_the_supply_that_is_named_is_enough() -> None:
-    design_stage("white", CircuitSettings(supply_v=7.9))
+    design_stage("white", CircuitSettings(supply_v=7.4))
     with pytest.raises(BadInput, match="too little"):
-        design_stage("white", CircuitSettings(supply_v=7.8))
+        design_stage("white", CircuitSettings(supply_v=7.3))
 
 
 def test_settings_are_checked() -> None:
@@ -228,11 +231,50 @@ def test_the_netlist_is_balanced_and_the_same_every_time(board: Circuit) -> None
     assert text.startswith('(export (version "E")')
 
 
-def test_parts_add_up(board: Circuit) -> None:
+def test_parts_add_up_and_every_line_names_three_parts(board: Circuit) -> None:
     bill = _bill_of_materials(board)
-    assert sum(quantity for quantity, *_ in bill) == len(board.components)
-    assert (14, "BC337-40") in [(q, value) for q, value, *_ in bill]
-    assert [value for q, value, *_ in bill if q == 7 and value.endswith("LED")] == ["white, 0.5 W LED", "850 nm LED"]
+    on_board = [line for line in bill if line.references]
+    assert sum(line.quantity for line in on_board) == len(board.components)
+    assert sorted(ref for line in on_board for ref in line.references) == sorted(c.ref for c in board.components)
+    assert (14, "BC337-40") in [(line.quantity, line.value) for line in bill]
+    leds = [line.value for line in bill if line.quantity == 7 and line.value.endswith("LED")]
+    assert leds == ["white, 0.5 W LED", "850 nm LED"]
+    for line in bill:
+        assert len({line.order.part, *line.order.alternatives}) == 3, line.value
+        assert line.order.check and line.order.part
+    orders = {line.value: line.order for line in bill}
+    assert orders["27R 0.6 W"].part == "Vishay MRS25000C2709FCT00"
+    assert orders["360R 0.25 W"].alternatives == ("TE LR1F360R", "Yageo MF0207FTE52-360R")
+    assert orders["160 mA hold, resettable"].part == "Bel Fuse 0ZRE0016FF"
+    assert "3.1 to 3.7 V" in orders["white, 0.5 W LED"].check  # as the settings have it
+    assert pytest.approx((3.1, 3.7)) == (
+        WHITE_LED.forward_v - WHITE_LED.spread_v,
+        WHITE_LED.forward_v + WHITE_LED.spread_v,
+    )
+
+
+def test_weak_leds_and_other_transistors_get_their_own_lines() -> None:
+    weak = replace(WHITE_LED, current_a=0.02, limit_a=0.025)
+    settings = CircuitSettings(white=weak, transistor=replace(BC337, name="2N2222"))
+    bill = {line.value: line.order for line in _bill_of_materials(design_circuit(default_rig(), settings))}
+    assert bill["white, 0.5 W LED"].part == "Cree LC513FWH1-60Q-A0"
+    assert bill["2N2222"].part == "your own"
+
+
+@pytest.mark.parametrize(
+    ("current_a", "hold_a"), [(0.02, 0.05), (0.04, 0.08), (0.1, 0.16), (0.111, 0.16), (0.113, 0.25), (0.385, 0.55)]
+)
+def test_the_fuse_carries_one_led_in_a_warm_box(current_a: float, hold_a: float) -> None:
+    assert _fuse_for(current_a) == hold_a
+
+
+def test_the_fuse_follows_the_led_current() -> None:
+    weak = [replace(part, current_a=0.02, limit_a=0.025) for part in (WHITE_LED, NIR_LED)]
+    board = design_circuit(default_rig(), CircuitSettings(white=weak[0], nir=weak[1]))
+    assert board.fuse_a == 0.05
+    assert "50 mA hold, resettable" in _kicad_netlist(board, "1")
+    with pytest.raises(BadInput, match="no resettable fuse of the list carries 500 mA"):
+        _fuse_for(0.5)
 
 
 def test_other_rigs_get_other_boards() -> None:

@@ -88,9 +88,32 @@ def test_the_ruler_is_as_long_as_it_says(sheet):
     assert (dark[-1] - dark[0]) == len(dark) - 1
 
 
-def test_two_lines_of_words_and_a_sheet_of_a4(sheet):
+def test_the_ruler_has_numbers_at_its_strokes():
+    import re
+
+    found = re.findall(rb"2\.5 Tf ([\d.]+) ([\d.]+) Td \((\d+)(?: mm)?\) Tj", target_pdf())
+    assert [int(number) for *_, number in found] == list(range(0, 101, 10))
+    for x, y, number in found:  # under the stroke, above the boards
+        assert float(x) + 0.75 * len(number) == pytest.approx((210 - RULER_MM) / 2 + int(number), abs=0.01)
+        assert TargetSettings().ruler_y_mm - 7 < float(y) < TargetSettings().ruler_y_mm - 3
+
+
+def test_a_folder_or_a_file_is_written(tmp_path, capsys):
+    assert main(["rig", "target", "--out", str(tmp_path / "target")]) == 0
+    assert f"{tmp_path}/target/target.pdf: 16 checkerboards" in capsys.readouterr().out
+    assert (tmp_path / "target" / "target.pdf").read_bytes() == target_pdf()
+    assert main(["rig", "target", "--out", str(tmp_path / "target")]) == 0  # again, in its place
+    assert main(["rig", "target", "--out", str(tmp_path / "sheet.PDF")]) == 0
+    assert (tmp_path / "sheet.PDF").read_bytes() == target_pdf()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("x")
+    assert main(["rig", "target", "--out", str(tmp_path / "mine")]) == 2
+    assert "not empty and is not an earlier sheet of targets" in capsys.readouterr().err
+
+
+def test_lines_of_words_and_a_sheet_of_a4(sheet):
     texts = sheet[1]
-    assert len(texts) == 2
+    assert len(texts) == 13  # and the ruler's numbers
     assert "9 x 6 inner corners, squares 3 mm" in texts[0]
     assert "100 %" in texts[1]
     data = target_pdf()

@@ -1,4 +1,4 @@
-"""The Raspberry Pi: camera v2 (Sony IMX219, NoIR) by picamera2, LEDs by gpiozero; both are imported here alone.
+"""The Raspberry Pi: its camera modules by picamera2, LEDs by gpiozero; both are imported here alone.
 
 What makes a frame trustworthy is its metadata. A new exposure takes effect some frames after it was asked for, and
 frames that were exposed before an LED was switched may still wait in the pipeline. So frames are thrown away until one
@@ -13,16 +13,19 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.capture.pins import pins_of
-from splitknit.devices import Closing, ExposureRange, Frame, GuardedLights
+from splitknit.capture.sensors import SENSORS, Sensor
+from splitknit.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc
+from splitknit.devices import Camera, Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import BadInput, require
 from splitknit.model import Rig
+from splitknit.settings import Checked, Limits, check_fields
 
 SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
@@ -73,45 +76,59 @@ class PiLightBank(GuardedLights):
             line.close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
 
 
-SENSOR_SIZE = (2464, 3280)
-"""Rows, columns of the IMX219."""
-LINE_S = 18.904e-6
-"""Time in which the sensor reads one row at full resolution: exposures are whole numbers of it."""
-
-
 _WHITE_GAINS = (1.11, 2.13)
 """Gains of red and blue that make a white card white under the white LEDs (5000 K)."""
 _NIR_GAINS = (1.0, 1.0)
 """The same under NIR, where the colour filters are transparent."""
 _LONGEST_S = 0.2
 """Longest exposure time that the camera is asked for, 0.001 to 5 s."""
-_MAX_GAIN = 10.6
-"""Largest analogue gain of the IMX219."""
 _MAX_FRAMES = 30
 """Frames that are thrown away, at most, while waiting for a good one."""
 _PREVIEW_COLUMNS = 800
 """Width of a preview, about."""
-_TUNING_FILE = "imx219_noir.json"
-"""Libcamera's tuning of the sensor, by file name; what would bend light (tone curve, colours, shading) is left
-out of it."""
+UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
+"""Printed and stored with every capture until somebody has run it."""
 
 
 @dataclass(frozen=True, slots=True)
-class PiCameraSettings:
-    """How the camera module is driven."""
+class PiCameraSettings(Checked):
+    """The camera beside the Raspberry Pi's LEDs, and how it is driven."""
 
-    image_size: tuple[int, int] = (2200, 3200)
-    """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32."""
+    _group = "pi"
+
+    camera: Literal["imx219", "imx477", "imx708", "ov9281", "imx296", "uvc", "genicam"] = "imx219"
+    """A camera module by its sensor, ``uvc`` (any webcam or frame grabber that the system knows) or ``genicam`` (an
+    industrial camera by its maker's GenTL producer)."""
+    number: Annotated[int, Limits(0, 64)] = 0
+    """Which camera of `uvc` or `genicam`, where there are several."""
+    image_size: tuple[int, int] | None = None
+    """Rows, columns: the middle of the sensor, one to one. Even numbers; columns a multiple of 32. None: 2200 x 3200 of
+    the imx219, as good as all of the others; `uvc` and `genicam` give what they are set to."""
     raw: bool = False
-    """Raw 10-bit images, demosaiced here to 16 bits, instead of 8-bit ones from the Pi's image processor."""
+    """Raw images of a module's own bits, demosaiced here to 16 bits, instead of 8-bit ones from the Pi's image
+    processor."""
 
     def __post_init__(self) -> None:
-        rows, columns = self.image_size
+        check_fields(self)
+        if self.image_size is None:
+            return
         require(
-            0 < rows <= SENSOR_SIZE[0] and 0 < columns <= SENSOR_SIZE[1] and rows % 2 == 0 and columns % 32 == 0,
-            f"pi.image_size must be even rows up to {SENSOR_SIZE[0]} and columns up to {SENSOR_SIZE[1]} that are a "
+            self.camera in SENSORS,
+            f"pi.image_size is of the Raspberry Pi's camera modules; set the size of a {self.camera} camera in its own "
+            "program.",
+        )
+        rows, columns = self.image_size
+        most = self.sensor.size
+        require(
+            0 < rows <= most[0] and 0 < columns <= most[1] and rows % 2 == 0 and columns % 32 == 0,
+            f"pi.image_size must be even rows up to {most[0]} and columns up to {most[1]} that are a "
             f"multiple of 32, but it is {list(self.image_size)}.",
         )
+
+    @property
+    def sensor(self) -> Sensor:
+        """Profile of a camera module."""
+        return SENSORS[self.camera]
 
 
 class PiCamera(Closing):
@@ -138,6 +155,8 @@ class PiCamera(Closing):
             If there is no camera, or it is in use.
         """
         self._settings = settings or PiCameraSettings()
+        self._sensor = self._settings.sensor
+        self._size = self._settings.image_size or self._sensor.image_size
         self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
         self._wanted: tuple[int, float, tuple[float, float]] | None = None
         self._camera: Any = None
@@ -146,8 +165,13 @@ class PiCamera(Closing):
             "no camera was found; switch the Pi off, reseat the camera's ribbon cable, and look for the camera with "
             "'rpicam-hello --list-cameras'.",
         )
+        models = [str(info.get("Model", "")) for info in picamera2.global_camera_info()]
+        require(
+            any(model.startswith(self._settings.camera) for model in models),
+            f"the camera is a {', '.join(models)}, not the {self._settings.camera} that was asked for; set pi.camera.",
+        )
         try:
-            tuning = _linear_tuning(picamera2.load_tuning_file(_TUNING_FILE))
+            tuning = _linear_tuning(picamera2.load_tuning_file(self._sensor.tuning))
             self._camera = picamera2(tuning=tuning)
             self._camera.configure(self._configuration())
             self._camera.start()
@@ -163,12 +187,12 @@ class PiCamera(Closing):
     @property
     def image_size(self) -> tuple[int, int]:
         """See :class:`splitknit.devices.Camera`."""
-        return self._settings.image_size
+        return self._size
 
     @property
     def exposures(self) -> ExposureRange:
         """See :class:`splitknit.devices.Camera`."""
-        return ExposureRange(4 * LINE_S, _LONGEST_S, 1.0, _MAX_GAIN)
+        return ExposureRange(4 * self._sensor.line_s, _LONGEST_S, 1.0, self._sensor.max_gain)
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.Camera`."""
@@ -177,7 +201,9 @@ class PiCamera(Closing):
         require(gains is not None, f"the bands are white and nir, not '{band}'.")
         assert gains is not None
         exposure_us = round(exposure_s * 1e6)
-        frame_us = max(exposure_us + 1000, 47_700)  # as fast as exposure and reading of the sensor allow
+        frame_us = max(
+            exposure_us + 1000, round(self._sensor.frame_s * 1e6)
+        )  # as fast as exposure and reading of the sensor allow
         self._opened().set_controls(
             {
                 "ExposureTime": exposure_us,
@@ -210,12 +236,12 @@ class PiCamera(Closing):
         return self._camera
 
     def _configuration(self) -> Any:
-        rows, columns = self._settings.image_size
-        crop = ((SENSOR_SIZE[1] - columns) // 4 * 2, (SENSOR_SIZE[0] - rows) // 4 * 2, columns, rows)
+        (rows, columns), whole, bits = self._size, self._sensor.size, self._sensor.bits
+        crop = ((whole[1] - columns) // 4 * 2, (whole[0] - rows) // 4 * 2, columns, rows)
         return self._camera.create_still_configuration(
             # "BGR888" of libcamera lies in memory as red, green, blue
             main={"size": (columns, rows), "format": "BGR888"},
-            raw={"size": SENSOR_SIZE[::-1], "format": "SBGGR10"},
+            raw={"size": whole[::-1], "format": f"R{bits}" if self._sensor.mono else f"SBGGR{bits}"},
             buffer_count=3,
             queue=False,  # a request that waits in a queue is stale
             display=None,
@@ -248,7 +274,7 @@ class PiCamera(Closing):
         raise BadInput(
             f"the camera did not take its settings: {wanted[0]} us at gain {wanted[1]:g} were asked for, but after "
             f"{_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
-            f"{metadata.get('AnalogueGain')}; restart the Pi, and use the IMX219 module."
+            f"{metadata.get('AnalogueGain')}; restart the Pi, and see that its camera is the {self._settings.camera}."
         )
 
     def _as_locked(self, metadata: Mapping[str, Any]) -> bool:
@@ -256,11 +282,13 @@ class PiCamera(Closing):
         if self._wanted is None:
             return False
         exposure_us, gain, gains = self._wanted
-        colours = metadata.get("ColourGains", (0.0, 0.0))
+        colours = gains if self._sensor.mono else metadata.get("ColourGains", (0.0, 0.0))
+        constant, linear, square = self._sensor.gain_step
+        line_us = 1e6 * self._sensor.line_s
         return (
-            abs(float(metadata.get("ExposureTime", 0)) - exposure_us) <= max(1.5e6 * LINE_S, 0.005 * exposure_us)
-            # the gain is 256 / (256 - code): steps grow with its square
-            and abs(float(metadata.get("AnalogueGain", 0.0)) - gain) <= 0.005 * gain + gain**2 / 256
+            abs(float(metadata.get("ExposureTime", 0)) - exposure_us) <= max(1.5 * line_us, 0.005 * exposure_us)
+            and abs(float(metadata.get("AnalogueGain", 0.0)) - gain)
+            <= constant + (linear + 0.005) * gain + square * gain**2
             and abs(float(metadata.get("DigitalGain", 1.0)) - 1.0) <= 0.02
             and all(abs(float(a) - b) <= 0.01 * b + 0.005 for a, b in zip(colours, gains, strict=True))
         )
@@ -268,29 +296,41 @@ class PiCamera(Closing):
     def _read(self, request: Any, metadata: Mapping[str, Any], discarded: int, *, whole: bool) -> Frame:
         if self._settings.raw:
             assert self._wanted is not None
-            pixels: Any = _developed(self._raw(request), self._wanted[2])
-            black = float(RAW_BLACK << (16 - RAW_BITS))
+            values, order, bits = self._raw(request)
+            black = self._sensor.black << (16 - self._sensor.bits)
+            pixels: Any = developed(values, bits, black, order, self._wanted[2])
         else:
-            pixels, black = np.ascontiguousarray(request.make_array("main")), 0.0
+            pixels, black = np.ascontiguousarray(request.make_array("main")), 0
+        if self._sensor.mono:
+            pixels = np.ascontiguousarray(pixels[..., :1])
         if not whole:
             factor = max(1, round(pixels.shape[1] / _PREVIEW_COLUMNS))
             size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
-            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], pixels.shape[2])
         return Frame(
             pixels=pixels,
             exposure_s=float(metadata["ExposureTime"]) * 1e-6,
             gain=float(metadata["AnalogueGain"]) * float(metadata.get("DigitalGain", 1.0)),
-            black_level=black,
-            at_s=float(metadata["SensorTimestamp"]) * 1e-9 + SENSOR_SIZE[0] * LINE_S,
+            black_level=float(black),
+            at_s=float(metadata["SensorTimestamp"]) * 1e-9 + self._sensor.readout_s,
             discarded=discarded,
         )
 
-    def _raw(self, request: Any) -> NDArray[np.uint16]:
-        """(H, W) raw values of the middle of the sensor; the colours' order stays as at the sensor's corner."""
-        rows, columns = self._settings.image_size
+    def _raw(self, request: Any) -> tuple[NDArray[np.uint16], str, int]:
+        """(H, W) raw values of the middle of the sensor, their colours' order (as at the sensor's corner) and bits.
+
+        The Pi 5 gives what it was asked for in 16 bits, the Pi 4 in the sensor's own.
+        """
+        (rows, columns), whole = self._size, self._sensor.size
+        name = str(self._camera.camera_configuration()["raw"]["format"])
+        order, bits = name.lstrip("S").rstrip("0123456789"), name.lstrip("SRGBrgb")
+        require(
+            bits.isdigit() and order in (*BAYER, "R"),
+            f"the camera gives raw images as {name}, which cannot be read; set pi.raw to false.",
+        )
         values = np.ascontiguousarray(request.make_array("raw")).view(np.uint16)
-        top, left = (SENSOR_SIZE[0] - rows) // 4 * 2, (SENSOR_SIZE[1] - columns) // 4 * 2
-        return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16)
+        top, left = (whole[0] - rows) // 4 * 2, (whole[1] - columns) // 4 * 2
+        return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16), order, int(bits)
 
 
 def _began_ns(metadata: Mapping[str, Any]) -> int:
@@ -299,10 +339,6 @@ def _began_ns(metadata: Mapping[str, Any]) -> int:
 
 
 # Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
-
-RAW_BLACK = 64
-"""Stored value of no light, of 1023."""
-RAW_BITS = 10
 
 
 def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
@@ -330,24 +366,6 @@ def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
         "the camera's tuning file is of an unknown version; update libcamera (apt full-upgrade).",
     )
     return {**tuning, "algorithms": algorithms}
-
-
-def _developed(raw: NDArray[np.uint16], gains: tuple[float, float]) -> NDArray[np.uint16]:
-    """White-balanced colours from raw values.
-
-    `raw`: (H, W) 10-bit values, blue green / green red; `gains`: of red and blue. Returns (H, W, 3) uint16, linear:
-    red, green, blue; no light is at 64 of 1023 still, so that noise is not clipped.
-    """
-    # OpenCV names a pattern by its second row and column: blue green / green red is "BayerRG", and RGB its order
-    colours = np.asarray(cv2.cvtColor(np.ascontiguousarray(raw), cv2.COLOR_BayerRG2RGB), dtype=np.uint16)
-    levels = np.arange(1 << RAW_BITS, dtype=np.float64) - RAW_BLACK
-    step = 1 << (16 - RAW_BITS)
-    result = np.empty_like(colours)
-    for c, gain in enumerate((gains[0], 1.0, gains[1])):
-        table = np.clip(np.rint((levels * gain + RAW_BLACK) * step), 0, 65535)
-        table[-1] = 65535  # what the sensor clips is clipped in every channel
-        result[..., c] = table.astype(np.uint16)[np.minimum(colours[..., c], (1 << RAW_BITS) - 1)]
-    return result
 
 
 INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpiozero, and make the virtual environment "
@@ -387,8 +405,8 @@ def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
     return PiCamera(maker, settings)
 
 
-def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[PiCamera, PiLightBank]:
-    """Open LEDs, which go dark, and camera; `stack` closes both, the LEDs last.
+def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[Camera, PiLightBank]:
+    """Open LEDs, which go dark, and the camera of the settings; `stack` closes both, the LEDs last.
 
     Raises
     ------
@@ -396,4 +414,8 @@ def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None
         In one sentence, with all LEDs off.
     """
     lights = stack.enter_context(_open_lights(rig))
-    return stack.enter_context(_open_camera(settings)), lights
+    settings = settings or PiCameraSettings()
+    if settings.camera in SENSORS:
+        return stack.enter_context(_open_camera(settings)), lights
+    stream = open_uvc(settings.number) if settings.camera == "uvc" else open_genicam(settings.number)
+    return stack.enter_context(StreamCamera(stream)), lights

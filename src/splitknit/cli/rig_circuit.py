@@ -1,4 +1,4 @@
-"""``splitknit rig circuit``: the LED board as netlist, drawing and list of parts, and the rig file's pin map."""
+"""``splitknit rig circuit``: the LED board, its parts, its light on eye and skin, and the rig file's pin map."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splitknit.cli.verb import Outcome, add_settings, new_verb
 
 def add_circuit(kinds: Any) -> None:
     """Add ``splitknit rig circuit``."""
-    verb = new_verb(kinds, "circuit", "the LED board: KiCad netlist, schematic, parts, pin map", _run)
+    verb = new_verb(kinds, "circuit", "the LED board: layout, Gerbers, schematic, parts, pin map, light on eye and skin", _run)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
     verb.add_argument(
@@ -44,5 +44,17 @@ def _run(options: argparse.Namespace) -> Outcome:
         low, middle, high = stage["current_ma"]
         values = ", ".join(f"{role} {r['ohm']:g} ohm {r['rating_w']:g} W" for role, r in stage["resistors"].items())
         lines.append(f"  {band:5s} {middle:.0f} mA ({low:.0f} to {high:.0f} over all tolerances): {values}")
+    lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
+    width, height = facts["board"]["size_mm"]
+    lines.append(f"  laid out on {width:g} x {height:g} mm with two layers; not yet made")
+    lines.append(
+        "Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):"
+    )
+    for hazard in facts["safety"]:
+        lines.append(
+            f"  {hazard['leds']:5s} {hazard['hazard']:26s} {hazard['value']:9.4g} of {hazard['limit']:.4g} "
+            f"{hazard['unit']}, margin {hazard['margin']:.3g} ({hazard['margin_with_a_shorted_transistor']:.3g} with a "
+            "shorted transistor)"
+        )
     lines.append(f"Written to {options.out}: {', '.join(facts['files'])}; rig.json holds the pin map.")
     return facts, lines

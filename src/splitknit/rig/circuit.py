@@ -8,6 +8,7 @@ series with the LED sets the current, so that supply and forward voltage show in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Annotated, Literal
@@ -51,7 +52,7 @@ RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)
 
 
 @dataclass(frozen=True, slots=True)
-class _LedPart:
+class LedPart:
     """A light-emitting diode at the current it is meant for."""
 
     name: str
@@ -64,6 +65,15 @@ class _LedPart:
     """The current that is wanted."""
     limit_a: float
     """Largest continuous current."""
+    intensity_cd: float = 0.0
+    """On its axis at that current, the brightest of its bins, as data sheets of white LEDs give it; or 0, and
+    `intensity_w_sr`."""
+    intensity_w_sr: float = 0.0
+    """The same as data sheets of infrared LEDs give it."""
+    half_angle_deg: float = 30.0
+    """From the axis to half the intensity."""
+    source_mm: float = 2.0
+    """Diameter of the lit spot that is seen in the LED: chip and cup, enlarged by the dome."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +104,8 @@ class _Gpio:
     """Largest current of one output."""
 
 
-WHITE_LED = _LedPart("white, 0.5 W", 4.0, 0.2, 0.1, 0.12)
-NIR_LED = _LedPart("850 nm", 1.6, 0.15, 0.1, 0.12)
+WHITE_LED = LedPart("white, 0.5 W", 3.4, 0.3, 0.1, 0.12, intensity_cd=10.0)
+NIR_LED = LedPart("850 nm", 1.6, 0.2, 0.1, 0.12, intensity_w_sr=0.12, half_angle_deg=22.0)
 BC337 = _Transistor("BC337-40", (250.0, 630.0), (0.66, 0.85), (0.05, 0.25), 0.8, 0.5)
 RASPBERRY_PI = _Gpio((3.15, 3.40), 0.008)
 """3.3 V +-3 %, less what a driver of 8 mA drops (about 40 ohms at a few mA)."""
@@ -156,8 +166,10 @@ class CircuitSettings(Checked):
     """Relative, half the range."""
     resistor_spread: Annotated[float, Limits(0, 0.3)] = 0.01
     """Relative, half the range: metal film."""
-    white: _LedPart = field(default_factory=lambda: WHITE_LED)
-    nir: _LedPart = field(default_factory=lambda: NIR_LED)
+    white: LedPart = field(default_factory=lambda: WHITE_LED)
+    nir: LedPart = field(default_factory=lambda: NIR_LED)
+    duty: Annotated[float, Limits(0, 1, above=True)] = 1.0
+    """Fraction of the time that an LED is on, for eye and skin; 1: it may stay on, for programs crash."""
     transistor: _Transistor = field(default_factory=lambda: BC337)
 
     def __post_init__(self) -> None:
@@ -183,7 +195,7 @@ class Stage:
     """One LED's stage, and what it does at its corners."""
 
     band: str
-    led: _LedPart
+    led: LedPart
     resistors: tuple[_Resistor, ...]
     current_a: tuple[float, float, float]
     """Of the LED: smallest, typical, largest."""
@@ -193,10 +205,56 @@ class Stage:
     """The same with the LED supply missing."""
     transistor_w: float
     """Largest dissipation."""
+    shorted_a: float
+    """Of the LED, at most, with a transistor that is shorted from collector to emitter."""
 
     def ohm(self, role: str) -> float:
         """Value of a resistor; 0 where the stage has none in that place."""
         return next((r.ohm for r in self.resistors if r.role == role), 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """One part on the board."""
+
+    ref: str
+    value: str
+    library: str
+    symbol: str
+    footprint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One pin on a net."""
+
+    ref: str
+    pin: str
+    function: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One LED's stage on the board."""
+
+    name: str
+    """Of the LED, such as ``white 3``."""
+    gpio: int
+    stage: Stage
+    number: int
+    """From 1, in the order of the rig file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Circuit:
+    """The whole board."""
+
+    settings: CircuitSettings
+    channels: tuple[Channel, ...]
+    components: tuple[Component, ...]
+    nets: Mapping[str, tuple[Node, ...]]
+    fuse_a: float
+    """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
 
 
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
@@ -224,7 +282,7 @@ def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
     return stage
 
 
-def _sink(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
+def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     t, high = s.transistor, RASPBERRY_PI.high_v
     # with the supply missing, the base feeds the emitter resistor: the base resistor limits what the line gives
     typical_drop = sum(high) / 2 - sum(t.base_v) / 2
@@ -258,10 +316,11 @@ def _sink(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
     resistors.append(_resistor("pull_down", _PULL_DOWN_OHM, 0.0, s))
     line = max(c / g for c in (top,) for g in t.gain) + high[1] / _PULL_DOWN_OHM
     fault = (high[1] - t.base_v[0]) / ((base + emitter) * (1 - s.resistor_spread))
-    return Stage(band, led, tuple(resistors), (low, middle, top), line, fault, heat)
+    shorted = (max_v - over_led) / ((emitter + series) * (1 - s.resistor_spread))
+    return Stage(band, led, tuple(resistors), (low, middle, top), line, fault, heat, shorted)
 
 
-def _switch(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
+def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     t, high = s.transistor, RASPBERRY_PI.high_v
     min_v, max_v = s.supply_v * (1 - s.supply_spread), s.supply_v * (1 + s.supply_spread)
     saturated = sum(t.saturation_v) / 2
@@ -287,7 +346,8 @@ def _switch(band: str, led: _LedPart, s: CircuitSettings) -> Stage:
         _resistor("pull_down", _PULL_DOWN_OHM, 0.0, s),
     )
     heat = top * t.saturation_v[1] + line * t.base_v[1]
-    return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat)
+    shorted = (max_v - voltages[0]) / (series * (1 - s.resistor_spread))
+    return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat, shorted)
 
 
 def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> _Resistor:

@@ -1,4 +1,4 @@
-"""The LED board's components and nets, and its files: KiCad netlist, parts, pin map, the schematic as plain SVG."""
+"""The LED board's components and nets, and its folder of files: netlist, layout, parts, pin map, schematic as SVG."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import html
 import io
 import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,11 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
-from splitknit.rig.circuit import CircuitSettings, Stage, design_stage
+from splitknit.rig.board import lay_out
+from splitknit.rig.board_files import gerber_zip, kicad_board, wiring_svg
+from splitknit.rig.circuit import Channel, Circuit, CircuitSettings, Component, Node, Stage, design_stage
+from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led_order, resistor
+from splitknit.rig.safety import check_hazards, rig_hazards
 
 HEADER_OF_GPIO: Mapping[int, int] = {
     2: 3, 3: 5, 4: 7, 5: 29, 6: 31, 7: 26, 8: 24, 9: 21, 10: 19, 11: 23, 12: 32, 13: 33, 14: 8, 15: 10, 16: 36,
@@ -28,8 +32,8 @@ HEADER_OF_GPIO: Mapping[int, int] = {
 """Pin of the Raspberry Pi's 40-pin header for each GPIO line (BCM number)."""
 GROUND_PINS = (6, 9, 14, 20, 25, 30, 34, 39)
 """Ground pins of the header."""
-FUSE_HOLD_A = 0.16
-"""Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
+FUSE_AT_50_DEG = 0.7
+"""Fraction of its current at 20 degrees that a resettable fuse still carries in a box of 50 degrees."""
 
 _RESISTOR_FOOTPRINTS = {
     0.25: "Resistor_THT:R_Axial_DIN0207_L6.3mm_D2.5mm_P10.16mm_Horizontal",
@@ -38,48 +42,6 @@ _RESISTOR_FOOTPRINTS = {
     2.0: "Resistor_THT:R_Axial_DIN0414_L11.9mm_D4.5mm_P15.24mm_Horizontal",
     3.0: "Resistor_THT:R_Axial_DIN0617_L17.0mm_D6.0mm_P20.32mm_Horizontal",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class _Component:
-    """One part on the board."""
-
-    ref: str
-    value: str
-    library: str
-    symbol: str
-    footprint: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Node:
-    """One pin on a net."""
-
-    ref: str
-    pin: str
-    function: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One LED's stage on the board."""
-
-    name: str
-    """Of the LED, such as ``white 3``."""
-    gpio: int
-    stage: Stage
-    number: int
-    """From 1, in the order of the rig file."""
-
-
-@dataclass(frozen=True, slots=True)
-class Circuit:
-    """The whole board."""
-
-    settings: CircuitSettings
-    channels: tuple[Channel, ...]
-    components: tuple[_Component, ...]
-    nets: Mapping[str, tuple[_Node, ...]]
 
 
 def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit:
@@ -109,92 +71,109 @@ def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit
         Channel(name, pin, stages[led.band], k + 1)
         for k, (name, pin, led) in enumerate(zip(names, pins, rig.leds, strict=True))
     )
-    components, nets = _supply_parts(settings)
+    fuse_a = _fuse_for(max(stage.current_a[2] for stage in stages.values()))
+    components, nets = _supply_parts(settings, fuse_a)
     for channel in channels:
         _add_stage(channel, settings, components, nets)
-    return Circuit(settings, channels, tuple(components), {name: tuple(nodes) for name, nodes in nets.items()})
+    wired = {name: tuple(nodes) for name, nodes in nets.items()}
+    return Circuit(settings, channels, tuple(components), wired, fuse_a)
 
 
-def _supply_parts(s: CircuitSettings) -> tuple[list[_Component], dict[str, list[_Node]]]:
+def _fuse_for(led_a: float) -> float:
+    """Return the smallest fuse that carries the current of one LED in a warm box. Raises BadInput if there is none."""
+    fitting = [hold for hold in FUSES_A if FUSE_AT_50_DEG * hold >= led_a]
+    largest = max(FUSES_A) * FUSE_AT_50_DEG
+    require(
+        len(fitting) > 0,
+        f"no resettable fuse of the list carries {1000 * led_a:.0f} mA at 50 degrees; the largest carries "
+        f"{1000 * largest:.0f} mA: take a smaller LED current.",
+    )
+    return min(fitting)
+
+
+def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], dict[str, list[Node]]]:
     """The Pi's header, the LEDs' supply with its fuse, and what stores charge."""
     components = [
-        _Component(
+        Component(
             "J1",
             "Raspberry Pi GPIO",
             "Connector_Generic",
             "Conn_02x20_Odd_Even",
-            "Connector_PinSocket_2.54mm:PinSocket_2x20_P2.54mm_Vertical",
+            "Connector_IDC:IDC-Header_2x20_P2.54mm_Vertical",
         ),
-        _Component(
+        Component(
             "J2",
             f"{s.supply_v:g} V DC, centre +",
             "Connector",
             "Barrel_Jack",
             "Connector_BarrelJack:BarrelJack_Horizontal",
         ),
-        _Component(
+        Component(
             "F1",
-            f"{1000 * FUSE_HOLD_A:.0f} mA hold, resettable",
+            f"{1000 * fuse_a:.0f} mA hold, resettable",
             "Device",
             "Polyfuse",
-            "Fuse:Fuse_BelFuse_0ZRE0016FF_L9.9mm_W3.8mm",
+            FUSES_A[fuse_a][3],
         ),
-        _Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
-        _Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
-        _Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
+        Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
+        Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
+        Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
     ]
     nets = {
         "GND": [
-            *(_Node("J1", str(pin), "GND") for pin in GROUND_PINS),
-            _Node("J2", "2", "sleeve"),
-            _Node("C1", "2", "-"),
-            _Node("C2", "2"),
-            _Node("D90", "2", "A"),
+            *(Node("J1", str(pin), "GND") for pin in GROUND_PINS),
+            Node("J2", "2", "sleeve"),
+            Node("C1", "2", "-"),
+            Node("C2", "2"),
+            Node("D90", "2", "A"),
         ],
-        "SUPPLY_IN": [_Node("J2", "1", "tip"), _Node("F1", "1")],
+        "SUPPLY_IN": [Node("J2", "1", "tip"), Node("F1", "1")],
         # a supply the wrong way round is shorted by the diode and trips the fuse
-        "V_LED": [_Node("F1", "2"), _Node("D90", "1", "K"), _Node("C1", "1", "+"), _Node("C2", "1")],
+        "V_LED": [Node("F1", "2"), Node("D90", "1", "K"), Node("C1", "1", "+"), Node("C2", "1")],
     }
     return components, nets
 
 
-def _add_stage(
-    channel: Channel, s: CircuitSettings, components: list[_Component], nets: dict[str, list[_Node]]
-) -> None:
+def _add_stage(channel: Channel, s: CircuitSettings, components: list[Component], nets: dict[str, list[Node]]) -> None:
     """Add one stage's parts, their references numbered by the channel: R101 ... R104, Q1, D1."""
     n, stage = channel.number, channel.stage
     refs = {role: f"R{100 * (k + 1) + n}" for k, role in enumerate(("base", "emitter", "series", "pull_down"))}
-    for resistor in stage.resistors:
-        footprint = _RESISTOR_FOOTPRINTS[resistor.rating_w]
-        value = f"{_ohm_text(resistor.ohm)} {resistor.rating_w:g} W"
-        components.append(_Component(refs[resistor.role], value, "Device", "R", footprint))
+    for part in stage.resistors:
+        footprint = _RESISTOR_FOOTPRINTS[part.rating_w]
+        value = _resistor_text(part.ohm, part.rating_w)
+        components.append(Component(refs[part.role], value, "Device", "R", footprint))
     components.append(
-        _Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline")
+        Component(f"Q{n}", s.transistor.name, "Transistor_BJT", "BC337", "Package_TO_SOT_THT:TO-92_Inline_Wide")
     )
-    led = f"{channel.name} ({stage.led.name})"
     components.append(
-        _Component(f"D{n}", led, "Device", "LED", "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical")
+        Component(
+            f"D{n}",
+            f"{channel.name} ({stage.led.name})",
+            "Device",
+            "LED",
+            "Connector_PinHeader_2.54mm:PinHeader_1x02_P2.54mm_Vertical",
+        )
     )
     line, base = f"GPIO{channel.gpio}", f"BASE{n}"
     require(channel.gpio in HEADER_OF_GPIO, f"GPIO {channel.gpio} is not on the Raspberry Pi's header.")
     nets[line] = [
-        _Node("J1", str(HEADER_OF_GPIO[channel.gpio]), line),
-        _Node(refs["base"], "1"),
-        _Node(refs["pull_down"], "1"),
+        Node("J1", str(HEADER_OF_GPIO[channel.gpio]), line),
+        Node(refs["base"], "1"),
+        Node(refs["pull_down"], "1"),
     ]
-    nets["GND"].append(_Node(refs["pull_down"], "2"))
-    nets[base] = [_Node(refs["base"], "2"), _Node(f"Q{n}", "2", "B")]
+    nets["GND"].append(Node(refs["pull_down"], "2"))
+    nets[base] = [Node(refs["base"], "2"), Node(f"Q{n}", "2", "B")]
     if stage.ohm("emitter"):
-        nets[f"EMITTER{n}"] = [_Node(f"Q{n}", "3", "E"), _Node(refs["emitter"], "1")]
-        nets["GND"].append(_Node(refs["emitter"], "2"))
+        nets[f"EMITTER{n}"] = [Node(f"Q{n}", "3", "E"), Node(refs["emitter"], "1")]
+        nets["GND"].append(Node(refs["emitter"], "2"))
     else:
-        nets["GND"].append(_Node(f"Q{n}", "3", "E"))
-    nets[f"COLLECTOR{n}"] = [_Node(f"Q{n}", "1", "C"), _Node(f"D{n}", "1", "K")]
+        nets["GND"].append(Node(f"Q{n}", "3", "E"))
+    nets[f"COLLECTOR{n}"] = [Node(f"Q{n}", "1", "C"), Node(f"D{n}", "1", "K")]
     if stage.ohm("series"):
-        nets[f"ANODE{n}"] = [_Node(f"D{n}", "2", "A"), _Node(refs["series"], "1")]
-        nets["V_LED"].append(_Node(refs["series"], "2"))
+        nets[f"ANODE{n}"] = [Node(f"D{n}", "2", "A"), Node(refs["series"], "1")]
+        nets["V_LED"].append(Node(refs["series"], "2"))
     else:
-        nets["V_LED"].append(_Node(f"D{n}", "2", "A"))
+        nets["V_LED"].append(Node(f"D{n}", "2", "A"))
 
 
 def _ohm_text(ohm: float) -> str:
@@ -204,6 +183,10 @@ def _ohm_text(ohm: float) -> str:
             whole, _, part = f"{ohm / size:.3g}".partition(".")
             return f"{whole}{letter}{part}"
     return f"0R{f'{ohm:.2f}'.partition('.')[2]}"
+
+
+def _resistor_text(ohm: float, rating_w: float) -> str:
+    return f"{_ohm_text(ohm)} {rating_w:g} W"
 
 
 def _kicad_netlist(circuit: Circuit, version: str) -> str:
@@ -235,7 +218,7 @@ def _kicad_netlist(circuit: Circuit, version: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _node(node: _Node) -> str:
+def _node(node: Node) -> str:
     function = f" (pinfunction {_quoted(node.function)})" if node.function else ""
     return f'(node (ref {_quoted(node.ref)}) (pin {_quoted(node.pin)}){function} (pintype "passive"))'
 
@@ -244,24 +227,68 @@ def _quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
-def _bill_of_materials(circuit: Circuit) -> list[tuple[int, str, str, Sequence[str]]]:
-    """Return (quantity, value, footprint, references) of every kind of part, in the order of the first reference."""
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """One line of the bill of materials."""
+
+    quantity: int
+    value: str
+    order: Order
+    footprint: str
+    references: tuple[str, ...]
+
+
+def _bill_of_materials(circuit: Circuit) -> list[_Line]:
+    """Every kind of part in the order of its first reference, then what is not on the board."""
     kinds: dict[tuple[str, str], list[str]] = {}
+    orders: dict[tuple[str, str], Order] = {}
+    stages = {c.number: c.stage for c in circuit.channels}
+    resistors = {_resistor_text(r.ohm, r.rating_w): r for stage in stages.values() for r in stage.resistors}
     for part in circuit.components:
-        value = (
-            part.value
-            if not part.ref.startswith("D") or part.symbol != "LED"
-            else part.value.partition("(")[2].rstrip(")") + " LED"
-        )
-        kinds.setdefault((value, part.footprint), []).append(part.ref)
-    return [(len(refs), value, footprint, refs) for (value, footprint), refs in kinds.items()]
+        kind = (part.value, part.footprint)
+        if part.symbol == "LED":
+            stage = stages[int(part.ref[1:])]
+            kind = (f"{stage.led.name} LED", part.footprint)
+            orders[kind] = led_order(stage.band, stage.led.current_a)
+        elif part.value in resistors:
+            chosen = resistors[part.value]
+            orders[kind] = resistor(chosen.ohm, chosen.rating_w, _ohm_text(chosen.ohm))
+        elif part.ref == "F1":
+            orders[kind] = fuse(circuit.fuse_a)
+        else:
+            own = Order("your own", ("", ""), f"as circuit.transistor.*: {part.value}")
+            orders[kind] = FIXED.get(part.ref) or FIXED.get(part.value, own)
+        kinds.setdefault(kind, []).append(part.ref)
+    lines = [_Line(len(refs), kind[0], orders[kind], kind[1], tuple(refs)) for kind, refs in kinds.items()]
+    for number, value, order in OFF_BOARD:
+        lines.append(_Line(number(len(circuit.channels)), value, order, "not on the board", ()))
+    return lines
 
 
 INK, RAIL, QUIET = "#222222", "#B03A2E", "#555555"
 CELL = (270, 300)
 """Width and height of one stage."""
 COLUMNS = 5
-FILES = ("circuit.net", "schematic.svg", "parts.csv", "circuit.json", "rig.json")
+PARTS_COLUMNS = (
+    "quantity",
+    "value",
+    "part",
+    "alternative 1",
+    "alternative 2",
+    "check before ordering",
+    "footprint",
+    "references",
+)
+FILES = (
+    "circuit.net",
+    "schematic.svg",
+    "wiring.svg",
+    "parts.csv",
+    "board.kicad_pcb",
+    "gerber.zip",
+    "circuit.json",
+    "rig.json",
+)
 
 
 def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[str, Any]:
@@ -270,16 +297,43 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     Raises
     ------
     BadInput
-        If the folder holds something else, or no board can be made with these settings.
+        If the folder holds something else, no board can be made with these settings, or its light would be above a
+        limit of :mod:`splitknit.rig.safety`.
     """
     check_target(out, "circuit.net", "an earlier board")
     circuit = design_circuit(rig, settings)
+    stages = {channel.stage.band: channel.stage for channel in circuit.channels}
+    found = rig_hazards(rig, stages, duty=settings.duty)
+    check_hazards(found)
+    shorted = rig_hazards(rig, stages, duty=settings.duty, shorted=True)
     pins = {band: [c.gpio for c in circuit.channels if c.stage.band == band] for band in ("white", "nir")}
     pinned = replace(rig, provenance={**rig.provenance, "pins": {band: lines for band, lines in pins.items() if lines}})
+    board = lay_out(circuit)
     facts = _facts(circuit, out)
+    facts["board"] = {
+        "size_mm": list(board.size_mm),
+        "holes_mm": [list(hole) for hole in board.holes_mm],
+        "vias": len(board.vias),
+    }
+    facts["safety"] = [
+        {
+            "leds": hazard.band,
+            "hazard": hazard.name,
+            "clause": hazard.clause,
+            "value": round(hazard.value, 4),
+            "limit": round(hazard.limit, 4),
+            "unit": hazard.unit,
+            "margin": round(hazard.margin, 2),
+            "margin_with_a_shorted_transistor": round(failed.margin, 2),
+        }
+        for hazard, failed in zip(found, shorted, strict=True)
+    ]
     with atomic_folder(out) as folder:
         (folder / "circuit.net").write_text(_kicad_netlist(circuit, __version__), encoding="utf-8")
         (folder / "schematic.svg").write_text(_schematic_svg(circuit) + "\n", encoding="utf-8")
+        (folder / "wiring.svg").write_text(wiring_svg(board, circuit, rig), encoding="utf-8")
+        (folder / "board.kicad_pcb").write_text(kicad_board(board, __version__), encoding="utf-8")
+        (folder / "gerber.zip").write_bytes(gerber_zip(board))
         (folder / "parts.csv").write_text(_parts_csv(circuit), encoding="utf-8")
         (folder / "circuit.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
         write_rig(pinned, folder / "rig.json")
@@ -327,7 +381,7 @@ def _supply(circuit: Circuit) -> list[str]:
     parts += [
         _line(86, y - 10, 130, y - 10),
         _box(130, y - 18, 46, 16),
-        _text(153, y - 24, f"F1 {FUSE_HOLD_A:g} A", "middle"),
+        _text(153, y - 24, f"F1 {circuit.fuse_a:g} A", "middle"),
     ]
     parts += [_line(176, y - 10, 520, y - 10, RAIL), _text(526, y - 6, "V_LED", fill=RAIL)]
     parts += [_line(86, y + 10, 104, y + 10), _line(104, y + 10, 104, ground), _ground(104, ground)]
@@ -411,8 +465,7 @@ def _stage(left: float, top: float, channel: Channel, transistor: str) -> list[s
 
 
 def _value(stage: Stage, role: str) -> str:
-    rating = next(r.rating_w for r in stage.resistors if r.role == role)
-    return f"{_ohm_text(stage.ohm(role))} {rating:g} W"
+    return next(_resistor_text(r.ohm, r.rating_w) for r in stage.resistors if r.role == role)
 
 
 def _resistor_down(x: float, first: float, last: float, ref: str, value: str) -> list[str]:
@@ -496,6 +549,7 @@ def _facts(circuit: Circuit, out: Path) -> dict[str, Any]:
         "files": list(FILES),
         "settings": asdict(circuit.settings),
         "stages": stages,
+        "fuse_ma": round(1000 * circuit.fuse_a),
         "leds": [{"led": c.name, "gpio": c.gpio, "stage": c.number} for c in circuit.channels],
         "parts": len(circuit.components),
         "nets": len(circuit.nets),
@@ -505,7 +559,9 @@ def _facts(circuit: Circuit, out: Path) -> dict[str, Any]:
 def _parts_csv(circuit: Circuit) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["quantity", "value", "footprint", "references"])
-    for quantity, value, footprint, references in _bill_of_materials(circuit):
-        writer.writerow([quantity, value, footprint, " ".join(references)])
+    writer.writerow(PARTS_COLUMNS)
+    for line in _bill_of_materials(circuit):
+        order = line.order
+        row = [line.quantity, line.value, order.part, *order.alternatives, order.check, line.footprint]
+        writer.writerow([*row, " ".join(line.references)])
     return stream.getvalue()

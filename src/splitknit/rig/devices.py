@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.capture.folder import Opened
-from splitknit.capture.pi import PiCameraSettings, open_pi
+from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_pi
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
 from splitknit.io.rig import read_rig
@@ -103,7 +103,8 @@ def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
     with ExitStack() as stack:
         chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
         camera, lights = open_pi(stack, chosen, settings.pi)
-        yield Opened("pi", camera, lights, chosen, notes=() if rig is not None else (NOMINAL,))
+        untested = f"the {settings.pi.camera} camera was {UNTESTED}"
+        yield Opened("pi", camera, lights, chosen, notes=(untested,) if rig is not None else (NOMINAL, untested))
 
 
 @contextmanager

@@ -119,6 +119,8 @@ def _file(objects: Sequence[str]) -> bytes:
 
 
 RULER_MM = 100.0
+_RULER_BELOW_MM = 10.0
+"""From its line to the boards: strokes and numbers."""
 DOT_MM = 1.5
 """Diameter of a dot of the disc."""
 _DISC_RADIUS_MM = 45.0
@@ -182,7 +184,7 @@ class TargetSettings:
     @property
     def boards_height_mm(self) -> float:
         """Height of the sheet that is left for the boards, between ruler and disc."""
-        return self.ruler_y_mm - 10 - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
+        return self.ruler_y_mm - _RULER_BELOW_MM - (_PAGE_MARGIN_MM + 2 * _DISC_RADIUS_MM + 4)
 
     @property
     def ruler_y_mm(self) -> float:
@@ -246,6 +248,8 @@ def _ruler(page: _Page, settings: TargetSettings) -> None:
     for k in range(11):
         at = x + RULER_MM * k / 10
         page.line([(at, y - (3 if k % 10 == 0 else 1.5)), (at, y)], 0.1)
+        number = f"{RULER_MM * k / 10:g}"
+        page.text(number + (" mm" if k == 10 else ""), at - 0.75 * len(number), y - 6, 2.5)
 
 
 def _boards(page: _Page, settings: TargetSettings) -> None:
@@ -260,7 +264,7 @@ def _boards(page: _Page, settings: TargetSettings) -> None:
     page.shape("Board", _rectangles(squares), (0, 0, width, height))
     across, down = settings.copies
     card_width, card_height = settings.card_mm
-    top = settings.ruler_y_mm - 10
+    top = settings.ruler_y_mm - _RULER_BELOW_MM
     for row in range(down):
         for column in range(across):
             free = A4_MM[0] - across * card_width
