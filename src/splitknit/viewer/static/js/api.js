@@ -4,6 +4,21 @@
 /** Results that were dropped onto the page, by key. @type {Map<string, import("./dropped.js").Dropped>} */
 export const dropped = new Map();
 
+/** What the first view needs is asked for at once, while the library that draws is still being read. */
+const ahead = new Map();
+export const catalogue = getJson("api/catalogue");
+catalogue
+  .then(({ chosen, results }) => {
+    const key = new URLSearchParams(location.hash.slice(1)).get("result") ?? chosen[0];
+    if (!results.find((one) => one.key === key)?.result) return;
+    for (const path of [`api/result/${key}`, `api/result/${key}/first`]) {
+      const coming = fetch(address(path));
+      coming.catch(() => {}); // said where it is used
+      ahead.set(address(path), coming);
+    }
+  })
+  .catch(() => {});
+
 /**
  * @param {string} path
  * @param {Record<string, string | number>} [query]
@@ -17,9 +32,12 @@ export function address(path, query = {}) {
 
 /** @param {string} path @param {Record<string, string | number>} [query] */
 async function ask(path, query) {
+  const url = address(path, query);
+  const coming = ahead.get(url);
+  ahead.delete(url);
   let answer;
   try {
-    answer = await fetch(address(path, query));
+    answer = await (coming ?? fetch(url));
   } catch {
     throw new Error("The server no longer answers. Start `splitknit view` again.");
   }

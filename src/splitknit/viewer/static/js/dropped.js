@@ -85,6 +85,17 @@ async function* pieces(stream) {
   for (let got; !(got = await reader.read()).done; ) yield got.value;
 }
 
+/** Size and resolution of a print from its PNG header; 500 ppi where it states none. */
+async function sizeOf(file) {
+  const head = new DataView(await file.slice(0, 65_536).arrayBuffer());
+  if (head.byteLength < 33 || head.getUint32(0) !== 0x89504e47) return null;
+  let ppi = 500;
+  for (let at = 8; at + 21 <= head.byteLength; at += 12 + head.getUint32(at)) {
+    if (head.getUint32(at + 4) === 0x70485973 && head.getUint8(at + 16) === 1) ppi = 0.0254 * head.getUint32(at + 8);
+  }
+  return { columns: head.getUint32(16), rows: head.getUint32(20), ppi };
+}
+
 export class Dropped {
   /** @param {string} key @param {string} name @param {Map<string, File>} files */
   constructor(key, name, files) {
@@ -111,6 +122,7 @@ export class Dropped {
     this.#turn(matrix.data);
     this.#crop(mask.data, height.data, ridge.data, like(arrays.x_mm) && like(arrays.y_mm) ? [arrays.x_mm.data, arrays.y_mm.data] : null);
     this.meta = this.#describe(report);
+    this.meta.print = this.files.has("print.png") ? await sizeOf(this.files.get("print.png")) : null;
   }
 
   /** From (x, y) of the rig's frame to the upright one: a rotation. */

@@ -1,5 +1,5 @@
 // The page: which results are shown, and the text about them. The address behind # holds the same, so that it can be kept.
-import { about, address, dropped, getJson, pictureOf } from "./api.js";
+import { about, address, catalogue as coming, dropped, getJson, pictureOf } from "./api.js";
 import { showLegend } from "./colour.js";
 import { listen } from "./keys.js";
 import { Light } from "./light.js";
@@ -48,7 +48,7 @@ function go(change) {
 }
 
 async function start() {
-  const catalogue = await getJson("api/catalogue");
+  const catalogue = await coming;
   title(catalogue.title);
   listed = catalogue.results;
   results = new Results(listed, (key) => go({ result: key, beside: "", tab: "surface" }), (key) => go({ beside: key, tab: "surface" }));

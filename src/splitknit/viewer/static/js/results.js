@@ -18,6 +18,7 @@ export class Results {
     const wanted = byId("filter").value.trim().toLowerCase();
     const found = this.results.filter((one) => [one.name, one.preset, one.subject, one.finger].join(" ").toLowerCase().includes(wanted));
     byId("empty").hidden = this.results.length > 0;
+    byId("filter").closest(".bar").hidden = this.results.length === 0;
     byId("results-words").textContent = `${found.length} of ${this.results.length} results`;
     byId("result-list").replaceChildren(...found.map((one) => this.#item(one)));
   }
@@ -32,7 +33,7 @@ export class Results {
     show.setAttribute("aria-label", `Open ${one.name}`);
     show.addEventListener("click", () => this.open(one.key));
     const buttons = make("div", { className: "row buttons" }, show);
-    if (this.current !== "" && one.key !== this.current) {
+    if (this.current !== "" && one.key !== this.current && one.result) {
       const beside = make("button", { type: "button", textContent: "Beside" });
       beside.setAttribute("aria-label", `Show ${one.name} beside the one that is open`);
       beside.addEventListener("click", () => this.beside(one.key));
