@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.gallery.gallery import Gallery
 from splitknit.io.mesh import read_glb
 from splitknit.matching.template import Template, pack
+from splitknit.viewer import service
 
 pytestmark = [
     pytest.mark.slow,
@@ -278,7 +280,8 @@ const base = new URL('.', document.baseURI).href;
   let apart = there.length === here.length ? 0 : 1e9;
   there.forEach((tile, n) => tile.fields.forEach((field, f) => field.forEach((v, k) => {
     const other = here[n].fields[f][k];
-    if (f === 2 || v === v) apart = Math.max(apart, v === v && other === other ? Math.abs(v - other) : v === v || other === other ? 1e9 : 0);
+    const known = [v, other].filter((one) => one === one).length;
+    apart = Math.max(apart, [0, 1e9, Math.abs(v - other)][known]);
   })));
   const answers = [];
   for (const key of ['0', 'dropped0']) {
@@ -453,6 +456,30 @@ def test_everything_has_a_name(shown: Path, asking: Serve, page: PageMaker) -> N
     nameless = [node["role"]["value"] for node in things if not node.get("name", {}).get("value")]
     assert nameless == []
     assert len(things) > 25
+    unlabelled = (
+        "return [...document.querySelectorAll('input, select, button')].filter((e) => !(e.labels?.length"
+        " || e.textContent.trim() || e.getAttribute('aria-label'))).map((e) => e.id)"
+    )
+    assert seen.run(unlabelled) == []  # of all tabs
+
+
+def test_text_stands_out() -> None:
+    """At least 4.5 to 1, in light and in dark (WCAG 2.2, 1.4.3)."""
+    style = (Path(service.__file__).parent / "static" / "style.css").read_text(encoding="utf-8")
+
+    def luminance(colour: str) -> float:
+        levels = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        return float(
+            np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+        )
+
+    for block in re.findall(r":root \{([^}]+)\}", style):
+        colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", block))
+        pairs = [(text, under) for text in ("ink", "soft", "warn", "accent", "second") for under in ("paper", "panel")]
+        pairs += [("ink", "stage"), ("soft", "stage"), ("accent-ink", "accent")]
+        for pair in pairs:
+            low, high = sorted(luminance(colours[name]) for name in pair)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, pair
 
 
 def test_without_webgl_there_is_a_picture(shown: Path, asking: Serve, page: PageMaker) -> None:

@@ -22,8 +22,10 @@ from splitknit.viewer.surface import Surface, fields_of
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)
 _PICTURE_PX = 1000
-_FEWEST = 30
-"""Places in common by which a finger is tilted."""
+_FIT_MM = 0.08
+"""Distance of the places that are compared: a fifth of a ridge."""
+_FEWEST = 300
+_MOST_STEPS, _STILL = 30, 2e-5
 _Values = NDArray[np.float64]
 
 
@@ -85,8 +87,8 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
     """Lay the second result on the first.
 
     Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
-    one camera measures no distance. Else the ridges give the turn and the shift across the camera's axis, and the
-    heights the tilt and the raise, both fingers taken as rigid.
+    one camera measures no distance. Else the ridges give the turn and the shift across the camera's axis; from there
+    the six numbers of a rigid motion are fitted to heights and relief.
 
     Raises
     ------
@@ -97,7 +99,7 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
     if _same_photographs(first, second) and a.size == b.size:
         rotation = np.eye(3)
         rotation[:2, :2] = a.turn @ b.turn.T
-        return _laid(Alignment("photographs", rotation), a, b, tilted=False)
+        return _raised(Alignment("photographs", rotation), a, b)
     bands = [_Band(entry.folder) for entry in (first, second)]
     match = ridge_match(bands[0].template, bands[1].template)
     if not match.compared:
@@ -107,7 +109,7 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
     here = _upright(a, *bands[0].place(0.0, 0.0))
     shift = np.append(here - rotation[:2, :2] @ there, 0.0)
     found = Alignment("ridges", rotation, shift, float(match.similarity), float(match.overlap_mm2))
-    return _laid(found, a, b, tilted=True)
+    return _fitted(found, a, b)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,36 +181,57 @@ def _same_photographs(first: Entry, second: Entry) -> bool:
     return bool(mine) and mine == other
 
 
-def _laid(found: Alignment, a: Surface, b: Surface, tilted: bool) -> Alignment:
-    """Raise the second finger, and tilt it, so that it lies on the first: least squares of the distances along the
-    normals, weighted down where they are large, on a coarse grid (G. Medioni and Y. Chen, "Object modelling by
-    registration of multiple range images", Image and Vision Computing 10(3), 1992).
-    """
+def _raised(found: Alignment, a: Surface, b: Surface) -> Alignment:
+    """Both at the same height on average, over a coarse grid of the first."""
     step = max(1, round(max(a.mask.shape) / 60))
-    x, y, z = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm))
-    down, right = (slope / (step * a.pitch_mm) for slope in np.gradient(z))
-    known = np.isfinite(down + right)
-    slope = a.turn @ np.stack([right[known], -down[known]])
-    x, y, z = x[known], y[known], z[known]
-    for _ in range(12 if tilted else 1):
-        gap = found.read(b)(x, y)[0] - z
-        both = np.isfinite(gap)
+    inside = a.mask[::step, ::step]
+    x, y, z = (values[::step, ::step][inside].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm))
+    gap = found.read(b)(x, y)[0] - z
+    rise = -float(np.nanmean(gap)) if bool(np.isfinite(gap).any()) else 0.0
+    return replace(found, shift_mm=found.shift_mm + np.array([0.0, 0.0, rise]))
+
+
+def _fitted(found: Alignment, a: Surface, b: Surface) -> Alignment:
+    """Move the second finger, rigidly, so that heights and relief agree best.
+
+    Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
+    multiple range images", Image and Vision Computing 10(3), 1992) and on the relief's differences (B. Lucas and
+    T. Kanade, IJCAI 1981), each divided by its spread, large ones weighted down. What lies beside the other finger, or
+    where the ridges are more than a quarter of a period apart, cannot be mended by this: `found` must be near.
+    """
+    step = max(1, round(_FIT_MM / a.pitch_mm))
+    x, y, z, ridge = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm))
+    slopes = [slope / (step * a.pitch_mm) for values in (z, ridge) for slope in np.gradient(values)]
+    known = np.isfinite(slopes[0] + slopes[1])
+    slope, relief = (a.turn @ np.stack([slopes[k + 1][known], -slopes[k][known]]) for k in (0, 2))
+    x, y, z, ridge = x[known], y[known], z[known], ridge[known]
+    flat = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=0))
+    along_normal = np.stack([-slope[0], -slope[1], np.ones(len(x))]) * flat
+    along_relief = -np.stack([relief[0], relief[1], np.zeros(len(x))])
+    for _ in range(_MOST_STEPS):
+        height, other = found.read(b)(x, y)
+        both = np.isfinite(height - z)
         if both.sum() < _FEWEST:
             return found
-        middle = np.array([axis[both].mean() for axis in (x, y, z)])
-        r = np.stack([x, y, z])[:, both] - middle[:, None]
-        columns = [slope[1, both] * r[2] + r[1], -slope[0, both] * r[2] - r[0], np.ones(r.shape[1])]
-        flat = 1.0 / np.sqrt(1.0 + (slope[:, both] ** 2).sum(axis=0)) if tilted else np.ones(r.shape[1])
-        miss = gap[both] * flat
-        spread = 3.0 * float(np.median(np.abs(miss - np.median(miss)))) + 1e-9
-        weight = flat / (1.0 + (miss / spread) ** 2) if tilted else flat
-        design = np.stack(columns[0 if tilted else 2 :], axis=1)
-        turn = np.linalg.lstsq(design * weight[:, None], -gap[both] * weight, rcond=None)[0]
-        turn = turn if tilted else np.array([0.0, 0.0, turn[0]])
-        rotation = _turned(turn[0], turn[1], 0.0)
-        shift = rotation @ (found.shift_mm - middle) + middle + np.array([0.0, 0.0, turn[2]])
-        found = replace(found, rotation=rotation @ found.rotation, shift_mm=shift)
-        if np.abs(turn).max() < 1e-5:
+        place = np.stack([x, y, z])[:, both]
+        middle = place.mean(axis=1)
+        rows, misses = [], []
+        for way, apart in (
+            (along_normal[:, both], ((height - z) * flat)[both]),
+            (along_relief[:, both], (other - ridge)[both]),
+        ):
+            spread = 3.0 * float(np.median(np.abs(apart - np.median(apart)))) + 1e-9
+            weight = 1.0 / (spread * (1.0 + (apart / spread) ** 2))
+            rows.append(np.vstack([np.cross((place - middle[:, None]).T, way.T).T, way]) * weight)
+            misses.append(-apart * weight)
+        move = np.linalg.lstsq(np.hstack(rows).T, np.concatenate(misses), rcond=None)[0]
+        rotation = _turned(*move[:3])
+        found = replace(
+            found,
+            rotation=rotation @ found.rotation,
+            shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:],
+        )
+        if np.abs(move).max() < _STILL:
             break
     return found
 

@@ -188,7 +188,7 @@ async function pair(turn) {
   const deg = (angle) => `${((angle * 180) / Math.PI).toFixed(1)}°`;
   const how = {
     photographs: "Both are from the same photographs: laid on each other pixel by pixel, raised to the same mean height.",
-    ridges: `Laid on each other as rigid bodies, turn and shift by the ridges, tilt and height by the surfaces: similarity ${alignment.similarity?.toFixed(2)} over ${alignment.overlap_mm2?.toFixed(0)} mm², turned by ${deg(alignment.turn_rad)}, tilted by ${deg(alignment.tilt_rad)}.`,
+    ridges: `Laid on each other by one rigid motion, found by the ridges, then fitted to heights and relief: similarity of the ridges ${alignment.similarity?.toFixed(2)} over ${alignment.overlap_mm2?.toFixed(0)} mm², turned by ${deg(alignment.turn_rad)}, tilted by ${deg(alignment.tilt_rad)}.`,
   }[alignment.how];
   apart = found.difference;
   const [unit, fine] = metas[0].units;
