@@ -21,8 +21,8 @@ def add_view(verbs: Any) -> None:
         type=Path,
         nargs="*",
         metavar="PATH",
-        help="a result, a folder of results, two results to compare, a capture or a folder of photographs, or a gallery; "
-        "nothing: a page to drop results onto",
+        help="a result, a folder of results, two results to compare, a capture or a folder of photographs, or a "
+        "gallery; nothing: a page to drop results onto",
     )
     verb.add_argument("--capture", type=Path, default=None, metavar="FOLDER", help="photographs the results are from")
     add_key(verb)

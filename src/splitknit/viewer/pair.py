@@ -201,7 +201,7 @@ def _fitted(found: Alignment, a: Surface, b: Surface) -> Alignment:
     """
     step = max(1, round(_FIT_MM / a.pitch_mm))
     x, y, z, ridge = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm))
-    slopes = [slope / (step * a.pitch_mm) for values in (z, ridge) for slope in np.gradient(values)]
+    slopes = [np.gradient(values, step * a.pitch_mm, axis=axis) for values in (z, ridge) for axis in (0, 1)]
     known = np.isfinite(slopes[0] + slopes[1])
     slope, relief = (a.turn @ np.stack([slopes[k + 1][known], -slopes[k][known]]) for k in (0, 2))
     x, y, z, ridge = x[known], y[known], z[known], ridge[known]

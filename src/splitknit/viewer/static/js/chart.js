@@ -43,7 +43,7 @@ export function showChart(box, curves, kind, units, pointed = () => {}) {
   const unit = units[kind === "height" ? 0 : 1];
   const svg = element("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", tabindex: 0 });
   svg.setAttribute("aria-label", `Section of the ${kind}: ${known.length ? `${Math.min(...known).toFixed(2)} to ${Math.max(...known).toFixed(2)} ${unit}` : "none"} over ${length.toFixed(2)} ${units[0]}. Left and right keys read values.`);
-  for (const v of ticks(low, high, 4)) {
+  for (const v of ticks(low, high, 6)) {
     svg.append(element("line", { class: "axis", x1: LEFT, x2: WIDTH - RIGHT, y1: toY(v), y2: toY(v) }));
     svg.append(element("text", { x: LEFT - 4, y: toY(v) + 3.5, "text-anchor": "end" }, String(v)));
   }
