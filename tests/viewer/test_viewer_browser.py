@@ -18,6 +18,7 @@ from viewer_server import Asking, started
 from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.gallery.gallery import Gallery
 from splitknit.io.mesh import read_glb
+from splitknit.io.npz import read_npz, write_npz
 from splitknit.matching.template import Template, pack
 from splitknit.viewer import service
 
@@ -242,6 +243,27 @@ def test_light_stays_with_the_camera_or_with_the_finger(shown: Path, asking: Ser
     behind = brightness("light-left-finger")  # the lamp is on the finger's right: its left side is dark
     seen.click("#lamp")
     assert brightness("light-left-camera") > behind + 15
+    assert seen.complaints() == []
+
+
+def test_a_result_without_a_scale_is_in_pixels(shown: Path, asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    arrays = read_npz(shown / "metric" / "height.npz")
+    pitch = float(arrays.pop("pitch_mm"))
+    for name in ("height", "ridge", "shape"):
+        arrays[f"{name}_px"] = arrays.pop(f"{name}_mm") / np.float32(pitch)
+    write_npz(tmp_path / "height.npz", arrays)
+    seen = page(900, 700)
+    seen.open(asking(tmp_path).server.url)
+    seen.click("#along")
+    seen.wait("return !document.getElementById('section').hidden")
+    seen.picture("pixels")
+    page_text = seen.run("return document.body.innerText")
+    assert "mm" not in re.sub(r"[a-z]mm|mm[a-z]", "", page_text) and "µm" not in page_text
+    assert seen.run("return document.querySelector('.scale').textContent").endswith(" px")
+    drop(seen, tmp_path)
+    seen.wait("return location.hash.includes('dropped0')")
+    seen.drawn()
+    assert seen.run("return document.querySelector('.scale').textContent").endswith(" px")
     assert seen.complaints() == []
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.viewer.surface import LONGEST_MM, Surface
+from splitknit.viewer.surface import Surface
 
 _RIDGE_SIGMA_MM = 0.32
 _MAX_SAMPLES = 20_000
@@ -103,7 +103,7 @@ def section(
         If the points are not finite, far away, equal, or neither lies on the surface.
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
-    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= LONGEST_MM * surface.um
+    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= surface.longest_mm
     require(sound, "the two points must be finite and on the finger.")
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")

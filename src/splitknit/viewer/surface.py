@@ -20,10 +20,7 @@ from splitknit.errors import require
 from splitknit.io.results import read_fields
 from splitknit.model import BoolArray, FloatArray
 
-LONGEST_MM = 1000.0
-"""No place of a finger is as far from the origin."""
-_LONGEST_PX = 40_000.0
-"""The same where the scale is unknown."""
+_LONGEST_MM, _LONGEST_PX = 1000.0, 40_000.0
 _RAYS = ("x_mm", "y_mm")
 
 
@@ -63,6 +60,11 @@ class Surface:
     def um(self) -> float:
         """Units of the relief in one of the heights: 1000 um a mm, or 1 where both are in pixels."""
         return 1000.0 if self.scale_known else 1.0
+
+    @property
+    def longest_mm(self) -> float:
+        """No place of an object is as far from the origin."""
+        return _LONGEST_MM if self.scale_known else _LONGEST_PX
 
     @property
     def nbytes(self) -> int:
@@ -116,14 +118,14 @@ def read_surface(folder: Path) -> Surface:
     corner = (box[0].start, box[1].start)
     low, high = zip(*(_range(values, inside) for values in (x, y, height)), strict=True)
     relief = max(float(ridge.max()), -float(ridge.min()))
-    longest = LONGEST_MM if arrays["scale_known"] else _LONGEST_PX
-    within = max(*np.abs([*low, *high]), relief) < longest  # not of NaN either
-    unit = "mm" if arrays["scale_known"] else "pixels"
-    require(bool(within), f"{again} (it holds places beyond {longest:g} {unit}, which are no finger's).")
-    return Surface(
+    surface = Surface(
         height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, arrays["upright_size"],
         low, high, relief, arrays["scale_known"],
     )  # fmt: skip
+    within = max(*np.abs([*low, *high]), relief) < surface.longest_mm  # not of NaN either
+    places = f"{surface.longest_mm:g} {'mm' if surface.scale_known else 'pixels'}"
+    require(bool(within), f"{again} (it holds places beyond {places}, which are no finger's).")
+    return surface
 
 
 def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), *, unscaled: bool = False) -> Any:
