@@ -533,7 +533,9 @@ MARKUP = (
 
 def only_text(seen: Page, server: Asking) -> None:
     """Nothing of a name became an element, ran, or led a request away."""
-    elements = "script:not([src]), img[src=x], [onerror], [onload], main svg:not(#chart svg, #prints svg), #notes b"
+    elements = (
+        "script:not([src]), img[src=x], [onerror], [onload], main svg:not(#chart svg, #prints svg, #lights), #notes b"
+    )
     assert seen.run("return [...document.querySelectorAll(arguments[0])].map((e) => e.outerHTML)", elements) == []
     assert seen.run("return document.title") != "taken"
     ours = f"http://127.0.0.1:{server.server.server_port}/"
