@@ -1,4 +1,4 @@
-"""Seconds from `splitknit view` to the first view of a full-resolution finger, and how fluid it is then.
+"""Seconds and bytes from `splitknit view` to the first view of a full-resolution finger, and how fluid it is then.
 
 python benchmarks/bench_viewer.py [--result FOLDER] [--rounds N]
 
@@ -33,6 +33,13 @@ FLAGS = (
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--window-size=1280,900",
 )  # fmt: skip
 
+SENT = """
+const end = performance.getEntriesByName('first view')[0].startTime;
+const all = [...performance.getEntriesByType('navigation'), ...performance.getEntriesByType('resource')];
+const some = all.filter((one) => one.responseEnd < end);
+return ['transferSize', 'decodedBodySize'].map((key) => some.reduce((sum, one) => sum + one[key], 0) / 1e6);
+"""
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -47,6 +54,7 @@ def main() -> None:
     if browser is None:
         print("\nNo page times: Chromium, chromedriver or selenium is missing.")
     facts: dict[str, float] = {}
+    sent: list[float] = []
     for _ in range(options.rounds):
         server, url, started = start(result)
         spent = processor_seconds(server.pid)
@@ -59,6 +67,7 @@ def main() -> None:
                 for name, seconds in page_times(browser, url).items():
                     rows.setdefault(name, []).append(seconds)
                 facts = browser.execute_script("return {...document.getElementById('view-a').dataset}")
+                sent = browser.execute_script(SENT)
         finally:
             server.send_signal(signal.SIGINT)
             server.wait()
@@ -71,6 +80,8 @@ def main() -> None:
     size = sum(file.stat().st_size for file in result.iterdir() if file.is_file()) / 1e6
     print(f"\n### {result.name}, {size:.0f} MB{f', {facts}' if facts else ''}\n\n| step | seconds, least / median |")
     print("| --- | --- |")
+    if sent:
+        print(f"| MB over the wire until the first view / the same unpacked | {sent[0]:.2f} / {sent[1]:.2f} |")
     for name, seconds in rows.items():
         print(f"| {name} | {min(seconds):.3f} / {statistics.median(seconds):.3f} |")
 

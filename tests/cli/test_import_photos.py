@@ -76,7 +76,7 @@ def test_nothing_takes_pixels_for_millimetres(result: Path, photos: Path, capsys
         surface_of(again)
     with pytest.raises(BadInput, match="scale is unknown"):
         read_fields(result / "height.npz", ("height_mm",))
-    for words in (["match", str(result), str(result)], ["view", str(result)],
+    for words in (["match", str(result), str(result)],
                   ["print", str(result), "--out", str(photos / "p")]):  # fmt: skip
         assert main(words) == 2
         assert "scale is unknown" in capsys.readouterr().err

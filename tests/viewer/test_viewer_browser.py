@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -17,7 +18,9 @@ from viewer_server import Asking, started
 from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.gallery.gallery import Gallery
 from splitknit.io.mesh import read_glb
+from splitknit.io.npz import read_npz, write_npz
 from splitknit.matching.template import Template, pack
+from splitknit.viewer import service
 
 pytestmark = [
     pytest.mark.slow,
@@ -169,10 +172,8 @@ def test_print_and_photographs(shown: Path, asking: Serve, page: PageMaker) -> N
     seen.click("#photo-grid button:nth-of-type(3)")
     seen.wait("const i = document.querySelector('#photo-large img'); return i.complete && i.naturalWidth > 320")
     seen.press("\ue014")
-    assert seen.run("return document.querySelector('#photo-large figcaption').textContent").startswith("4 of 7")
+    assert seen.run("return document.getElementById('photo-words').textContent").startswith("4 of 7")
     seen.picture("photograph")
-    seen.press("\ue00c")
-    assert not seen.run("return document.getElementById('photo-large').open")
     seen.click("#tab-surface")
     seen.drawn()
     seen.picture("minutiae")
@@ -199,6 +200,216 @@ def test_two_results_side_by_side(shown: Path, asking: Serve, page: PageMaker) -
     assert seen.complaints() == []
 
 
+def test_a_difference_is_seen_and_measured(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    seen.open(asking(shown / "metric", shown / "ea").server.url)
+    assert seen.run("return document.querySelector('#colour [value=difference]').disabled") is False or seen.wait(
+        "return !document.querySelector('#colour [value=difference]').disabled"
+    )
+    words = seen.run("return document.getElementById('alignment').textContent")
+    assert "pixel by pixel" in words and "rms 0.0 µm" in words  # the same heights twice
+    seen.choose("#colour", "difference")
+    seen.wait("return document.getElementById('legend').getAttribute('aria-label').includes('second − first, µm')")
+    time.sleep(0.5)
+    seen.drawn()
+    picture = cv2.imread(str(seen.picture("difference")))[200:500, 150:300].astype(int)
+    assert np.abs(picture - picture.mean(axis=2, keepdims=True)).max() <= 3  # white: none
+    seen.click("#across")
+    seen.wait("return !document.getElementById('section').hidden")
+    seen.choose("#curve", "difference")
+    assert "difference: 0.00 to 0.00 µm" in seen.run(
+        "return document.querySelector('#chart svg').getAttribute('aria-label')"
+    )
+    assert seen.complaints() == []
+
+
+def test_light_stays_with_the_camera_or_with_the_finger(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(900, 700)
+    seen.open(asking(shown / "metric").server.url)
+
+    def brightness(name: str) -> float:
+        seen.drawn()
+        time.sleep(0.3)
+        return float(cv2.imread(str(seen.picture(name)))[200:500, 150:400].mean())
+
+    seen.slide("#azimuth", 0)
+    seen.slide("#elevation", 10)
+    seen.run("document.querySelector('#view-a canvas').focus()")
+    above = brightness("light-above")
+    seen.press("l")
+    assert seen.find("#lamp").is_selected()
+    assert brightness("light-above-finger") == pytest.approx(above, abs=0.5)  # from above both are the same
+    seen.click("[data-from=left]")
+    behind = brightness("light-left-finger")  # the lamp is on the finger's right: its left side is dark
+    seen.click("#lamp")
+    assert brightness("light-left-camera") > behind + 15
+    assert seen.complaints() == []
+
+
+def test_a_result_without_a_scale_is_in_pixels(shown: Path, asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    arrays = read_npz(shown / "metric" / "height.npz")
+    pitch = float(arrays.pop("pitch_mm"))
+    for name in ("height", "ridge", "shape"):
+        arrays[f"{name}_px"] = arrays.pop(f"{name}_mm") / np.float32(pitch)
+    write_npz(tmp_path / "height.npz", arrays)
+    seen = page(900, 700)
+    seen.open(asking(tmp_path).server.url)
+    seen.click("#along")
+    seen.wait("return !document.getElementById('section').hidden")
+    seen.picture("pixels")
+    page_text = seen.run("return document.body.innerText")
+    assert "mm" not in re.sub(r"[a-z]mm|mm[a-z]", "", page_text) and "µm" not in page_text
+    assert seen.run("return document.querySelector('.scale').textContent").endswith(" px")
+    drop(seen, tmp_path)
+    seen.wait("return location.hash.includes('dropped0')")
+    seen.drawn()
+    assert seen.run("return document.querySelector('.scale').textContent").endswith(" px")
+    assert seen.complaints() == []
+
+
+def test_keys_are_listed(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(900, 700)
+    seen.open(asking(shown / "metric").server.url)
+    seen.run("document.getElementById('x0').focus()")
+    seen.press("?")
+    assert not seen.run("return document.getElementById('help').open")  # somebody types
+    seen.run("document.activeElement.blur()")
+    seen.press("?")
+    assert seen.run("return document.getElementById('help').open")
+    assert "light" in seen.find("#help").text
+    seen.press("\ue00c")
+    assert not seen.run("return document.getElementById('help').open")
+    seen.click("#show-help")
+    assert seen.run("return document.getElementById('help').open")
+
+
+def drop(seen: Page, folder: Path) -> None:
+    """Drop a folder onto the middle of the page, as the desktop does."""
+    data = {"items": [], "files": [str(folder)], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        event = {"type": kind, "x": 300, "y": 300, "data": data}
+        seen.driver.execute_cdp_cmd("Input.dispatchDragEvent", event)
+        if kind == "dragOver":
+            seen.picture("dropping")
+
+
+SAME = """
+const done = arguments[0];
+const base = new URL('.', document.baseURI).href;
+(async () => {
+  const [{getFirst}, {about}] = await Promise.all([import(base + 'js/tiles.js'), import(base + 'js/api.js')]);
+  const [there, here] = [await getFirst('0'), await getFirst('dropped0')];
+  let apart = there.length === here.length ? 0 : 1e9;
+  there.forEach((tile, n) => tile.fields.forEach((field, f) => field.forEach((v, k) => {
+    const other = here[n].fields[f][k];
+    const known = [v, other].filter((one) => one === one).length;
+    apart = Math.max(apart, [0, 1e9, Math.abs(v - other)][known]);
+  })));
+  const answers = [];
+  for (const key of ['0', 'dropped0']) {
+    const {figures} = await about(key, 'section', {x0: 0.6, y0: 3, x1: 0.6, y1: 8.4});
+    const {point_mm} = await about(key, 'pick', {ox: 20, oy: 2, oz: 60, dx: -0.3, dy: 0, dz: -1, relief: 3});
+    const {low_mm, high_mm, relief_range_um, points, tiles, turn} = await about(key);
+    answers.push({figures, point_mm, low_mm, high_mm, relief_range_um, points, tiles, turn});
+  }
+  done([apart, ...answers]);
+})().catch((error) => done(String(error)));
+"""
+
+
+def test_a_dropped_folder_is_read_in_the_browser(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    server = asking(shown / "metric")
+    seen.open(server.server.url)
+    asked = seen.run("return performance.getEntriesByType('resource').length")
+    drop(seen, shown / "metric")
+    seen.wait("return location.hash.includes('dropped0')")
+    seen.drawn()
+    seen.picture("dropped")
+    new = seen.run(f"return performance.getEntriesByType('resource').slice({asked}).map((e) => e.name)")
+    assert all(url.endswith("js/dropped.js") or url.startswith("blob:") for url in new), new
+    seen.choose("#colour", "normals")
+    seen.click("#along")
+    seen.wait("return !document.getElementById('section').hidden")
+    apart, there, here = seen.driver.execute_async_script(SAME)
+    assert apart < 1e-4
+    assert here["tiles"] == there["tiles"] and here["points"] == there["points"]
+    for name in ("low_mm", "high_mm", "point_mm", "relief_range_um"):
+        assert here[name] == pytest.approx(there[name], abs=1e-3), name
+    np.testing.assert_allclose(here["turn"], there["turn"], atol=1e-9)
+    for name, value in here["figures"].items():
+        assert value == pytest.approx(there["figures"][name], rel=0.01, abs=1e-4), name
+    assert seen.run("return document.getElementById('save-ply').getAttribute('download')") == "phalange.ply"
+    assert seen.find("#save-glb").is_displayed() is False
+    seen.driver.refresh()
+    seen.wait("return document.getElementById('trouble').textContent.includes('drop it again')")
+    drop(seen, shown / "capture")
+    seen.wait("return document.getElementById('trouble').textContent.includes('height.npz')")
+    assert seen.complaints() == []
+
+
+def test_an_empty_page_takes_a_folder_of_results(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(900, 700)
+    seen.driver.get(asking().server.url)
+    seen.wait("return !document.getElementById('empty').hidden")
+    seen.picture("empty")
+    drop(seen, shown)
+    seen.wait("return document.querySelectorAll('#result-list li').length === 2")
+    seen.click("#result-list button")
+    seen.drawn()
+    seen.choose("#other", "dropped1")
+    seen.wait("return document.body.dataset.pair === 'none'")
+    seen.drawn()
+    seen.picture("dropped-pair")
+    assert seen.complaints() == []
+
+
+def test_photographs_without_a_result(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    seen.driver.get(asking(shown / "capture").server.url)
+    there = "const i = document.querySelector('#photo-large img'); return i && i.complete && i.naturalWidth > 320 && "
+    seen.wait(there + "document.body.dataset.state === 'ready'")
+    assert [tab.text for tab in seen.driver.find_elements("css selector", "[role=tab]") if tab.is_displayed()] == [
+        "Photographs"
+    ]
+    assert seen.find("#command").text == f"splitknit reconstruct {shown}/capture --out capture-result"
+    assert not seen.find("#photo-plain").is_displayed()
+    words = "return document.getElementById('photo-words').textContent"
+    assert seen.run(words).startswith("1 of 7")
+    seen.run("document.querySelector('#light-table figure').focus()")
+    seen.press("\ue014", "\ue014")
+    assert seen.run(words).startswith("3 of 7") and "light from" in seen.run(words)
+    seen.slide("#photo-at", 5)
+    assert seen.run(words).startswith("5 of 7")
+    dot = seen.driver.find_elements("css selector", "#lights circle:not(.on)")[0]
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    before = seen.run(words)
+    ActionChains(seen.driver).move_to_element(dot).click().perform()
+    assert seen.run(words) != before
+    seen.slide("#photo-bright", 3)
+    seen.wait(there + "i.style.filter === 'brightness(3)'")
+    seen.picture("photographs-only")
+    seen.click("#photo-play")
+    before = seen.run(words)
+    seen.wait(f"return document.getElementById('photo-words').textContent !== {json.dumps(before)}")
+    seen.click("#photo-play")
+    assert seen.complaints() == []
+
+
+def test_the_first_view_is_small(shown: Path, asking: Serve, page: PageMaker) -> None:
+    seen = page(1280, 800)
+    seen.open(asking(shown / "metric").server.url)
+    sizes = seen.run(
+        "return [...performance.getEntriesByType('resource'), ...performance.getEntriesByType('navigation')]"
+        ".filter((e) => e.responseEnd < performance.getEntriesByName('first view')[0].startTime)"
+        ".map((e) => [e.name, e.transferSize, e.encodedBodySize, e.decodedBodySize])"
+    )
+    assert 100_000 < sum(size for _, size, _, _ in sizes) < 600_000
+    assert all(packed < plain for _, _, packed, plain in sizes if plain > 2000)
+    assert not any("dropped.js" in name for name, *_ in sizes)
+
+
 def test_a_folder_is_chosen_from(shown: Path, asking: Serve, page: PageMaker) -> None:
     seen = page(1280, 800)
     server = asking(shown)
@@ -223,6 +434,29 @@ def test_a_telephone(shown: Path, asking: Serve, page: PageMaker) -> None:
     seen.open(asking(shown / "metric").server.url)
     assert seen.run("return document.documentElement.scrollWidth <= innerWidth")
     seen.picture("telephone")
+
+    def touch(kind: str, *points: tuple[int, int]) -> None:
+        where = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)]
+        seen.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": where})
+
+    scale = "return document.querySelector('.scale').textContent + document.querySelector('.scale i').style.width"
+    before, still = seen.run(scale), cv2.imread(str(seen.picture("telephone")))
+    touch("touchStart", (200, 300))  # one finger turns
+    for x in range(190, 90, -10):
+        touch("touchMove", (x, 300))
+    touch("touchEnd")
+    seen.drawn()
+    turned = cv2.imread(str(seen.picture("telephone-turned")))
+    assert np.abs(turned.astype(int) - still)[100:450].mean() > 2
+    assert seen.run(scale) == before
+    touch("touchStart", (180, 300), (220, 300))  # two zoom
+    for step in range(10, 90, 10):
+        touch("touchMove", (180 - step, 300), (220 + step, 300))
+    touch("touchEnd")
+    seen.wait(f"return (() => {{ {scale} }})() !== {json.dumps(before)}")
+    seen.drawn()
+    seen.picture("telephone-pinched")
+    seen.click("[data-from=top]")
     seen.click("#along")
     seen.wait("return !document.getElementById('section').hidden")
     seen.run("document.getElementById('measure').scrollIntoView()")
@@ -244,6 +478,30 @@ def test_everything_has_a_name(shown: Path, asking: Serve, page: PageMaker) -> N
     nameless = [node["role"]["value"] for node in things if not node.get("name", {}).get("value")]
     assert nameless == []
     assert len(things) > 25
+    unlabelled = (
+        "return [...document.querySelectorAll('input, select, button')].filter((e) => !(e.labels?.length"
+        " || e.textContent.trim() || e.getAttribute('aria-label'))).map((e) => e.id)"
+    )
+    assert seen.run(unlabelled) == []  # of all tabs
+
+
+def test_text_stands_out() -> None:
+    """At least 4.5 to 1, in light and in dark (WCAG 2.2, 1.4.3)."""
+    style = (Path(service.__file__).parent / "static" / "style.css").read_text(encoding="utf-8")
+
+    def luminance(colour: str) -> float:
+        levels = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        return float(
+            np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+        )
+
+    for block in re.findall(r":root \{([^}]+)\}", style):
+        colours = dict(re.findall(r"--([a-z-]+): (#[0-9a-f]{6})", block))
+        pairs = [(text, under) for text in ("ink", "soft", "warn", "accent", "second") for under in ("paper", "panel")]
+        pairs += [("ink", "stage"), ("soft", "stage"), ("accent-ink", "accent")]
+        for pair in pairs:
+            low, high = sorted(luminance(colours[name]) for name in pair)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, pair
 
 
 def test_without_webgl_there_is_a_picture(shown: Path, asking: Serve, page: PageMaker) -> None:
@@ -275,7 +533,9 @@ MARKUP = (
 
 def only_text(seen: Page, server: Asking) -> None:
     """Nothing of a name became an element, ran, or led a request away."""
-    elements = "script:not([src]), img[src=x], [onerror], [onload], main svg:not(#chart svg, #prints svg), #notes b"
+    elements = (
+        "script:not([src]), img[src=x], [onerror], [onload], main svg:not(#chart svg, #prints svg, #lights), #notes b"
+    )
     assert seen.run("return [...document.querySelectorAll(arguments[0])].map((e) => e.outerHTML)", elements) == []
     assert seen.run("return document.title") != "taken"
     ours = f"http://127.0.0.1:{server.server.server_port}/"

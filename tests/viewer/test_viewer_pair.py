@@ -15,7 +15,7 @@ from splitknit.model import default_rig
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.viewer.catalogue import make_catalogue
 from splitknit.viewer.marks import Marks
-from splitknit.viewer.pair import Alignment, align, matched_marks
+from splitknit.viewer.pair import Alignment, _fitted, _turned, align, difference, matched_marks
 from splitknit.viewer.surface import read_surface
 
 
@@ -68,11 +68,46 @@ def test_minutiae_are_matched_where_place_and_direction_fit() -> None:
     place = np.array([[0.0, 0.0, 1.0], [3.0, 0.0, 1.0], [6.0, 0.0, 1.0], [9.0, 9.0, np.nan]])
     tail = place + np.array([0.6, 0.0, 0.0])
     marks = Marks(*np.zeros((3, 4)), ("ending",) * 4, np.zeros(4, int), place, tail)
-    turn = Alignment("ridges", 0.3, 1.0, -2.0)
-    back = Alignment("ridges", -0.3)
+    turn = Alignment("ridges", _turned(0.0, 0.0, 0.3), np.array([1.0, -2.0, 0.0]))
+    back = Alignment("ridges", _turned(0.0, 0.0, -0.3))
     moved = [back.moved(points - np.array([1.0, -2.0, 0.0])) for points in (place, tail)]
     moved[0][0] += [0.3, 0.0, 0.0]  # near enough
     moved[1][0] += [0.3, 0.0, 0.0]
     moved[1][1] = moved[0][1] - (moved[1][1] - moved[0][1])  # the other way round
     other = Marks(*np.zeros((3, 4)), ("ending",) * 4, np.zeros(4, int), moved[0], moved[1])
     assert sorted(matched_marks(marks, other, turn)) == [(0, 0), (2, 2)]
+
+
+def test_a_tilted_finger_is_laid_down_again(fingers: Path) -> None:
+    """A finger is tilted and raised; what is found undoes it, and what is left of the difference is small."""
+    surface = read_surface(fingers / "a")
+    rotation = _turned(0.03, -0.06, 0.01)
+    middle = np.array([field[surface.mask].mean() for field in (surface.x_mm, surface.y_mm, surface.height_mm)])
+    motion = Alignment("ridges", rotation, middle - rotation @ middle + np.array([0.06, -0.05, 0.4]))
+    height, ridge = motion.read(surface)(*(f[surface.mask].astype(float) for f in (surface.x_mm, surface.y_mm)))
+    moved = replace(surface, height_mm=np.full_like(surface.height_mm, np.nan), ridge_mm=surface.ridge_mm.copy())
+    moved.height_mm[surface.mask], moved.ridge_mm[surface.mask] = height, np.nan_to_num(ridge)
+    before = difference(surface, moved, Alignment("ridges")).figures
+    found = _fitted(Alignment("ridges"), surface, moved)
+    after = difference(surface, moved, found).figures
+    assert before["rms_um"] > 400
+    assert after["rms_um"] < 15 and after["relief_rms_um"] < 0.4 * before["relief_rms_um"]
+    assert after["area_mm2"] > 0.9 * surface.count * surface.pitch_mm**2
+    np.testing.assert_allclose(found.rotation, motion.rotation.T, atol=0.002)
+    assert found.tilt_rad == pytest.approx(np.hypot(0.03, 0.06), abs=0.002)
+
+
+def test_a_difference_is_in_um_and_has_its_sign(shown: Path) -> None:
+    surface = read_surface(shown / "metric")
+    bump = np.zeros_like(surface.height_mm)
+    rows, columns = np.argwhere(surface.mask).mean(axis=0).astype(int)
+    bump[rows - 10 : rows + 10, columns - 10 : columns + 10] = 0.05
+    other = replace(surface, height_mm=surface.height_mm + bump)
+    found = difference(surface, other, Alignment("photographs"))
+    height, width = found.picture.shape
+    top, left = (rows + surface.corner[0]) / surface.size[0], (columns + surface.corner[1]) / surface.size[1]
+    middle = int(found.picture[int(top * height), int(left * width)])
+    assert (middle - 128) / 127 * found.range_um == pytest.approx(min(50.0, found.range_um), abs=1)
+    assert found.picture[0, 0] == 0  # unknown
+    inside = bump[surface.mask]
+    assert found.figures["rms_um"] == pytest.approx(1000 * np.sqrt(np.mean(inside**2)), rel=0.05)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +14,13 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.ply import read_ply
 from splitknit.io.results import _upright_mesh
 from splitknit.report.result import write_results
+from splitknit.viewer.measure import section
 from splitknit.viewer.surface import (
     TILE,
     Surface,
     _root_stride,
     filled_tiles,
     first_view,
-    read_members,
     read_surface,
     strides,
     tile_bytes,
@@ -54,9 +55,16 @@ def test_rays_of_a_perspective_camera_are_kept(tmp_path: Path) -> None:
 
 
 def read_tile(data: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Head and fields of the first tile of `data`, as the page reads them."""
     head = np.frombuffer(data, "<i4", 8)
-    assert head[0] == len(data)
-    return head, np.frombuffer(data, "<f4", offset=32).reshape(4, head[4], head[5])
+    assert head[0] <= len(data)
+    quantum, rows, columns = np.frombuffer(data, "<f8", 1, 32)[0], int(head[4]), int(head[5])
+    known = np.frombuffer(data, bool, rows * columns, 40).reshape(rows, columns)
+    bytes_ = np.frombuffer(data, np.uint8, 16 * rows * columns, 40 + rows * columns).reshape(4, 4, -1)
+    zigzag = np.ascontiguousarray(bytes_.transpose(0, 2, 1)).view("<u4")[..., 0]
+    step = (zigzag >> 1).astype(np.int32) ^ -(zigzag & 1).astype(np.int32)
+    whole = step.reshape(4, rows, columns).cumsum(axis=2, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
+    return head, np.where(known, whole * quantum, np.nan).astype(np.float32)
 
 
 def test_tiles_hold_every_value_once(surface: Surface) -> None:
@@ -68,10 +76,10 @@ def test_tiles_hold_every_value_once(surface: Surface) -> None:
         rows = slice(top + 1, top + own[0].stop)
         columns = slice(left + 1, left + own[1].stop)
         seen[rows, columns] += 1
-        np.testing.assert_array_equal(z[own], surface.height_mm[rows, columns])
+        np.testing.assert_allclose(z[own], surface.height_mm[rows, columns], atol=surface.pitch_mm / 2000)
         known = np.isfinite(z[own])
         for values, field in ((x, surface.x_mm), (y, surface.y_mm), (relief, surface.ridge_mm)):
-            np.testing.assert_array_equal(values[own][known], field[rows, columns][known])
+            np.testing.assert_allclose(values[own][known], field[rows, columns][known], atol=surface.pitch_mm / 2000)
     assert (seen[surface.mask] == 1).all()
     assert seen.max() == 1
 
@@ -82,13 +90,18 @@ def test_coarse_points_are_fine_points(surface: Surface) -> None:
     head, (_, _, z, _) = read_tile(tile_bytes(surface, step, 0, 0))
     top, left = int(head[6]) - surface.corner[0], int(head[7]) - surface.corner[1]
     assert (top, left) == (-step, -step)  # the rim
-    np.testing.assert_array_equal(z[1:5, 1:5], surface.height_mm[: 4 * step : step, : 4 * step : step])
+    there = surface.height_mm[: 4 * step : step, : 4 * step : step]
+    np.testing.assert_allclose(z[1:5, 1:5], there, atol=step * surface.pitch_mm / 2000)
     assert np.isnan(z[0]).all()
 
 
 def test_the_first_view_is_small_and_whole(surface: Surface) -> None:
-    pieces = list(first_view(surface))
-    points = sum(int(np.isfinite(read_tile(piece)[1][2]).sum()) for piece in pieces)
+    data, points = first_view(surface), 0
+    assert len(gzip.compress(data)) < 0.35 * 16 * surface.count / _root_stride(surface) ** 2  # of plain floats
+    while data:
+        head, fields = read_tile(data)
+        points += int(np.isfinite(fields[2]).sum())
+        data = data[head[0] :]
     assert surface.count / _root_stride(surface) ** 2 <= 70_000
     assert 0.9 * surface.count < points * _root_stride(surface) ** 2 < 1.4 * surface.count  # rims are there twice
 
@@ -109,12 +122,12 @@ def arrays(shown: Path, tmp_path: Path) -> tuple[dict[str, np.ndarray], Path]:
     [
         ({"ridge_mm": None}, "holds no 'ridge_mm'"),
         ({"height_mm": np.zeros((3, 4), np.float32)}, "'height_mm' has another shape"),
-        ({"pitch_mm": np.float64(0.0)}, "scale or its frame"),
-        ({"input_from_upright": np.zeros((3, 3))}, "scale or its frame"),
+        ({"pitch_mm": np.float64(0.0)}, "has no scale"),
+        ({"input_from_upright": np.zeros((3, 3))}, "'input_from_upright'"),
         ({"height_mm": np.full((440, 640), np.nan, np.float32)}, "holds no heights"),
         ({"mask": np.zeros((440, 640), bool)}, "holds no heights"),
         ({"mask": np.zeros(440, bool)}, "another shape"),
-        ({"ridge_mm": np.array("text")}, "'ridge_mm' has another shape or kind"),
+        ({"ridge_mm": np.array("text")}, "'ridge_mm' has another shape"),
     ],
 )
 def test_arrays_of_another_kind_are_refused(arrays, change: dict, words: str) -> None:
@@ -147,4 +160,20 @@ def test_a_damaged_result_is_refused_in_one_sentence(shown: Path, tmp_path: Path
 def test_arrays_by_columns_are_read(tmp_path: Path) -> None:
     array = np.asfortranarray(np.arange(12.0).reshape(3, 4))
     write_npz(tmp_path / "a.npz", {"a": array})
-    np.testing.assert_array_equal(read_members(tmp_path / "a.npz", ("a",))["a"], array)
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz", ("a",))["a"], array)
+
+
+def test_a_result_without_a_scale_is_in_pixels(shown: Path, arrays) -> None:
+    there, folder = arrays
+    folder.mkdir()
+    pitch = float(there.pop("pitch_mm"))
+    for name in ("height", "ridge", "shape"):
+        there[f"{name}_px"] = there.pop(f"{name}_mm") / np.float32(pitch)
+    write_npz(folder / "height.npz", there)
+    surface, known = read_surface(folder), read_surface(shown / "metric")
+    assert (surface.scale_known, surface.pitch_mm, surface.um) == (False, 1.0, 1.0)
+    np.testing.assert_allclose(np.array(surface.high_mm) * pitch, known.high_mm, rtol=1e-5)
+    cut, wanted = (section(one, (0.0, 3.0 * n), (0.0, 8.0 * n)) for one, n in ((surface, 1 / pitch), (known, 1)))
+    assert cut.figures["flat_mm"] == pytest.approx(5.0 / pitch)
+    assert cut.figures["relief_um"] * pitch * 1000 == pytest.approx(wanted.figures["relief_um"], rel=1e-3)
+    assert cut.figures["ridges"] is None  # their distance is known in mm only

@@ -67,7 +67,7 @@ def test_a_port_that_is_none_is_refused(shown: Path, capsys: Captured, port: str
         (lambda folder: folder / "nowhere", "there is no"),
         (lambda folder: folder, "there is no result in"),
         (lambda folder: _file(folder / "a.txt", b"words"), "is a file"),
-        (lambda folder: _file(folder / "capture.json", b"{}").parent, "is a capture, not a result"),
+        (lambda folder: _file(folder / "capture.json", b"{}").parent, "capture.json: format is missing"),
         (lambda folder: _file(folder / "height.npz", b"PK\3\4").parent, "damaged"),
         (lambda folder: _result(folder, {"height_mm": np.zeros((2, 2), np.float32)}), "holds no"),
         (lambda folder: _file(folder / "people.sqlite", b"SQLite format 3\0" + bytes(100)), "people.sqlite"),
@@ -84,8 +84,10 @@ def test_what_is_no_result_is_refused_in_one_sentence(tmp_path: Path, capsys: Ca
 
 def test_more_that_does_not_fit_is_refused(shown: Path, tmp_path: Path, capsys: Captured) -> None:
     for arguments, words in (
-        ([shown / "metric", shown / "ea", shown / "metric"], "one result, a folder of results, or two"),
+        ([shown / "metric", shown / "ea", shown / "metric"], "one result, a folder of results, two results"),
         ([shown / "metric", shown], "not a result"),
+        ([shown / "metric", shown / "capture"], "not a result"),
+        ([shown / "capture", "--capture", shown / "capture"], "leave --capture out"),
         ([shown / "metric", "--capture", tmp_path], "not the capture that this was made from"),
         ([shown / "metric", "--key-file", tmp_path], "is no gallery"),
     ):

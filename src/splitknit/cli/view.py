@@ -15,13 +15,14 @@ from splitknit.cli.verb import Outcome, new_verb
 
 def add_view(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "view", "look at results in the browser, on this machine only", _run)
+    verb = new_verb(verbs, "view", "look at results and photographs in the browser, on this machine only", _run)
     verb.add_argument(
         "paths",
         type=Path,
-        nargs="+",
-        metavar="RESULT",
-        help="a result, a folder of results, a gallery, or two results to see side by side",
+        nargs="*",
+        metavar="PATH",
+        help="a result, a folder of results, two results to compare, a capture or a folder of photographs, or a "
+        "gallery; nothing: a page to drop results onto",
     )
     verb.add_argument("--capture", type=Path, default=None, metavar="FOLDER", help="photographs the results are from")
     add_key(verb)

@@ -66,8 +66,12 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
     """
-    name, suffix = os.fspath(path), Path(path).suffix.lower()
-    data = read_bytes(path, DEFAULTS.max_bytes)
+    return decode_photo(read_bytes(path, DEFAULTS.max_bytes), os.fspath(path), room=room)
+
+
+def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
+    """Decode the bytes of a photograph, as :func:`read_photo`; the suffix of `name` shows camera RAW."""
+    suffix = Path(name).suffix.lower()
     if suffix in RAW_SUFFIXES:
         pixels, orientation = _raw(data, name, room)
     elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":

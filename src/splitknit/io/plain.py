@@ -161,17 +161,8 @@ def capture_from_photographs(
     directions, names = read_named_lights(table)
     own = [file for value in (mask, background if not isinstance(background, float | int) else None, table)
            if value is not None for file in [Path(value).resolve()]]  # fmt: skip
-    found, skipped = _photos_in(root, own)
-    if mask is None:
-        masks = [file for file in found if file.stem.lower() == "mask"]
-        mask = masks[0] if masks else None
-        found = [file for file in found if file not in masks]
-    for file in [file for file in found if "mask" in file.stem.lower()]:
-        found.remove(file)
-        skipped.append(f"{file.name} (a mask? name it with --mask)")
-    if names:
-        found, unused = _by_name(found, names, table)
-        skipped += [f"{file.name} (not in {table.name})" for file in unused]
+    found, masks, skipped = photographs_in(root, table, names, own, find_mask=mask is None)
+    mask = masks[0] if masks else mask
     left_out = f"; skipped: {_listed(skipped)}" if skipped else ""
     require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
     require(
@@ -194,6 +185,41 @@ def capture_from_photographs(
 
 def _listed(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def photographs_in(
+    folder: Path, table: Path, names: Sequence[str] = (), own: Sequence[Path] = (), *, find_mask: bool = True
+) -> tuple[list[Path], list[Path], list[str]]:
+    """Photographs of a folder in the order of the lights.
+
+    Parameters
+    ----------
+    folder : Path
+    table : file of the lights, for messages
+    names : of photographs, from that file (:func:`read_named_lights`); empty: all, photo_2 before photo_10
+    own : files that have another use
+    find_mask : whether a ``mask.png`` (or another format) is looked for
+
+    Returns
+    -------
+    photographs, masks : files
+    skipped : what else is there, each with the reason
+
+    Raises
+    ------
+    BadInput
+        If the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
+    """
+    found, skipped = _photos_in(folder, own)
+    masks = [file for file in found if find_mask and file.stem.lower() == "mask"]
+    found = [file for file in found if file not in masks]
+    for file in [file for file in found if "mask" in file.stem.lower()]:
+        found.remove(file)
+        skipped.append(f"{file.name} (a mask? name it with --mask)")
+    if names:
+        found, unused = _by_name(found, names, table)
+        skipped += [f"{file.name} (not in {table.name})" for file in unused]
+    return found, masks, skipped
 
 
 def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]]:

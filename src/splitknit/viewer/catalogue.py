@@ -75,7 +75,7 @@ _REPORT_BYTES = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One result."""
+    """One result, or one folder of photographs."""
 
     key: str
     """By which the page requests it: its number."""
@@ -85,6 +85,8 @@ class Entry:
     capture: Path | None = None
     """Folder of the photographs it was made from."""
     report: dict[str, Any] = field(default_factory=dict, compare=False)
+    result: bool = True
+    """If not, there are only photographs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +112,11 @@ class Catalogue:
 
 
 def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalogue:
-    """Find the results that `paths` name.
+    """Find the results that `paths` name, or the photographs.
 
     Parameters
     ----------
-    paths : a result, a folder of results, or two results
+    paths : a result, a folder of results, two results, a capture, a folder of photographs, or nothing
     capture : folder of the photographs of the results, or a folder of such folders laid out as the results are
 
     Raises
@@ -122,16 +124,22 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     BadInput
         If a path is neither, or the capture is none of theirs.
     """
-    require(1 <= len(paths) <= 2, "name one result, a folder of results, or two results.")
+    require(len(paths) <= 2, "name one result, a folder of results, two results, or photographs.")
+    if not paths:
+        return Catalogue("", (), ())
     roots = [_resolved(path) for path in paths]
     for path, root in zip(paths, roots, strict=True):
         _check_kind(path, root)
     if len(roots) == 1 and not _is_result(roots[0]):
-        folders = _find_results(roots[0])
+        taken = (roots[0] / "capture.json").is_file()
+        folders = [] if taken else _find_results(roots[0])
+        if taken or (not folders and _holds_photographs(roots[0])):
+            require(capture is None, f"'{paths[0]}' holds photographs itself; leave --capture out.")
+            return Catalogue(roots[0].name, (Entry("0", roots[0].name, roots[0], roots[0], result=False),), ("0",))
         require(
             len(folders) > 0,
-            f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them); "
-            "name a result or a folder of results.",
+            f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them), "
+            "and no photograph; name a result, a folder of results, or a folder of photographs.",
         )
         names = [folder.relative_to(roots[0]).as_posix() for folder in folders]
         chosen: tuple[str, ...] = ()
@@ -156,6 +164,13 @@ def _is_result(folder: Path) -> bool:
     """Whether `splitknit reconstruct` wrote here."""
     file = folder / "height.npz"
     return file.is_file() and not file.is_symlink()
+
+
+def _holds_photographs(folder: Path) -> bool:
+    """Whether an image lies in the folder itself."""
+    from splitknit.io.photos import SUFFIXES  # noqa: PLC0415 - the first view of a result waits for no image library
+
+    return any(file.suffix.lower() in SUFFIXES and not file.name.startswith(".") for file in folder.iterdir())
 
 
 def _find_results(root: Path) -> list[Path]:
@@ -213,12 +228,8 @@ def _check_kind(path: Path, root: Path) -> None:
         folder, there = root.is_dir(), root.exists()
     except (OSError, ValueError):
         folder = there = False
-    require(there, f"there is no '{path}'; name a result folder, or a folder of results.")
+    require(there, f"there is no '{path}'; name a result folder, a folder of results, or photographs.")
     require(folder, f"'{path}' is a file; name a result folder (with height.npz), or a folder of results.")
-    require(
-        _is_result(root) or not (root / "capture.json").is_file(),
-        f"'{path}' is a capture, not a result; `splitknit reconstruct {path} --out RESULT` makes one.",
-    )
 
 
 def _telling_names(folders: Sequence[Path]) -> list[str]:

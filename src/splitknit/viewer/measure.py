@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,6 @@ from splitknit.viewer.surface import Surface
 
 _RIDGE_SIGMA_MM = 0.32
 _MAX_SAMPLES = 20_000
-_FARTHEST_MM = 200.0
 _Values = NDArray[np.float64]
 
 
@@ -88,8 +88,14 @@ def pick(
     return (x, y, z) if np.isfinite(z) else None
 
 
-def section(surface: Surface, start_mm: tuple[float, float], end_mm: tuple[float, float]) -> Section:
-    """Cut the surface between two points given by x and y.
+Reading = Callable[[_Values, _Values], tuple[_Values, _Values]]
+"""Heights (N,) and relief (N,), mm, at x and y (N,)."""
+
+
+def section(
+    surface: Surface, start_mm: tuple[float, float], end_mm: tuple[float, float], read: Reading | None = None
+) -> Section:
+    """Cut the surface between two points given by x and y; `read` gives the values of another one in its frame.
 
     Raises
     ------
@@ -97,28 +103,37 @@ def section(surface: Surface, start_mm: tuple[float, float], end_mm: tuple[float
         If the points are not finite, far away, equal, or neither lies on the surface.
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
-    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= _FARTHEST_MM
-    require(sound, "the two points must be finite and within 200 mm.")
+    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= surface.longest_mm
+    require(sound, "the two points must be finite and on the finger.")
     flat_mm = float(np.hypot(*(ends[1] - ends[0])))
     require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
     count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
     fraction = np.linspace(0.0, 1.0, count)
     x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
-    place = locate(surface, x, y)
-    height = sample(surface.height_mm, place)
-    relief = np.where(np.isfinite(height), 1000.0 * sample(surface.ridge_mm, place), np.nan)
+    height, ridge = (read or reading(surface))(x, y)
+    relief = np.where(np.isfinite(height), surface.um * ridge, np.nan)
     require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the finger.")
     along = fraction * flat_mm
-    return Section(along, x, y, height, relief, _figures(along, height, relief))
+    return Section(along, x, y, height, relief, _figures(along, height, relief, surface.scale_known))
 
 
-def _figures(along: _Values, height: _Values, relief: _Values) -> dict[str, float | int | None]:
+def reading(surface: Surface) -> Reading:
+    """The surface's own values."""
+
+    def read(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
+        place = locate(surface, x_mm, y_mm)
+        return sample(surface.height_mm, place), sample(surface.ridge_mm, place)
+
+    return read
+
+
+def _figures(along: _Values, height: _Values, relief: _Values, scale_known: bool) -> dict[str, float | int | None]:
     known = np.isfinite(height)
     whole = bool(known[0] and known[-1])
     steps = np.hypot(np.diff(along), np.diff(height))
     both = known[:-1] & known[1:]
     r = relief[known]
-    ridges, period = _ridges(along, relief)
+    ridges, period = _ridges(along, relief) if scale_known else (None, None)
     rise = float(height[-1] - height[0]) if whole else None
     return {
         "flat_mm": float(along[-1]),

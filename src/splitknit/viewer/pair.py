@@ -1,77 +1,158 @@
-"""Two results beside each other: how the second is moved so that the same skin lies at the same place."""
+"""Two results: how the second is moved so that the same skin lies at the same place, and how they differ then."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import require
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit.matching.template import make_template
 from splitknit.viewer.catalogue import Entry
 from splitknit.viewer.marks import Marks
-from splitknit.viewer.measure import locate, sample
-from splitknit.viewer.surface import Surface, read_members
+from splitknit.viewer.measure import Reading, locate, sample
+from splitknit.viewer.surface import Surface, fields_of
 
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)
+_PICTURE_PX = 1000
+_FIT_MM = 0.08
+"""Distance of the places that are compared: a fifth of a ridge."""
+_FEWEST = 300
+_MOST_STEPS, _STILL = 30, 2e-5
+_Values = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """How the second finger is laid on the first, seen from the camera."""
+    """The rigid motion that lays the second finger on the first."""
 
     how: str
     """``photographs`` (both from the same ones), ``ridges``, or ``none``."""
-    turn_rad: float = 0.0
-    """Counter-clockwise, about the camera's axis, before the shift."""
-    right_mm: float = 0.0
-    up_mm: float = 0.0
-    raise_mm: float = 0.0
+    rotation: _Values = field(default_factory=lambda: np.eye(3))
+    """(3, 3)"""
+    shift_mm: _Values = field(default_factory=lambda: np.zeros(3))
+    """(3,), after the rotation."""
     similarity: float | None = None
     """Of the ridges, where they were compared."""
     overlap_mm2: float | None = None
 
-    def moved(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    @property
+    def turn_rad(self) -> float:
+        """About the camera's axis, counter-clockwise."""
+        return float(np.arctan2(self.rotation[1, 0] - self.rotation[0, 1], self.rotation[0, 0] + self.rotation[1, 1]))
+
+    @property
+    def tilt_rad(self) -> float:
+        """Of the camera's axis."""
+        return float(np.arccos(np.clip(self.rotation[2, 2], -1.0, 1.0)))
+
+    def moved(self, points_mm: _Values) -> _Values:
         """(N, 3) points of the second finger in the first one's frame."""
-        cos, sin = np.cos(self.turn_rad), np.sin(self.turn_rad)
-        turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return np.asarray(points_mm @ turn.T + np.array([self.right_mm, self.up_mm, self.raise_mm]))
+        return np.asarray(points_mm @ self.rotation.T + self.shift_mm)
+
+    def read(self, surface: Surface) -> Reading:
+        """Heights and relief of the second finger along the camera's axis of the first."""
+
+        def along_axis(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
+            there = np.stack([x_mm, y_mm, np.zeros(len(x_mm))]) - self.shift_mm[:, None]
+            start, axis = self.rotation.T @ there, self.rotation[2]
+            step = (np.nanmean(surface.height_mm[::16, ::16]) - start[2]) / axis[2]
+            for _ in range(1 if axis[2] == 1.0 else 6):
+                place = locate(surface, start[0] + step * axis[0], start[1] + step * axis[1])
+                step = (sample(surface.height_mm, place) - start[2]) / axis[2]
+            return step, sample(surface.ridge_mm, place)
+
+        return along_axis
 
     def document(self) -> dict[str, Any]:
         """For the page."""
-        return asdict(self)
+        return {
+            "how": self.how,
+            "matrix": np.vstack([np.column_stack([self.rotation, self.shift_mm]), [0, 0, 0, 1]]).ravel().tolist(),
+            "turn_rad": self.turn_rad,
+            "tilt_rad": self.tilt_rad,
+            "similarity": self.similarity,
+            "overlap_mm2": self.overlap_mm2,
+        }
 
 
 def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
     """Lay the second result on the first.
 
+    Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
+    one camera measures no distance. Else the ridges give the turn and the shift across the camera's axis; from there
+    the six numbers of a rigid motion are fitted to heights and relief.
+
     Raises
     ------
     BadInput
-        If a result lacks what a ridge template needs.
+        If a result lacks what a ridge template needs, or only one has a scale.
     """
+    require(a.scale_known == b.scale_known, "one is in mm and one in pixels; give both a scale (--px-per-mm).")
     if _same_photographs(first, second) and a.size == b.size:
-        both = a.turn @ b.turn.T
-        found = Alignment("photographs", float(np.arctan2(both[1, 0], both[0, 0])))
-        return _raised(found, a, b)
+        rotation = np.eye(3)
+        rotation[:2, :2] = a.turn @ b.turn.T
+        return _raised(Alignment("photographs", rotation), a, b)
     bands = [_Band(entry.folder) for entry in (first, second)]
     match = ridge_match(bands[0].template, bands[1].template)
     if not match.compared:
-        return Alignment("none", similarity=None)
-    turn = -float(np.deg2rad(match.rotation_deg))  # A is turned by it to lie on B; here B comes to A
+        return Alignment("none")
+    rotation = _turned(0.0, 0.0, -np.deg2rad(match.rotation_deg))  # here B comes to A
     there = _upright(b, *bands[1].place(match.right_mm, match.up_mm))
     here = _upright(a, *bands[0].place(0.0, 0.0))
-    cos, sin = np.cos(turn), np.sin(turn)
-    shift = here - np.array([cos * there[0] - sin * there[1], sin * there[0] + cos * there[1]])
-    found = Alignment(
-        "ridges", turn, float(shift[0]), float(shift[1]), 0.0, float(match.similarity), float(match.overlap_mm2)
-    )
-    return _raised(found, a, b)
+    shift = np.append(here - rotation[:2, :2] @ there, 0.0)
+    found = Alignment("ridges", rotation, shift, float(match.similarity), float(match.overlap_mm2))
+    return _fitted(found, a, b)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Difference:
+    """How much higher the second finger is than the first, along the camera's axis."""
+
+    picture: NDArray[np.uint8]
+    """(h, w) over the first one's input: 0 = unknown, 1 to 255 = -`range_um` to `range_um`."""
+    range_um: float
+    figures: dict[str, float]
+    """``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um`` and ``area_mm2``."""
+
+
+def difference(a: Surface, b: Surface, alignment: Alignment) -> Difference:
+    """Second minus first; in pixels where their scale is unknown.
+
+    Raises
+    ------
+    BadInput
+        If they do not overlap.
+    """
+    height, width = (min(side, _PICTURE_PX) for side in a.size)
+    rows, columns = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip((height, width), a.size, strict=True))
+    place = np.stack([axis.ravel() for axis in np.meshgrid(columns - a.corner[1], rows - a.corner[0])])
+    known = np.flatnonzero(np.isfinite(sample(a.height_mm, place)))
+    here = [sample(values, place[:, known]) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm)]
+    there, relief = alignment.read(b)(here[0], here[1])
+    apart, reliefs = a.um * (there - here[2]), a.um * (relief - here[3])
+    both = np.isfinite(apart)
+    require(bool(both.any()), "the two surfaces do not overlap.")
+    apart, reliefs, known = apart[both], reliefs[both], known[both]
+    largest = max(float(np.percentile(np.abs(apart), 98)), 0.1)
+    power = 10.0 ** np.floor(np.log10(largest))
+    most = float(power * np.ceil(largest / power * 2) / 2)
+    picture = np.zeros(height * width, dtype=np.uint8)
+    picture[known] = np.rint(128 + 127 * np.clip(apart / most, -1, 1))
+    figures = {
+        "rms_um": float(np.sqrt(np.mean(apart**2))),
+        "within_um": float(np.percentile(np.abs(apart), 95)),
+        "relief_rms_um": float(np.sqrt(np.mean(reliefs**2))),
+        "area_mm2": float(len(known) * (a.size[0] / height) * (a.size[1] / width) * a.pitch_mm**2),
+    }
+    return Difference(picture.reshape(height, width), most, figures)
 
 
 def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, int]]:
@@ -102,33 +183,76 @@ def _same_photographs(first: Entry, second: Entry) -> bool:
 
 def _raised(found: Alignment, a: Surface, b: Surface) -> Alignment:
     """Both at the same height on average, over a coarse grid of the first."""
-    step = max(1, round(0.5 / a.pitch_mm))
+    step = max(1, round(max(a.mask.shape) / 60))
     inside = a.mask[::step, ::step]
-    x, y, z = (f[::step, ::step][inside].astype(np.float64) for f in (a.x_mm, a.y_mm, a.height_mm))
-    cos, sin = np.cos(found.turn_rad), np.sin(found.turn_rad)
-    dx, dy = x - found.right_mm, y - found.up_mm
-    other = sample(b.height_mm, locate(b, cos * dx + sin * dy, cos * dy - sin * dx))
-    known = np.isfinite(other)
-    rise = float(np.mean(z[known] - other[known])) if bool(known.any()) else 0.0
-    return Alignment(found.how, found.turn_rad, found.right_mm, found.up_mm, rise, found.similarity, found.overlap_mm2)
+    x, y, z = (values[::step, ::step][inside].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm))
+    gap = found.read(b)(x, y)[0] - z
+    rise = -float(np.nanmean(gap)) if bool(np.isfinite(gap).any()) else 0.0
+    return replace(found, shift_mm=found.shift_mm + np.array([0.0, 0.0, rise]))
+
+
+def _fitted(found: Alignment, a: Surface, b: Surface) -> Alignment:
+    """Move the second finger, rigidly, so that heights and relief agree best.
+
+    Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
+    multiple range images", Image and Vision Computing 10(3), 1992) and on the relief's differences (B. Lucas and
+    T. Kanade, IJCAI 1981), each divided by its spread, large ones weighted down. What lies beside the other finger, or
+    where the ridges are more than a quarter of a period apart, cannot be mended by this: `found` must be near.
+    """
+    step = max(1, round(_FIT_MM / a.pitch_mm))
+    x, y, z, ridge = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm))
+    slopes = [np.gradient(values, step * a.pitch_mm, axis=axis) for values in (z, ridge) for axis in (0, 1)]
+    known = np.isfinite(slopes[0] + slopes[1])
+    slope, relief = (a.turn @ np.stack([slopes[k + 1][known], -slopes[k][known]]) for k in (0, 2))
+    x, y, z, ridge = x[known], y[known], z[known], ridge[known]
+    flat = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=0))
+    along_normal = np.stack([-slope[0], -slope[1], np.ones(len(x))]) * flat
+    along_relief = -np.stack([relief[0], relief[1], np.zeros(len(x))])
+    for _ in range(_MOST_STEPS):
+        height, other = found.read(b)(x, y)
+        both = np.isfinite(height - z)
+        if both.sum() < _FEWEST:
+            return found
+        place = np.stack([x, y, z])[:, both]
+        middle = place.mean(axis=1)
+        rows, misses = [], []
+        for way, apart in (
+            (along_normal[:, both], ((height - z) * flat)[both]),
+            (along_relief[:, both], (other - ridge)[both]),
+        ):
+            spread = 3.0 * float(np.median(np.abs(apart - np.median(apart)))) + 1e-9
+            weight = 1.0 / (spread * (1.0 + (apart / spread) ** 2))
+            rows.append(np.vstack([np.cross((place - middle[:, None]).T, way.T).T, way]) * weight)
+            misses.append(-apart * weight)
+        move = np.linalg.lstsq(np.hstack(rows).T, np.concatenate(misses), rcond=None)[0]
+        rotation = _turned(*move[:3])
+        found = replace(
+            found,
+            rotation=rotation @ found.rotation,
+            shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:],
+        )
+        if np.abs(move).max() < _STILL:
+            break
+    return found
+
+
+def _turned(*vector_rad: float) -> _Values:
+    return np.asarray(cv2.Rodrigues(np.array(vector_rad, dtype=np.float64))[0], dtype=np.float64)
 
 
 class _Band:
     """A result's ridge template, and where its pixels lie in the input."""
 
     def __init__(self, folder: Path) -> None:
-        needed = ("ridge_mm", "shape_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
-        arrays = read_members(folder / "height.npz", needed)
-        mask = arrays["mask"].astype(np.bool_)
-        pitch, matrix = float(arrays["pitch_mm"]), arrays["input_from_upright"].astype(np.float64)
-        rows, columns = (int(side) for side in arrays["upright_size"])
+        arrays = fields_of(folder, ("ridge_mm", "shape_mm"))
+        mask, ridge, shape = arrays["mask"], arrays["ridge_mm"], arrays["shape_mm"]
+        pitch, matrix, size = arrays["pitch_mm"], arrays["input_from_upright"], arrays["upright_size"]
         settings = RidgeBandSettings()
-        ridge, shape = (arrays[name].astype(np.float32) for name in ("ridge_mm", "shape_mm"))
-        band = ridge_band(ridge, mask, pitch, shape, matrix, (rows, columns), settings)
+        band = ridge_band(ridge, mask, pitch, shape, matrix, size, settings)
         self.template = make_template(band)
         self.pitch_mm = band.pitch_mm
         known = mask & np.isfinite(ridge) & np.isfinite(shape)
-        self._columns, self._rows, _ = band_places(known, shape, matrix, (rows, columns), pitch, settings)
+        self._columns, self._rows, _ = band_places(known, shape, matrix, size, pitch, settings)
         valid = [np.flatnonzero(band.valid.any(axis=axis)) for axis in (0, 1)]
         self._middle = [float(lines[0] + lines[-1]) / 2 if lines.size else 0.0 for lines in valid]
 

@@ -9,6 +9,7 @@ the port, but does not know the token either.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import hmac
 import html
 import io
@@ -23,6 +24,7 @@ import time
 import webbrowser
 from collections.abc import Iterator, Sequence
 from email.message import Message
+from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,7 @@ from urllib.parse import parse_qsl
 
 from splitknit.errors import BadInput, require
 from splitknit.viewer.catalogue import Catalogue, make_catalogue
-from splitknit.viewer.service import Answer, Service
+from splitknit.viewer.service import Answer, Service, describe_photographs
 
 POLICY = "; ".join(
     (
@@ -105,7 +107,7 @@ _DATABASE = b"SQLite format 3\0"
 
 
 def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Path | None = None) -> Service:
-    """Return a service for a result, two results, a folder of results, or a gallery.
+    """Return a service for a result, two results, a folder of results, photographs, a gallery, or an empty page.
 
     What was named itself is read at once: what is damaged is said before a page opens.
 
@@ -114,12 +116,15 @@ def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Pat
     BadInput
         If there is nothing to show, or it cannot be read.
     """
-    if _is_database(paths[0]):
+    if paths and _is_database(paths[0]):
         return _gallery(paths, key_file)
-    require(key_file is None, f"'{paths[0]}' is no gallery; --key-file is for galleries.")
+    require(key_file is None, f"'{paths[0] if paths else ''}' is no gallery; --key-file is for galleries.")
     service = Service(make_catalogue(paths, capture))
-    for chosen in service.catalogue.chosen:
-        service.surface(service.catalogue.entry(chosen))
+    for entry in map(service.catalogue.entry, service.catalogue.chosen):
+        if entry.result:
+            service.surface(entry)
+        else:
+            describe_photographs(entry)
     return service
 
 
@@ -194,7 +199,15 @@ _HEAD_S = 20.0
 """Until a whole request must be there, from the connection's start or the last answer."""
 _ANSWER_S = 60.0
 """Until a piece of an answer must be taken."""
+_PACKED_FROM = 1000
+"""Bytes of an answer that is worth compressing."""
+_PACKED_KINDS = ("text/", "application/", "image/svg")
 _FULL = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 1\r\nConnection: close\r\n\r\n"
+
+
+@lru_cache(maxsize=64)
+def _gzipped(content: bytes) -> bytes:
+    return gzip.compress(content, 6, mtime=0)
 
 
 class ViewerServer(ThreadingHTTPServer):
@@ -320,13 +333,20 @@ class _Handler(BaseHTTPRequestHandler):
         """Send a refusal and close: what else the request holds is not read."""
         body = (words + "\n").encode("utf-8")
         self.close_connection = True
-        self._send(status, Answer("text/plain; charset=utf-8", len(body), [body], {"Connection": "close"}))
+        self._send(status, Answer("text/plain; charset=utf-8", len(body), body, {"Connection": "close"}))
 
     def _send(self, status: int, answer: Answer) -> None:
         headers = {"Cache-Control": "no-store", **HEADERS, **answer.headers}
+        size, chunks = answer.size, answer.chunks
+        if isinstance(chunks, bytes):
+            if size > _PACKED_FROM and answer.kind.startswith(_PACKED_KINDS) and self._takes_gzip():
+                chunks = _gzipped(chunks)
+                size, headers["Content-Encoding"] = len(chunks), "gzip"
+            headers["Vary"] = "Accept-Encoding"
+            chunks = [chunks]
         self.send_response(status)
         self.send_header("Content-Type", answer.kind)
-        self.send_header("Content-Length", str(answer.size))
+        self.send_header("Content-Length", str(size))
         for name, value in headers.items():
             self.send_header(name, value)
         if status == 405:
@@ -334,8 +354,14 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "HEAD":
             return
-        for chunk in answer.chunks:
+        for chunk in chunks:
             self.wfile.write(chunk)
+
+    def _takes_gzip(self) -> bool:
+        named = ",".join(self.headers.get_all("Accept-Encoding", [])).lower()
+        offered = [one.partition(";") for one in named.split(",")]
+        refused = {"q=0", "q=0.0", "q=0.00", "q=0.000"}
+        return any(name.strip() == "gzip" and how.replace(" ", "") not in refused for name, _, how in offered)
 
     def log_message(self, format: str, *args: object) -> None:
         """Log nothing: the address holds the token."""

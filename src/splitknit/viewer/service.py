@@ -5,6 +5,7 @@ What only some answers need is imported where it is needed: the first view waits
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 from collections import OrderedDict
@@ -23,6 +24,8 @@ from splitknit.viewer.surface import TILE, Surface, filled_tiles, first_view, re
 
 if TYPE_CHECKING:
     from splitknit.viewer.marks import Marks
+    from splitknit.viewer.measure import Section
+    from splitknit.viewer.pair import Alignment, Difference
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {
@@ -48,7 +51,7 @@ class Answer:
 
     kind: str
     size: int
-    chunks: Iterable[bytes]
+    chunks: bytes | Iterable[bytes]
     headers: Mapping[str, str] = field(default_factory=dict)
 
     def close(self) -> None:
@@ -69,6 +72,8 @@ class Service:
         self._lock = threading.Lock()
         self._large = threading.Lock()  # held by what needs several times the memory of a surface
         self._marks = lru_cache(maxsize=8)(self._read_marks)
+        self._aligned = lru_cache(maxsize=8)(self._align)
+        self._differed = lru_cache(maxsize=4)(self._differ)
         self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
     def answer(self, path: str, query: Query) -> Answer:
@@ -93,8 +98,8 @@ class Service:
                 return _json(self._list())
             case ["api", "people", row] if self.gallery is not None:
                 return _bytes(self.gallery.picture(row), "image/png")
-            case ["api", "pair", first, second]:
-                return _json(self._pair(first, second))
+            case ["api", "pair", first, second, *rest]:
+                return self._pair(first, second, rest, query)
             case ["api", "result", key, *rest]:
                 return self._result(self.catalogue.entry(key), rest, query)
         raise BadInput(_NOT_FOUND)
@@ -118,9 +123,9 @@ class Service:
     def _result(self, entry: Entry, rest: list[str], query: Query) -> Answer:  # noqa: PLR0911
         match rest:
             case []:
-                return _json(describe(entry, self.surface(entry)))
+                return _json(describe(entry, self.surface(entry)) if entry.result else describe_photographs(entry))
             case ["first"]:
-                return _bytes(b"".join(first_view(self.surface(entry))), "application/octet-stream")
+                return _bytes(first_view(self.surface(entry)), "application/octet-stream")
             case ["tile", stride, row, column]:
                 numbers = (_whole(stride), _whole(row), _whole(column))
                 return _bytes(tile_bytes(self.surface(entry), *numbers), "application/octet-stream")
@@ -135,7 +140,7 @@ class Service:
             case ["thumb"]:
                 return _bytes(_thumb(entry.folder), "image/jpeg")
             case ["photo", number]:
-                from splitknit.viewer.exports import photo_jpeg  # noqa: PLC0415
+                from splitknit.viewer.photographs import photo_jpeg  # noqa: PLC0415
 
                 width = _whole(query.get("width", "1200"))
                 return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
@@ -171,14 +176,11 @@ class Service:
     def _section(self, entry: Entry, query: Query) -> dict[str, Any]:
         from splitknit.viewer.measure import section  # noqa: PLC0415
 
-        ends = [_number(query, name) for name in ("x0", "y0", "x1", "y1")]
+        ends = _ends(query)
         try:
-            cut = section(self.surface(entry), (ends[0], ends[1]), (ends[2], ends[3]))
+            return _cut(section(self.surface(entry), *ends))
         except BadInput as error:
             return {"why_not": str(error)}
-        step = max(1, len(cut.along_mm) // 4000)
-        arrays = {name: _list(getattr(cut, name)[::step]) for name in ("along_mm", "x_mm", "y_mm", "height_mm")}
-        return {**arrays, "relief_um": _list(cut.relief_um[::step]), "figures": cut.figures}
 
     def _minutiae(self, entry: Entry) -> dict[str, Any]:
         try:
@@ -192,20 +194,71 @@ class Service:
         entry = self.catalogue.entry(key)
         return marks_of(entry.folder, self.surface(entry))
 
-    def _pair(self, first: str, second: str) -> dict[str, Any]:
-        from splitknit.viewer.pair import align, matched_marks  # noqa: PLC0415
+    def _align(self, first: str, second: str) -> Alignment:
+        from splitknit.viewer.pair import align  # noqa: PLC0415
 
         one, two = self.catalogue.entry(first), self.catalogue.entry(second)
+        with self._large:
+            return align(one, self.surface(one), two, self.surface(two))
+
+    def _differ(self, first: str, second: str) -> Difference:
+        from splitknit.viewer.pair import difference  # noqa: PLC0415
+
+        one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
+        found = self._aligned(first, second)
+        with self._large:
+            return difference(one, two, found)
+
+    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Answer:
+        match rest:
+            case []:
+                return _json(self._both(first, second))
+            case ["difference"]:
+                from splitknit.io.images import encode_image  # noqa: PLC0415
+
+                return _bytes(encode_image(self._differed(first, second).picture, ".png"), "image/png")
+            case ["section"]:
+                return _json(self._section_of_both(first, second, query))
+        raise BadInput(_NOT_FOUND)
+
+    def _both(self, first: str, second: str) -> dict[str, Any]:
+        from splitknit.viewer.pair import matched_marks  # noqa: PLC0415
+
+        for key in (first, second):
+            self.surface(self.catalogue.entry(key))
         try:
-            with self._large:
-                found = align(one, self.surface(one), two, self.surface(two))
+            found = self._aligned(first, second)
         except BadInput as error:
             return {"alignment": None, "why_not": str(error)}
+        if found.how == "none":
+            return {"alignment": None, "why_not": "they have too few ridges in common"}
         try:
-            pairs = matched_marks(self._marks(first), self._marks(second), found) if found.how != "none" else []
+            pairs = matched_marks(self._marks(first), self._marks(second), found)
         except BadInput:
             pairs = []
-        return {"alignment": found.document(), "pairs": pairs}
+        apart = None
+        with contextlib.suppress(BadInput):
+            differ = self._differed(first, second)
+            apart = {**differ.figures, "range_um": differ.range_um}
+        return {"alignment": found.document(), "pairs": pairs, "difference": apart}
+
+    def _section_of_both(self, first: str, second: str, query: Query) -> dict[str, Any]:
+        """Both cut at the same places of the first one's frame."""
+        from splitknit.viewer.measure import section  # noqa: PLC0415
+        from splitknit.viewer.pair import Alignment  # noqa: PLC0415
+
+        one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
+        found = Alignment("none")
+        with contextlib.suppress(BadInput):
+            found = self._aligned(first, second)
+        ends = _ends(query)
+        cuts = []
+        for read in (None, found.read(two)):
+            try:
+                cuts.append(_cut(section(one, *ends, read)))
+            except BadInput as error:
+                cuts.append({"why_not": str(error)})
+        return {"cuts": cuts}
 
 
 @lru_cache(maxsize=512)
@@ -235,7 +288,7 @@ def _json(document: Any) -> Answer:
 
 
 def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Answer:
-    return Answer(kind, len(content), [content], headers or {})
+    return Answer(kind, len(content), content, headers or {})
 
 
 def _file(folder: Path, name: str, kind: str) -> Answer:
@@ -260,6 +313,17 @@ def _number(query: Query, name: str, default: float | None = None) -> float:
     return value
 
 
+def _ends(query: Query) -> tuple[tuple[float, float], tuple[float, float]]:
+    x0, y0, x1, y1 = (_number(query, name) for name in ("x0", "y0", "x1", "y1"))
+    return (x0, y0), (x1, y1)
+
+
+def _cut(cut: Section) -> dict[str, Any]:
+    step = max(1, len(cut.along_mm) // 4000)
+    names = ("along_mm", "x_mm", "y_mm", "height_mm", "relief_um")
+    return {**{name: _list(getattr(cut, name)[::step]) for name in names}, "figures": cut.figures}
+
+
 def _list(values: Any) -> list[float | None]:
     return [round(float(value), 5) if np.isfinite(value) else None for value in values]
 
@@ -281,6 +345,7 @@ def listed(entry: Entry) -> dict[str, Any]:
     subject = _mapping(_mapping(entry.report.get("capture")).get("subject"))
     return {
         "key": entry.key,
+        "result": entry.result,
         "name": shown(entry.name),
         "preset": _text(entry.report.get("preset")),
         "subject": _text(subject.get("id")),
@@ -301,6 +366,7 @@ def describe(entry: Entry, surface: Surface) -> dict[str, Any]:
         "low_mm": surface.low_mm,
         "high_mm": surface.high_mm,
         "highest_relief_mm": surface.highest_relief_mm,
+        "units": ["mm", "µm", 1000] if surface.scale_known else ["px", "px", 1],
         "relief_range_um": _relief_range_um(surface),
         "input_size": surface.size,
         "turn": surface.turn.tolist(),
@@ -316,11 +382,12 @@ def describe(entry: Entry, surface: Surface) -> dict[str, Any]:
 
 
 def _relief_range_um(surface: Surface) -> float:
-    """Relief that nearly all of the skin keeps within: the ends of the colour scale."""
-    step = max(1, round(0.1 / surface.pitch_mm))
+    """Relief that nearly all of the skin keeps within: the ends of the colour scale, um or 0.1 pixel."""
+    step = max(1, round(0.1 / surface.pitch_mm)) if surface.scale_known else 4
     relief = np.abs(surface.ridge_mm[::step, ::step][surface.mask[::step, ::step]])
     widest = float(np.percentile(relief, 98)) if relief.size else 0.0
-    return max(1.0, float(np.ceil(1000.0 * widest)))
+    finest = 1.0 if surface.scale_known else 0.1
+    return max(finest, finest * float(np.ceil(surface.um * widest / finest)))
 
 
 def _print(entry: Entry) -> dict[str, Any] | None:
@@ -331,15 +398,31 @@ def _print(entry: Entry) -> dict[str, Any] | None:
     return {"rows": file.image.shape[0], "columns": file.image.shape[1], "ppi": file.resolution_ppi or 500.0}
 
 
+def describe_photographs(entry: Entry) -> dict[str, Any]:
+    """All that the page needs of a folder of photographs. Raises BadInput if it cannot be read."""
+    from splitknit.viewer.photographs import photographs_of  # noqa: PLC0415
+
+    found = photographs_of(entry.folder)
+    return {
+        **listed(entry),
+        "photos": _photos(entry),
+        "facts": [(name, shown(value)) for name, value in found.facts],
+        "notes": [shown(note) for note in found.notes],
+        "command": shown(found.command),
+        "plain": found.plain,
+    }
+
+
 def _photos(entry: Entry) -> list[dict[str, Any]]:
     if entry.capture is None:
         return []
-    from splitknit.viewer.exports import photos_of  # noqa: PLC0415 - the first view waits for no image library
+    from splitknit.viewer.photographs import photographs_of  # noqa: PLC0415 - the first view waits for no image library
 
     try:
-        return [{"name": shown(p.name), "band": p.band, "number": p.number} for p in photos_of(entry.capture)]
+        found = photographs_of(entry.capture).photos
     except BadInput:
         return []
+    return [{"name": shown(p.name), "band": p.band, "number": p.number, "light": p.light} for p in found]
 
 
 def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
@@ -347,11 +430,17 @@ def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
     about, software = _mapping(report.get("capture")), _mapping(report.get("software"))
     count = f"{surface.count:,}".replace(",", "\N{NO-BREAK SPACE}")
     size = [high - low for low, high in zip(surface.low_mm, surface.high_mm, strict=True)]
+    known, what = surface.scale_known, "Surface" if about.get("material") == "opaque" else "Skin"
+    extent = (
+        f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} mm"
+        if known
+        else (f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} pixels, scale unknown")
+    )
     facts = [
         ("Preset", _text(report.get("preset"))),
-        ("Size", f"{size[0]:.1f} x {size[1]:.1f} x {size[2]:.1f} mm (across, along, deep)"),
-        ("Skin in projection", f"{surface.count * surface.pitch_mm**2:.0f} mm²"),
-        ("Values", f"{count} heights, one every {1000 * surface.pitch_mm:.1f} µm"),
+        ("Size", f"{extent} (across, along, deep)"),
+        (f"{what} in projection", f"{surface.count * surface.pitch_mm**2:.0f} mm²" if known else ""),
+        ("Values", f"{count} heights, one every " + (f"{1000 * surface.pitch_mm:.1f} µm" if known else "pixel")),
         ("Material", _text(about.get("material"))),
         ("Finger", " ".join(part for part in (listed(entry)["subject"], listed(entry)["finger"]) if part)),
         ("Session", listed(entry)["session"]),

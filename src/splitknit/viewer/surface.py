@@ -1,13 +1,14 @@
 """A result as the viewer needs it: heights and relief on the finger's part of the grid, places in the upright frame.
 
-Places are those of ``phalange.ply``: x right, y to the fingertip, z to the camera, mm.
+Places are those of ``phalange.ply``: x right, y to the fingertip, z to the camera, mm; pixels where the scale of the
+result is unknown.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.io.npz import read_npz
-from splitknit.model import NO_SCALE, BoolArray, FloatArray
+from splitknit.io.results import read_fields
+from splitknit.model import BoolArray, FloatArray
 
-_LONGEST = 20_000
-_LONGEST_MM = 1000.0
-"""No place of a finger is as far from the origin."""
-_NEEDED = ("height_mm", "ridge_mm", "mask", "pitch_mm", "input_from_upright", "upright_size")
+_LONGEST_MM, _LONGEST_PX = 1000.0, 40_000.0
 _RAYS = ("x_mm", "y_mm")
 
 
@@ -55,6 +53,18 @@ class Surface:
     high_mm: tuple[float, float, float]
     highest_relief_mm: float
     """Largest distance of the relief from zero."""
+    scale_known: bool = True
+    """If not, `pitch_mm` is 1 and all that is named ``_mm`` or ``_um`` here is in pixels."""
+
+    @property
+    def um(self) -> float:
+        """Units of the relief in one of the heights: 1000 um a mm, or 1 where both are in pixels."""
+        return 1000.0 if self.scale_known else 1.0
+
+    @property
+    def longest_mm(self) -> float:
+        """No place of an object is as far from the origin."""
+        return _LONGEST_MM if self.scale_known else _LONGEST_PX
 
     @property
     def nbytes(self) -> int:
@@ -82,28 +92,17 @@ class Surface:
 
 
 def read_surface(folder: Path) -> Surface:
-    """Read the heights of a result folder.
+    """Read the heights of a result folder; where their scale is unknown, all lengths are in pixels.
 
     Raises
     ------
     BadInput
         If ``height.npz`` is missing or damaged, or an array is missing or of another kind than a result's.
     """
-    path = folder / "height.npz"
-    arrays = read_members(path, _NEEDED, _RAYS)
-    again = f"{path} is not a result's: reconstruct the capture again"
-    mask = arrays["mask"].astype(np.bool_, copy=False)
-    shape = mask.shape
-    wanted = {"height_mm": shape, "ridge_mm": shape, "pitch_mm": (), "input_from_upright": (3, 3), "upright_size": (2,)}
-    wanted |= {name: shape for name in _RAYS if name in arrays}
-    for name, size in wanted.items():
-        fits = arrays[name].shape == size and arrays[name].dtype.kind in "fiu"
-        require(fits and len(shape) == 2, f"{again} ('{name}' has another shape or kind).")
-    pitch_mm, matrix = float(arrays["pitch_mm"]), arrays["input_from_upright"].astype(np.float64)
-    rows, columns = (int(side) for side in arrays["upright_size"])
-    usable = np.isfinite(matrix).all() and abs(float(np.linalg.det(matrix[:2, :2]))) > 1e-9
-    usable = usable and 0 < rows <= _LONGEST and 0 < columns <= _LONGEST and 1e-6 < pitch_mm < 100
-    require(bool(usable), f"{again} (its scale or its frame cannot be used).")
+    arrays = fields_of(folder, ("height_mm", "ridge_mm"), _RAYS, unscaled=True)
+    again = f"{folder / 'height.npz'} is not a result's: reconstruct the capture again"
+    mask, shape = arrays["mask"], arrays["mask"].shape
+    pitch_mm, matrix = arrays["pitch_mm"], arrays["input_from_upright"]
     mask = mask & np.isfinite(arrays["height_mm"])
     require(bool(mask.any()), f"{again} (it holds no heights).")
     box = _box(mask)
@@ -111,23 +110,34 @@ def read_surface(folder: Path) -> Surface:
     turn = _turn(matrix)
     require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is no rotation).")
     with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
-        height = np.where(inside, arrays["height_mm"][box], np.nan).astype(np.float32)
-        ridge = np.where(inside, np.nan_to_num(arrays["ridge_mm"][box]), 0.0).astype(np.float32)
         x, y = _places(arrays, shape, box, pitch_mm, turn)
+        inside &= np.isfinite(x) & np.isfinite(y)
+        require(bool(inside.any()), f"{again} (its heights have no places).")
+        height = np.where(inside, arrays["height_mm"][box], np.float32(np.nan))
+        ridge = np.where(inside, np.nan_to_num(arrays["ridge_mm"][box]), np.float32(0.0))
     corner = (box[0].start, box[1].start)
     low, high = zip(*(_range(values, inside) for values in (x, y, height)), strict=True)
     relief = max(float(ridge.max()), -float(ridge.min()))
-    within = max(*np.abs([*low, *high]), relief) < _LONGEST_MM  # not of NaN either
-    require(bool(within), f"{again} (it holds places beyond {_LONGEST_MM:g} mm, which are no finger's).")
-    return Surface(
-        height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, (rows, columns),
-        low, high, relief,
+    surface = Surface(
+        height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, arrays["upright_size"],
+        low, high, relief, arrays["scale_known"],
     )  # fmt: skip
+    within = max(*np.abs([*low, *high]), relief) < surface.longest_mm  # not of NaN either
+    places = f"{surface.longest_mm:g} {'mm' if surface.scale_known else 'pixels'}"
+    require(bool(within), f"{again} (it holds places beyond {places}, which are no finger's).")
+    return surface
+
+
+def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), *, unscaled: bool = False) -> Any:
+    """Fields of a result, as :func:`splitknit.io.results.read_fields`, but no link. Raises BadInput."""
+    path = folder / "height.npz"
+    require(path.is_file() and not path.is_symlink(), f"'{folder}' is not a result: it holds no height.npz.")
+    return read_fields(path, names, optional, unscaled=unscaled)
 
 
 def _range(values: FloatArray, mask: BoolArray) -> tuple[float, float]:
     known = values[mask]
-    return float(np.fmin.reduce(known)), float(np.fmax.reduce(known))
+    return float(known.min()), float(known.max())
 
 
 def _box(mask: BoolArray) -> tuple[slice, slice]:
@@ -160,32 +170,12 @@ def _places(
     return across, along
 
 
-def read_members(path: Path, needed: Sequence[str], wanted: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
-    """Read some arrays of a result's ``height.npz``.
-
-    Parameters
-    ----------
-    path : Path
-    needed : names that must be there
-    wanted : names that may be there
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, a link, damaged, too large, or lacks an array.
-    """
-    require(path.is_file() and not path.is_symlink(), f"'{path.parent}' is not a result: it holds no height.npz.")
-    arrays = read_npz(path, (*needed, *wanted, "height_px"))
-    require("height_px" not in arrays, f"{path}: {NO_SCALE}")
-    missing = [name for name in needed if name not in arrays]
-    require(not missing, f"{path} holds no '{''.join(missing[:1])}'; reconstruct the capture again.")
-    return arrays
-
-
 TILE = 96
 _FIRST_VIEW = 70_000
 """Points of the first view."""
-_HEAD = struct.Struct("<8i")
+_FINE = 1024
+"""Values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame."""
+_HEAD = struct.Struct("<8id")
 
 
 def _root_stride(surface: Surface) -> int:
@@ -228,22 +218,28 @@ def tile_bytes(surface: Surface, stride: int, row: int, column: int) -> bytes:
     columns = np.arange(column * TILE - 1, min(column * TILE + TILE + 2, wide + 1)) * stride
     inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None, :]
     place = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
-    values = np.stack([_taken(field[place], inside) for field in _fields(surface)]).astype("<f4")
+    known = surface.mask[place] & inside
+    quantum = max(surface.pitch_mm * stride / _FINE, 2.0**-20)  # 32 bits hold _LONGEST_PX
     first = (int(rows[0]) + surface.corner[0], int(columns[0]) + surface.corner[1])
-    total = _HEAD.size + values.nbytes
-    return _HEAD.pack(total, stride, row, column, len(rows), len(columns), *first) + values.tobytes()
+    fields = (surface.x_mm, surface.y_mm, surface.height_mm, surface.ridge_mm)
+    planes = [known.tobytes(), *(_packed(field[place], known, quantum) for field in fields)]
+    total = _HEAD.size + sum(map(len, planes))
+    head = _HEAD.pack(total, stride, row, column, len(rows), len(columns), *first, quantum)
+    return head + b"".join(planes)
 
 
-def first_view(surface: Surface) -> Iterator[bytes]:
+def first_view(surface: Surface) -> bytes:
     """Tiles of the coarsest level, one after the other."""
     stride = _root_stride(surface)
-    for row, column in filled_tiles(surface, stride):
-        yield tile_bytes(surface, stride, row, column)
+    return b"".join(tile_bytes(surface, stride, row, column) for row, column in filled_tiles(surface, stride))
 
 
-def _fields(surface: Surface) -> tuple[NDArray[np.float32], ...]:
-    return surface.x_mm, surface.y_mm, surface.height_mm, surface.ridge_mm
-
-
-def _taken(values: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.float32]:
-    return np.where(inside, values, np.float32(np.nan))
+def _packed(values: FloatArray, known: BoolArray, quantum: float) -> bytes:
+    """Whole numbers of quanta as what gzip packs well: differences along columns and rows, zigzag, byte by byte."""
+    # what is unknown repeats the value before it
+    before = np.maximum.accumulate(np.where(known, np.arange(known.shape[1]), 0), axis=1)
+    whole = np.where(known, np.rint(np.nan_to_num(values) / quantum), 0.0).astype(np.int32)
+    whole = np.take_along_axis(whole, before, axis=1)
+    step = np.diff(np.diff(whole, axis=0, prepend=0), axis=1, prepend=0)
+    zigzag = ((step << 1) ^ (step >> 31)).astype("<i4")
+    return zigzag.reshape(-1, 1).view(np.uint8).T.tobytes()

@@ -23,12 +23,13 @@ export function ticks(low, high, count) {
 /**
  * @param {HTMLElement} box
  * @param {{name: string, cut: any}[]} curves one or two sections
- * @param {"relief" | "height"} kind
+ * @param {"relief" | "height" | "difference"} kind
+ * @param {string[]} units of heights and of the relief
  * @param {(k: number | null) => void} [pointed] receives which sample of the first curve the cursor is on
  */
-export function showChart(box, curves, kind, pointed = () => {}) {
+export function showChart(box, curves, kind, units, pointed = () => {}) {
   const TOP = curves.length > 1 ? 22 : 8; // room for names
-  const field = kind === "relief" ? "relief_um" : "height_mm";
+  const field = { relief: "relief_um", height: "height_mm", difference: "difference_um" }[kind];
   const lowest = kind === "height" ? Math.min(...curves.flatMap(({ cut }) => cut.height_mm.filter((v) => v !== null))) : 0;
   const series = curves.map(({ name, cut }) => ({ name, x: cut.along_mm, y: cut[field].map((v) => (v === null ? null : v - lowest)) }));
   const known = series.flatMap(({ y }) => y.filter((v) => v !== null));
@@ -39,10 +40,10 @@ export function showChart(box, curves, kind, pointed = () => {}) {
   const length = series[0].x[series[0].x.length - 1];
   const toX = (v) => LEFT + (v / length) * (WIDTH - LEFT - RIGHT);
   const toY = (v) => TOP + ((high - v) / (high - low)) * (HEIGHT - TOP - BOTTOM);
-  const unit = kind === "relief" ? "µm" : "mm";
+  const unit = units[kind === "height" ? 0 : 1];
   const svg = element("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", tabindex: 0 });
-  svg.setAttribute("aria-label", `Section of the ${kind}: ${known.length ? `${Math.min(...known).toFixed(2)} to ${Math.max(...known).toFixed(2)} ${unit}` : "none"} over ${length.toFixed(2)} mm. Left and right keys read values.`);
-  for (const v of ticks(low, high, 4)) {
+  svg.setAttribute("aria-label", `Section of the ${kind}: ${known.length ? `${Math.min(...known).toFixed(2)} to ${Math.max(...known).toFixed(2)} ${unit}` : "none"} over ${length.toFixed(2)} ${units[0]}. Left and right keys read values.`);
+  for (const v of ticks(low, high, 6)) {
     svg.append(element("line", { class: "axis", x1: LEFT, x2: WIDTH - RIGHT, y1: toY(v), y2: toY(v) }));
     svg.append(element("text", { x: LEFT - 4, y: toY(v) + 3.5, "text-anchor": "end" }, String(v)));
   }
@@ -50,7 +51,7 @@ export function showChart(box, curves, kind, pointed = () => {}) {
     svg.append(element("line", { class: "axis", x1: toX(v), x2: toX(v), y1: HEIGHT - BOTTOM, y2: HEIGHT - BOTTOM + 3 }));
     svg.append(element("text", { x: toX(v), y: HEIGHT - BOTTOM + 13, "text-anchor": "middle" }, String(v)));
   }
-  svg.append(element("text", { x: WIDTH - RIGHT, y: HEIGHT - 3, "text-anchor": "end" }, "mm from A"));
+  svg.append(element("text", { x: WIDTH - RIGHT, y: HEIGHT - 3, "text-anchor": "end" }, `${units[0]} from A`));
   svg.append(element("text", { x: 2, y: HEIGHT - 3 }, unit));
   series.forEach(({ x, y }, side) => {
     let path = "";
@@ -80,8 +81,8 @@ export function showChart(box, curves, kind, pointed = () => {}) {
     cursor.setAttribute("visibility", "visible");
     cursor.setAttribute("x1", String(toX(series[0].x[at])));
     cursor.setAttribute("x2", String(toX(series[0].x[at])));
-    const values = series.map(({ y }) => (y[at] == null ? "–" : y[at].toFixed(kind === "relief" ? 1 : 3)));
-    reading.textContent = `${series[0].x[at].toFixed(2)} mm: ${values.join(" | ")} ${unit}`;
+    const values = series.map(({ y }) => (y[at] == null ? "–" : y[at].toFixed(kind === "height" ? 3 : 1)));
+    reading.textContent = `${series[0].x[at].toFixed(2)} ${units[0]}: ${values.join(" | ")} ${unit}`;
     pointed(at);
   };
   svg.addEventListener("pointermove", (event) => {

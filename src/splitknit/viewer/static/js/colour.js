@@ -9,10 +9,10 @@ const CIVIDIS = [
 const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [253, 174, 97], [165, 60, 10]];
 const GREY = [[0, 0, 0], [255, 255, 255]];
 
-const STOPS = { height: CIVIDIS, relief: DIVERGING, albedo: GREY };
+const STOPS = { height: CIVIDIS, relief: DIVERGING, difference: DIVERGING, albedo: GREY };
 
 /**
- * @param {"height" | "relief" | "albedo"} name
+ * @param {"height" | "relief" | "difference" | "albedo"} name
  * @param {number} count
  * @returns {Uint8Array} RGBA of `count` colours
  */
@@ -34,20 +34,23 @@ export function ramp(name, count = 256) {
  * Show what the colours mean; as text too, for those who do not see them.
  * @param {HTMLElement} box
  * @param {string} colour
- * @param {{low_mm: number[], high_mm: number[], relief_range_um: number}} meta
+ * @param {any} meta facts about the result
+ * @param {any} apart figures of the difference, or null
  */
-export function showLegend(box, colour, meta) {
+export function showLegend(box, colour, meta, apart) {
   box.replaceChildren();
-  box.hidden = colour === "clay";
+  box.hidden = colour === "clay" || (colour === "difference" && !apart);
   if (box.hidden) return;
+  const [unit, fine, parts] = meta.units;
+  const ends = (most) => [`−${most.toFixed(parts === 1 && most < 10 ? 1 : 0)}`, `+${most.toFixed(parts === 1 && most < 10 ? 1 : 0)}`];
+  const around = (most, words) => [ends(most)[0], words, ends(most)[1]];
   const texts = {
-    height: ["", "height above the lowest point", `${(meta.high_mm[2] - meta.low_mm[2]).toFixed(1)} mm`],
-    relief: [`−${meta.relief_range_um.toFixed(0)}`, "relief, µm", `+${meta.relief_range_um.toFixed(0)}`],
+    height: ["0", "height", `${(meta.high_mm[2] - meta.low_mm[2]).toFixed(1)} ${unit}`],
+    relief: around(meta.relief_range_um, `relief, ${fine}`),
+    difference: apart ? around(apart.range_um, `second − first, ${fine}`) : [],
     albedo: ["dark", "albedo", "bright"],
     normals: ["red: right", "green: tip", "blue: camera"],
   }[colour];
-  if (colour === "height") texts[0] = "0";
-  if (colour === "height") texts[1] = "height";
   if (colour !== "normals") {
     const canvas = document.createElement("canvas");
     canvas.width = 256;
@@ -58,7 +61,6 @@ export function showLegend(box, colour, meta) {
   }
   const words = document.createElement("div");
   for (const text of texts) words.append(Object.assign(document.createElement("span"), { textContent: text }));
-  if (colour === "normals") words.style.gap = "0.8em";
   box.append(words);
   box.setAttribute("aria-label", `Colour scale: ${texts.join(", ")}`);
 }

@@ -1,4 +1,4 @@
-// The keyboard, while a surface has the focus.
+// The keyboard: while a surface has the focus; and ? anywhere, which lists the keys.
 import { byId } from "./page.js";
 import { COLOURS } from "./material.js";
 
@@ -23,12 +23,21 @@ export function listen(view, look, light, mark) {
     else if (event.key === "w" || event.key === "s") light.set({ elevation: look.elevation + (event.key === "w" ? 5 : -5) });
     else if (event.key === "[" || event.key === "]") change("relief", Math.min(10, Math.max(0, look.relief + (event.key === "]" ? 0.5 : -0.5))));
     else if (event.key === "c") change("colour", nextColour(look.colour));
+    else if (event.key === "l") byId("lamp").click();
     else if (event.key === "m") document.querySelector(`input[name="tool"][value="${look.tool === "measure" ? "turn" : "measure"}"]`).click();
     else if (event.key === "Enter" && look.tool === "measure") mark(view);
     else return;
     event.preventDefault();
   });
 }
+
+addEventListener("keydown", (event) => {
+  const types = event.target instanceof HTMLInputElement && ["text", "number", "search"].includes(event.target.type);
+  if (event.key !== "?" || types || document.querySelector("dialog[open]")) return;
+  event.preventDefault();
+  byId("help").showModal();
+});
+byId("show-help").addEventListener("click", () => byId("help").showModal());
 
 function change(id, value) {
   byId(id).value = value;

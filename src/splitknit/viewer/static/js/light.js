@@ -10,6 +10,10 @@ export class Light {
       byId(name).addEventListener("input", () => this.set({ [name]: byId(name).valueAsNumber }));
     }
     this.follow(byId("pad"), () => true);
+    byId("lamp").addEventListener("change", () => {
+      this.look.lamp = byId("lamp").checked ? "finger" : "camera";
+      this.changed();
+    });
     this.set({});
   }
 

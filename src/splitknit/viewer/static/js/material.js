@@ -2,7 +2,7 @@
 import { Color, DataTexture, DoubleSide, LinearFilter, Matrix2, ShaderMaterial, Vector2, Vector3 } from "../vendor/three/three.module.min.js";
 import { ramp } from "./colour.js";
 
-export const COLOURS = ["clay", "height", "relief", "normals", "albedo"];
+export const COLOURS = ["clay", "height", "relief", "normals", "albedo", "difference"];
 
 const VERTEX = `
 attribute float ridge;   // relief, mm
@@ -56,6 +56,11 @@ void main() {
     shade = 1.0; shine = 0.0;
   }
   if (colour == 4) { base = texture2D(picture, vPlace).rrr; shade = 0.45 + 0.45 * key + 0.15 * fill; shine = 0.0; }
+  if (colour == 5) {
+    float apart = 255.0 * texture2D(picture, vPlace).r;  // 0 is unknown, 128 is none
+    base = mix(vec3(0.55), texture2D(scale, vec2(0.5 + (apart - 128.0) / 254.0, 0.5)).rgb, step(0.5, apart));
+    shade = 0.45 + 0.40 * key + 0.20 * fill; shine = 0.0;
+  }
   vec3 lit = shade * base + shine;
   if (colour == 0) lit = pow(clamp(lit * (1.0 + 0.14 * clamp(vRidge / (0.8 * reliefs), -1.0, 1.0)), 0.0, 1.0), vec3(0.8));
   if (contours > 0.0) {
@@ -90,7 +95,7 @@ export function makeMaterial(meta) {
       colour: { value: 0 },
       light: { value: new Vector3(0, 0, 1) },
       heights: { value: new Vector2(meta.low_mm[2], meta.high_mm[2]) },
-      reliefs: { value: meta.relief_range_um / 1000 },
+      reliefs: { value: meta.relief_range_um / meta.units[2] },
       contours: { value: 0 },
       turn: { value: new Matrix2().set(a, b, c, d) },
       scale: { value: scaleTexture("height") },

@@ -1,17 +1,17 @@
-// Two points, the distance between them, and the section through the surface: numbers from the server, which has the result's values.
-import { getJson } from "./api.js";
+// Two points, the distance between them, and the section through the surface: numbers from the result's own values.
+import { about, dropped, getJson } from "./api.js";
 import { showChart } from "./chart.js";
 import { byId, say, trouble } from "./page.js";
 
 const FIGURES = [
-  ["flat_mm", "Distance in the finger plane", "mm", 3],
-  ["straight_mm", "Straight distance A to B", "mm", 3],
-  ["along_surface_mm", "Along the surface, ridges included", "mm", 3],
-  ["height_difference_mm", "Height of B over A", "mm", 3],
-  ["relief_um", "Relief, valley to ridge (5–95 %)", "µm", 1],
-  ["relief_rms_um", "Relief, rms", "µm", 1],
-  ["ridges", "Ridges crossed", "", 0],
-  ["ridge_period_mm", "Mean ridge distance", "mm", 3],
+  ["flat_mm", "Distance in the finger plane", 0, 3],
+  ["straight_mm", "Straight distance A to B", 0, 3],
+  ["along_surface_mm", "Along the surface, ridges included", 0, 3],
+  ["height_difference_mm", "Height of B over A", 0, 3],
+  ["relief_um", "Relief, valley to ridge (5–95 %)", 1, 1],
+  ["relief_rms_um", "Relief, rms", 1, 1],
+  ["ridges", "Ridges crossed", null, 0],
+  ["ridge_period_mm", "Mean ridge distance", 0, 3],
 ];
 
 export class Measure {
@@ -61,7 +61,7 @@ export class Measure {
       say("That is beside the finger.");
       return;
     }
-    const place = view === this.views()[0] ? found : this.#toFirst(found);
+    const place = found;
     this.points = this.points.length === 1 ? [this.points[0], place] : [place];
     this.points.forEach(([px, py], k) => this.#fill(k, px, py));
     if (this.points.length === 2) await this.#cut();
@@ -70,7 +70,7 @@ export class Measure {
       byId("section").hidden = true;
       byId("x1").value = byId("y1").value = "";
       this.#show();
-      say(`A is at ${place[0].toFixed(2)}, ${place[1].toFixed(2)} mm. Choose B.`);
+      say(`A is at ${place[0].toFixed(2)}, ${place[1].toFixed(2)} ${this.unit(0)}. Choose B.`);
     }
   }
 
@@ -82,7 +82,7 @@ export class Measure {
   async #fromFields() {
     const numbers = ["x0", "y0", "x1", "y1"].map((id) => byId(id).valueAsNumber);
     if (numbers.some(Number.isNaN)) {
-      say("Four numbers are needed: x and y of A and of B, in mm.");
+      say(`Four numbers are needed: x and y of A and of B, in ${this.unit(0)}.`);
       return;
     }
     this.points = [[numbers[0], numbers[1]], [numbers[2], numbers[3]]];
@@ -101,10 +101,12 @@ export class Measure {
 
   async #cut() {
     const metas = this.metas();
-    const cuts = await Promise.all(metas.map((meta, k) => {
-      const [a, b] = k === 0 ? this.points : this.points.map((point) => this.#toSecond(point));
-      return getJson(`api/result/${meta.key}/section`, { x0: a[0], y0: a[1], x1: b[0], y1: b[1] });
-    }));
+    const [a, b] = this.points;
+    const ends = { x0: a[0], y0: a[1], x1: b[0], y1: b[1] };
+    const together = metas.length > 1 && !metas.some((meta) => dropped.has(meta.key));
+    const cuts = together
+      ? (await getJson(`api/pair/${metas[0].key}/${metas[1].key}/section`, ends)).cuts
+      : await Promise.all(metas.map((meta) => about(meta.key, "section", ends)));
     if (cuts[0].why_not) {
       this.curves = [];
       byId("section").hidden = true;
@@ -118,7 +120,13 @@ export class Measure {
     this.#table();
     this.#show();
     const { flat_mm: flat, relief_um: relief } = cuts[0].figures;
-    say(`${flat.toFixed(2)} mm in the finger plane; relief ${relief.toFixed(0)} micrometres from valley to ridge.`);
+    const fine = this.unit(1) === "px" ? `${relief.toFixed(1)} pixels` : `${relief.toFixed(0)} micrometres`;
+    say(`${flat.toFixed(2)} ${this.unit(0)} in the finger plane; relief ${fine} from valley to ridge.`);
+  }
+
+  /** @param {0 | 1} which of lengths, or of the relief */
+  unit(which) {
+    return this.metas()[0]?.units[which] ?? ["mm", "µm"][which];
   }
 
   /** Show points and curves in the views again, as after a change of the relief's exaggeration. */
@@ -136,7 +144,18 @@ export class Measure {
   }
 
   #chart() {
-    if (this.curves.length) showChart(byId("chart"), this.curves, byId("curve").value);
+    if (!this.curves.length) return;
+    const [first, second] = this.curves;
+    const choice = byId("curve");
+    choice.namedItem("curve-difference").hidden = choice.namedItem("curve-difference").disabled = !(second && this.alignment());
+    if (choice.selectedOptions[0].disabled) choice.value = "relief";
+    let curves = this.curves;
+    if (choice.value === "difference") {
+      const parts = this.metas()[0].units[2];
+      const apart = first.cut.height_mm.map((v, k) => (v === null || second.cut.height_mm[k] === null ? null : parts * (second.cut.height_mm[k] - v)));
+      curves = [{ name: "second − first", cut: { along_mm: first.cut.along_mm, difference_um: apart } }];
+    }
+    showChart(byId("chart"), curves, choice.value, this.metas()[0].units);
   }
 
   #table() {
@@ -163,27 +182,18 @@ export class Measure {
         const value = cut.figures[key];
         const cell = row.insertCell();
         cell.dataset.figure = key;
-        cell.textContent = value === null ? "–" : `${value.toFixed(digits)} ${unit}`.trim();
+        const places = this.unit(0) === "px" && unit === 0 ? 1 : digits;
+        cell.textContent = value === null ? "–" : `${value.toFixed(places)} ${unit === null ? "" : this.unit(unit)}`.trim();
       }
     }
   }
 
   #save() {
-    const head = ["along_mm", "x_mm", "y_mm", "height_mm", "relief_um"];
+    const keys = ["along_mm", "x_mm", "y_mm", "height_mm", "relief_um"];
+    const head = keys.map((key) => (this.unit(0) === "px" ? key.replace(/_(mm|um)$/, "_px") : key));
     const { name, cut } = this.curves[0];
-    const rows = cut.along_mm.map((_, k) => head.map((key) => cut[key][k] ?? "").join(","));
+    const rows = cut.along_mm.map((_, k) => keys.map((key) => cut[key][k] ?? "").join(","));
     save(new Blob([[head.join(","), ...rows].join("\n") + "\n"], { type: "text/csv" }), `${plain(name)}-section.csv`);
-  }
-
-  #toSecond([x, y]) {
-    const { turn_rad: t, right_mm: r, up_mm: u } = this.alignment() ?? { turn_rad: 0, right_mm: 0, up_mm: 0 };
-    const [dx, dy] = [x - r, y - u];
-    return [Math.cos(t) * dx + Math.sin(t) * dy, Math.cos(t) * dy - Math.sin(t) * dx];
-  }
-
-  #toFirst([x, y, z]) {
-    const { turn_rad: t, right_mm: r, up_mm: u, raise_mm: h } = this.alignment() ?? { turn_rad: 0, right_mm: 0, up_mm: 0, raise_mm: 0 };
-    return [Math.cos(t) * x - Math.sin(t) * y + r, Math.sin(t) * x + Math.cos(t) * y + u, z + h];
   }
 }
 

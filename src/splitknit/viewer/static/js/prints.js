@@ -1,5 +1,5 @@
 // The print, as ink on paper, with its minutiae: circles end, squares fork.
-import { address, getJson } from "./api.js";
+import { about, pictureOf } from "./api.js";
 import { byId, make } from "./page.js";
 
 const NS = "http://www.w3.org/2000/svg";
@@ -39,7 +39,7 @@ export class Prints {
         continue;
       }
       const image = make("img", {
-        src: address(`api/result/${meta.key}/picture/print.png`),
+        src: pictureOf(meta.key, "print.png"),
         alt: `Print of ${meta.name}: ridges dark, mirrored as ink on paper, ${meta.print.ppi.toFixed(0)} pixels per inch`,
       });
       const svg = document.createElementNS(NS, "svg");
@@ -52,7 +52,7 @@ export class Prints {
     this.#size();
     byId("print-words").textContent = "Minutiae are being found …";
     for (const meta of this.metas) {
-      if (meta.print && !this.marks.has(meta.key)) this.marks.set(meta.key, await getJson(`api/result/${meta.key}/minutiae`));
+      if (meta.print && !this.marks.has(meta.key)) this.marks.set(meta.key, await about(meta.key, "minutiae"));
     }
     this.#draw();
   }

@@ -1,5 +1,5 @@
 // The list of results to choose from.
-import { address } from "./api.js";
+import { address, dropped, pictureOf } from "./api.js";
 import { byId, make } from "./page.js";
 
 export class Results {
@@ -17,6 +17,8 @@ export class Results {
     this.current = current;
     const wanted = byId("filter").value.trim().toLowerCase();
     const found = this.results.filter((one) => [one.name, one.preset, one.subject, one.finger].join(" ").toLowerCase().includes(wanted));
+    byId("empty").hidden = this.results.length > 0;
+    byId("filter").closest(".bar").hidden = this.results.length === 0;
     byId("results-words").textContent = `${found.length} of ${this.results.length} results`;
     byId("result-list").replaceChildren(...found.map((one) => this.#item(one)));
   }
@@ -24,14 +26,14 @@ export class Results {
   #item(one) {
     const item = make("li");
     if (one.key === this.current) item.setAttribute("aria-current", "true");
-    if (one.thumb) item.append(make("img", { loading: "lazy", alt: "", src: address(`api/result/${one.key}/thumb`) }));
+    if (one.thumb) item.append(make("img", { loading: "lazy", alt: "", src: dropped.has(one.key) ? pictureOf(one.key, "preview.png") : address(`api/result/${one.key}/thumb`) }));
     const facts = [one.preset, one.subject, one.finger, one.session && `session ${one.session}`, one.warnings ? `${one.warnings} note${one.warnings > 1 ? "s" : ""}` : ""];
     item.append(make("b", { textContent: one.name }), make("small", { textContent: facts.filter(Boolean).join(" · ") }));
     const show = make("button", { type: "button", textContent: "Open" });
     show.setAttribute("aria-label", `Open ${one.name}`);
     show.addEventListener("click", () => this.open(one.key));
     const buttons = make("div", { className: "row buttons" }, show);
-    if (this.current !== "" && one.key !== this.current) {
+    if (this.current !== "" && one.key !== this.current && one.result) {
       const beside = make("button", { type: "button", textContent: "Beside" });
       beside.setAttribute("aria-label", `Show ${one.name} beside the one that is open`);
       beside.addEventListener("click", () => this.beside(one.key));

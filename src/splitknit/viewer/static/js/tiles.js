@@ -1,8 +1,8 @@
 // A surface in pieces: coarse ones at once, finer ones where one looks closely.
 import { BufferAttribute, BufferGeometry, Frustum, Group, Matrix4, Mesh, Sphere, Vector3 } from "../vendor/three/three.module.min.js";
-import { getBytes } from "./api.js";
+import { dropped, getBytes } from "./api.js";
 
-const HEAD = 32;
+const HEAD = 40;
 const AT_ONCE = 6;
 const MAX_KEPT = 260;
 
@@ -10,11 +10,46 @@ const MAX_KEPT = 260;
  *   fields: Float32Array[]}} Tile x, y, z, relief with a rim of one value */
 
 /** @param {ArrayBuffer} bytes @param {number} at @returns {{tile: Tile, next: number}} */
-export function readTile(bytes, at = 0) {
-  const [size, stride, row, column, rows, columns, r0, c0] = new Int32Array(bytes, at, 8);
+function readTile(bytes, at = 0) {
+  const head = new DataView(bytes, at, HEAD);
+  const [size, stride, row, column, rows, columns, r0, c0] = [0, 1, 2, 3, 4, 5, 6, 7].map((k) => head.getInt32(4 * k, true));
   const count = rows * columns;
-  const fields = [0, 1, 2, 3].map((k) => new Float32Array(bytes, at + HEAD + 4 * k * count, count));
+  const known = new Uint8Array(bytes, at + HEAD, count);
+  const fields = [0, 1, 2, 3].map((k) => unpack(new Uint8Array(bytes, at + HEAD + count + 4 * k * count, 4 * count), columns, known, head.getFloat64(32, true)));
   return { tile: { stride, row, column, rows, columns, first: [r0, c0], fields }, next: at + size };
+}
+
+/** Undo what the server did so that the values pack well (viewer/surface.py): bytes apart, zigzag, differences along columns and rows. */
+function unpack(bytes, columns, known, quantum) {
+  const count = known.length;
+  const whole = new Int32Array(count);
+  const values = new Float32Array(count);
+  for (let k = 0; k < count; k++) {
+    const zigzag = bytes[k] | (bytes[count + k] << 8) | (bytes[2 * count + k] << 16) | (bytes[3 * count + k] << 24);
+    const left = k % columns ? whole[k - 1] - (k > columns ? whole[k - columns - 1] : 0) : 0;
+    whole[k] = ((zigzag >>> 1) ^ -(zigzag & 1)) + left + (k >= columns ? whole[k - columns] : 0);
+    values[k] = known[k] ? whole[k] * quantum : NaN;
+  }
+  return values;
+}
+
+/** The tiles of the first view. @param {string} key @returns {Promise<Tile[]>} */
+export async function getFirst(key) {
+  const own = dropped.get(key);
+  if (own) return own.meta.tiles[own.meta.strides[0]].map(([row, column]) => own.tile(own.meta.strides[0], row, column));
+  const bytes = await getBytes(`api/result/${key}/first`);
+  const found = [];
+  for (let at = 0; at < bytes.byteLength; ) {
+    const { tile, next } = readTile(bytes, at);
+    found.push(tile);
+    at = next;
+  }
+  return found;
+}
+
+/** @param {string} key @returns {Promise<Tile>} */
+async function getTile(key, stride, row, column) {
+  return dropped.get(key)?.tile(stride, row, column) ?? readTile(await getBytes(`api/result/${key}/tile/${stride}/${row}/${column}`)).tile;
 }
 
 /** Slope of the four fields' differences: columns and rows need not lie along x and y. */
@@ -156,13 +191,9 @@ export class Tiles {
     }
   }
 
-  /** @param {ArrayBuffer} bytes all tiles of the first view */
-  readFirst(bytes) {
-    for (let at = 0; at < bytes.byteLength; ) {
-      const { tile, next } = readTile(bytes, at);
-      this.#put(tile);
-      at = next;
-    }
+  /** @param {Tile[]} tiles of the first view */
+  readFirst(tiles) {
+    tiles.forEach((tile) => this.#put(tile));
   }
 
   #put(tile) {
@@ -239,8 +270,8 @@ export class Tiles {
       if (node.state !== "absent") continue;
       node.state = "asked";
       this.asked++;
-      getBytes(`api/result/${this.meta.key}/tile/${node.stride}/${node.row}/${node.column}`)
-        .then((bytes) => this.#put(readTile(bytes).tile))
+      getTile(this.meta.key, node.stride, node.row, node.column)
+        .then((tile) => this.#put(tile))
         .catch(() => (node.state = "failed"))
         .finally(() => {
           this.asked--;

@@ -1,10 +1,10 @@
 // One finger in one canvas: camera, light, marks. Parallel projection, so that one scale bar holds everywhere.
 import {
   BufferAttribute, BufferGeometry, Group, Line, LineBasicMaterial, LineSegments, OrthographicCamera, Points, PointsMaterial, Raycaster, Scene,
-  LinearFilter, LinearSRGBColorSpace, Spherical, Texture, Vector2, Vector3, WebGLRenderer,
+  LinearFilter, LinearSRGBColorSpace, Matrix4, NearestFilter, Spherical, Texture, Vector2, Vector3, WebGLRenderer,
 } from "../vendor/three/three.module.min.js";
 import { OrbitControls } from "../vendor/three/OrbitControls.js";
-import { getJson, getPicture } from "./api.js";
+import { about, getDifference, getPicture } from "./api.js";
 import { COLOURS, lampDirection, makeMaterial, MARK_COLOURS } from "./material.js";
 import { boundsOf, Tiles } from "./tiles.js";
 
@@ -32,9 +32,11 @@ export class View {
   /**
    * @param {HTMLElement} box
    * @param {any} meta
-   * @param {any} look shared settings: colour, relief, contours, azimuth, elevation
+   * @param {any} look shared settings: colour, relief, contours, azimuth, elevation, lamp
+   * @param {string} other key of the result that this one is compared with, where it can be
    */
-  constructor(box, meta, look) {
+  constructor(box, meta, look, other = "") {
+    this.other = other;
     this.box = box;
     this.meta = meta;
     this.look = look;
@@ -57,14 +59,16 @@ export class View {
     this.scene = new Scene();
     this.model = new Group();
     this.scene.add(this.model);
-    this.marks = new Group();
-    this.model.add(this.marks);
+    this.marks = new Group(); // in the frame of the first finger
+    this.scene.add(this.marks);
+    this.ownMarks = new Group(); // in this finger's
+    this.model.add(this.ownMarks);
     this.labels = [];
-    this.camera = new OrthographicCamera(-1, 1, 1, -1, -1000, 1000);
     this.material = makeMaterial(meta);
     this.tiles = new Tiles(meta, this.material, () => this.draw());
     this.model.add(this.tiles.group);
     this.bounds = boundsOf(meta);
+    this.camera = new OrthographicCamera(-1, 1, 1, -1, -20 * this.bounds.radius, 20 * this.bounds.radius);
     this.controls = new OrbitControls(this.camera, this.canvas);
     this.controls.enableDamping = false;
     this.controls.zoomToCursor = true;
@@ -99,34 +103,35 @@ export class View {
     this.canvas.setAttribute(
       "aria-label",
       `Surface of ${this.meta.name}, ${(this.meta.high_mm[0] - this.meta.low_mm[0]).toFixed(1)} by ` +
-        `${(this.meta.high_mm[1] - this.meta.low_mm[1]).toFixed(1)} mm. Arrow keys turn it; the list of keys is at the end of the controls.`,
+        `${(this.meta.high_mm[1] - this.meta.low_mm[1]).toFixed(1)} ${this.meta.units[0]}. Arrow keys turn it; ? lists the keys.`,
     );
   }
 
-  /** Show the first view. @param {Promise<ArrayBuffer>} coming its points, asked for together with the facts */
+  /** Show the first view. @param {Promise<import("./tiles.js").Tile[]>} coming asked for together with the facts */
   async load(coming) {
-    const bytes = await coming;
+    const tiles = await coming;
     performance.mark("points are here");
-    this.tiles.readFirst(bytes);
+    this.tiles.readFirst(tiles);
     await this.apply();
   }
 
   /** Take over the shared settings. */
   async apply() {
     const { uniforms, userData } = this.material;
-    const colour = this.look.colour;
+    const colour = this.look.colour === "difference" && !this.other ? "clay" : this.look.colour;
     uniforms.relief.value = this.look.relief;
     uniforms.contours.value = this.look.contours;
-    uniforms.light.value.copy(lampDirection(this.look.azimuth, this.look.elevation));
     uniforms.colour.value = COLOURS.indexOf(colour);
     if (colour === "height" || colour === "relief") uniforms.scale.value = userData[colour];
-    if (colour === "normals" || colour === "albedo") {
+    if (colour === "difference") uniforms.scale.value = userData.relief;
+    if (["normals", "albedo", "difference"].includes(colour)) {
       if (!userData[colour]) {
-        userData[colour] = getPicture(`api/result/${this.meta.key}/picture/${colour}.png`).then((image) => {
+        const coming = colour === "difference" ? getDifference(this.meta.key, this.other) : getPicture(this.meta.key, `${colour}.png`);
+        userData[colour] = coming.then((image) => {
           const texture = new Texture(image);
           texture.flipY = false;
           texture.generateMipmaps = false;
-          texture.minFilter = texture.magFilter = LinearFilter;
+          texture.minFilter = texture.magFilter = colour === "difference" ? NearestFilter : LinearFilter;
           texture.needsUpdate = true;
           return texture;
         });
@@ -213,6 +218,8 @@ export class View {
     const cssPxPerMm = this.camera.zoom / this.mmPerPx;
     this.#setPixels();
     this.camera.updateMatrixWorld();
+    const lamp = lampDirection(this.look.azimuth, this.look.elevation);
+    this.material.uniforms.light.value.copy(this.look.lamp === "finger" ? lamp.transformDirection(this.camera.matrixWorldInverse) : lamp);
     const best = byProcessor() ? PX_BY_PROCESSOR : PX_PER_VALUE;
     const fine = this.moving && this.slow ? PX_WHILE_MOVING : best;
     const chosen = this.tiles.choose(this.camera, cssPxPerMm * this.renderer.getPixelRatio(), fine);
@@ -231,7 +238,8 @@ export class View {
     let length = 10 ** Math.floor(Math.log10(120 / pxPerMm));
     if (5 * length * pxPerMm <= 120) length *= 5;
     else if (2 * length * pxPerMm <= 120) length *= 2;
-    this.scaleBar.firstChild.textContent = length >= 1 ? `${length} mm` : `${Math.round(1000 * length)} µm`;
+    const [unit, fine, parts] = this.meta.units;
+    this.scaleBar.firstChild.textContent = length >= 1 || parts === 1 ? `${length} ${unit}` : `${Math.round(parts * length)} ${fine}`;
     this.scaleBar.lastChild.style.width = `${length * pxPerMm}px`;
   }
 
@@ -250,8 +258,7 @@ export class View {
 
   /** Lay this finger on another one. @param {any} alignment */
   align(alignment) {
-    this.model.rotation.z = alignment.turn_rad;
-    this.model.position.set(alignment.right_mm, alignment.up_mm, alignment.raise_mm);
+    new Matrix4().set(...alignment.matrix).decompose(this.model.position, this.model.quaternion, this.model.scale);
     this.model.updateMatrixWorld(true);
     this.draw();
   }
@@ -260,7 +267,7 @@ export class View {
    * The point of the surface under a place of the canvas, from the result's own values.
    * @param {number} x CSS pixels from the left
    * @param {number} y from the top
-   * @returns {Promise<number[] | null>} mm
+   * @returns {Promise<number[] | null>} mm, in the first finger's frame
    */
   async pick(x, y) {
     const at = new Vector2((2 * x) / this.box.clientWidth - 1, 1 - (2 * y) / this.box.clientHeight);
@@ -277,12 +284,13 @@ export class View {
     origin.applyMatrix4(back);
     const way = caster.ray.direction.clone().transformDirection(back);
     const ray = { ox: origin.x, oy: origin.y, oz: origin.z, dx: way.x, dy: way.y, dz: way.z, relief: this.look.relief };
-    return (await getJson(`api/result/${this.meta.key}/pick`, ray)).point_mm;
+    const { point_mm: point } = await about(this.meta.key, "pick", ray);
+    return point && new Vector3(...point).applyMatrix4(this.model.matrixWorld).toArray();
   }
 
   /** Height in the picture. */
   #shown(z, relief_um) {
-    return z + ((this.look.relief - 1) * (relief_um ?? 0)) / 1000;
+    return z + ((this.look.relief - 1) * (relief_um ?? 0)) / this.meta.units[2];
   }
 
   /** @param {any} cut a section, or null @param {"a" | "b"} [side] */
@@ -291,7 +299,7 @@ export class View {
     if (cut) {
       const places = [];
       cut.x_mm.forEach((x, k) => {
-        if (cut.height_mm[k] !== null) places.push(x, cut.y_mm[k], this.#shown(cut.height_mm[k], cut.relief_um[k]) + 0.02);
+        if (cut.height_mm[k] !== null) places.push(x, cut.y_mm[k], this.#shown(cut.height_mm[k], cut.relief_um[k]) + 1e-3 * this.bounds.radius);
       });
       const geometry = new BufferGeometry();
       geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));
@@ -338,7 +346,7 @@ export class View {
       for (const object of [cloud, strokes]) {
         object.renderOrder = 4;
         object.name = "minutiae";
-        this.marks.add(object);
+        this.ownMarks.add(object);
       }
     }
     for (const m of known) if (numbers.has(m.k)) this.#label(String(numbers.get(m.k)), m.place_mm, "minutia");
@@ -346,8 +354,8 @@ export class View {
   }
 
   #clear(name) {
-    for (const object of this.marks.children.filter((child) => child.name === name)) {
-      this.marks.remove(object);
+    for (const object of [...this.marks.children, ...this.ownMarks.children].filter((child) => child.name === name)) {
+      object.removeFromParent();
       object.geometry.dispose();
       object.material.dispose();
     }
@@ -355,8 +363,10 @@ export class View {
 
   #placeLabels() {
     const at = new Vector3();
-    for (const { element, place } of this.labels) {
-      at.copy(place).applyMatrix4(this.model.matrixWorld).project(this.camera);
+    for (const { element, place, kind } of this.labels) {
+      at.copy(place);
+      if (kind === "minutia") at.applyMatrix4(this.model.matrixWorld);
+      at.project(this.camera);
       const x = ((at.x + 1) / 2) * this.box.clientWidth;
       const y = ((1 - at.y) / 2) * this.box.clientHeight;
       element.style.transform = `translate(${x + 5}px, ${y - 20}px)`;
