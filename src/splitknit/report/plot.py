@@ -26,7 +26,7 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
     try:
         import matplotlib  # noqa: PLC0415, F401 - before anything is drawn
     except ImportError as error:
-        raise BadInput("to plot needs matplotlib: pip install 'splitknit[plot]'.") from error
+        raise BadInput("plot() needs matplotlib: pip install 'splitknit[plot]'.") from error
     printed = result.scale_known and is_finger(result)
     has = PANELS if printed else PANELS[:-1]
     for panel in panels:
