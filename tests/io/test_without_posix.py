@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ def windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(os, "open", no_folders)
     monkeypatch.setattr(os, "fdopen", fdopen)
+    monkeypatch.setattr(shutil, "_use_fd_functions", False)
     monkeypatch.setattr(Path, "replace", closed_only)
     monkeypatch.setattr(os, "supports_dir_fd", set())
     monkeypatch.delattr(os, "getuid")
