@@ -15,9 +15,9 @@ RUN sed -n '/^pip==/,/[^\\]$/p' /tmp/constraints.txt > /tmp/pip.txt \
     && pip install --no-cache-dir --no-deps /wheels/*.whl \
     && pip install --no-cache-dir --require-hashes --constraint /tmp/constraints.txt 'splitknit[plot]' \
     && rm -r /wheels /tmp/constraints.txt /tmp/pip.txt \
-    && useradd --create-home splitknit \
+    && useradd --uid 10001 splitknit \
     && install --directory --owner splitknit /data
-USER splitknit
+USER 10001
 WORKDIR /data
 ENV HOME=/tmp
 ENTRYPOINT ["splitknit"]

@@ -143,7 +143,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         if mark in markdown:
             markdown = markdown.replace(mark, make())
     markdown = re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)  # GitHub wants them escaped
-    return inside(markdown, (DOCS / page.file.src_uri).parent, add)
+    here = DOCS / page.file.src_uri
+    if not here.with_suffix(".ipynb").exists():  # which links to the notebook itself
+        markdown = re.sub(r"(\]\([^)\s:]+)\.ipynb\)", r"\1.md)", markdown)
+    return inside(markdown, here.parent, add)
 
 
 def on_page_content(html: str, **_: Any) -> str:

@@ -28,7 +28,7 @@ def windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         return opened(path, *flags, **more)
 
     def fdopen(*given: Any, **named: Any) -> io.IOBase:
-        streams.append(io.open(*given, **named))  # noqa: UP020
+        streams.append(io.open(*given, **named))  # noqa: SIM115, UP020
         return streams[-1]
 
     def closed_only(path: Path, target: Path) -> Path:

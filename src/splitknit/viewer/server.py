@@ -246,7 +246,9 @@ class ViewerServer(ThreadingHTTPServer):
 
     def server_bind(self) -> None:
         """Bind without asking the network for this host's name."""
-        alone = getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR)  # of Windows, where the other shares the port
+        alone = getattr(
+            socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR
+        )  # of Windows, where the other shares the port
         self.socket.setsockopt(socket.SOL_SOCKET, alone, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
