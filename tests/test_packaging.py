@@ -17,7 +17,7 @@ CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
 
 def of_conda(requirements: list[str]) -> set[str]:
     """`numpy>=2.0` as conda writes it."""
-    names = [re.fullmatch(r"([\w-]+)(>=[\d.]+)", one) for one in requirements]
+    names = [re.fullmatch(r"([\w-]+)(>=[\d.,<]+)", one) for one in requirements]
     assert all(names), requirements
     return {f"{CONDA.get(found[1], found[1])} {found[2]}" for found in names if found}
 
