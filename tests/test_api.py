@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,10 +87,78 @@ def test_a_damaged_report_is_refused(result: Reconstruction, tmp_path: Path, tex
         splitknit.read_result(tmp_path / "r")
 
 
-def test_the_plot_is_a_picture(result: Reconstruction) -> None:
-    picture = result.plot()
-    assert min(picture.size) > 100 and picture.mode == "RGB"
-    assert np.asarray(picture).std() > 10
+@pytest.fixture
+def pyplot(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """pyplot without a window, closed again."""
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    from matplotlib import pyplot
+
+    yield pyplot
+    pyplot.close("all")
+
+
+def test_the_plot_has_a_panel_for_all_that_there_is(result: Reconstruction, pyplot: Any) -> None:
+    axes = result.plot()
+    assert [ax.get_title() for ax in axes] == ["height", "relief", "normals", "print"]
+    known = result.ridge_mm[result.mask & np.isfinite(result.ridge_mm)]
+    for ax, unit, spread in ((axes[0], "mm", result.height_mm[result.mask].std()), (axes[1], "µm", 1000 * known.std())):
+        (picture,) = ax.get_images()
+        values = picture.get_array().compressed()
+        assert picture.colorbar.ax.get_xlabel() == f"{ax.get_title()}, {unit}"
+        assert 0.5 * spread < values.std() < 1.5 * spread
+        assert ax.get_xlim()[1] == pytest.approx(15, abs=8)  # a finger's width with its margin, in mm
+        assert ax.artists[0].txt_label.get_text() == "5 mm"
+    unscaled = replace(result, scale_known=False).plot()
+    assert [ax.get_title() for ax in unscaled] == ["height", "relief", "normals"]
+    assert [ax.artists[0].txt_label.get_text().split()[1] for ax in unscaled] == ["px"] * 3
+
+
+def test_the_plot_draws_on_given_axes(result: Reconstruction, pyplot: Any, tmp_path: Path) -> None:
+    figure, (left, right) = pyplot.subplots(1, 2)
+    assert result.plot("relief", ax=left) is left
+    assert not right.get_images()
+    assert list(result.plot("print", "normals", ax=[left, right])) == [left, right]
+    assert pyplot.get_fignums() == [figure.number]
+    figure.savefig(tmp_path / "plot.png")
+    for panels, ax, words in (
+        (("reliff",), None, "no panel 'reliff'"),
+        ((), left, "1 axes are given for 4 panels"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            result.plot(*panels, ax=ax)
+    with pytest.raises(BadInput, match="no print"):
+        replace(result, facts={**result.facts, "material": "opaque"}).plot("print")
+
+
+def test_without_matplotlib_the_plot_names_its_extra(result: Reconstruction, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(BadInput, match=r"pip install 'splitknit\[plot\]'"):
+        result.plot()
+
+
+def test_the_viewer_shows_a_result(
+    result: Reconstruction, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a thread from a notebook; a program waits for Ctrl-C. The copy goes in the end."""
+    from splitknit.viewer import server
+
+    at_exit: list[Callable[[], None]] = []
+    monkeypatch.setattr(server.tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(server.webbrowser, "open", lambda _: False)
+    monkeypatch.setattr(server.atexit, "register", at_exit.append)
+    address = result.show(block=False)
+    assert address.startswith("http://127.0.0.1:")
+    with urllib.request.urlopen(address, timeout=10) as answer:
+        assert b"<title>" in answer.read()
+    (folder,) = tmp_path.glob("splitknit-show-*")
+    assert folder.stat().st_mode & 0o077 == 0
+    at_exit[0]()
+    assert list(tmp_path.iterdir()) == []
+
+    monkeypatch.setattr(server.ViewerServer, "serve_forever", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    address = result.show()
+    assert capsys.readouterr().out == f"{address}\nOpen this address; Ctrl-C ends it.\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction, tmp_path: Path) -> None:

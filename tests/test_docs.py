@@ -51,7 +51,8 @@ def test_files_that_are_named_exist(page: Path) -> None:
 
 def test_the_site_lists_every_page() -> None:
     listed = re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
-    assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in ROOT.glob("docs/**/*.md"))
+    pages = [*ROOT.glob("docs/**/*.md"), *(page.with_suffix(".md") for page in ROOT.glob("docs/**/*.ipynb"))]
+    assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in pages)
 
 
 def test_settings_page_is_current() -> None:

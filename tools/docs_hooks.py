@@ -1,4 +1,4 @@
-"""What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, the public names of the package.
+"""What mkdocs needs beside the pages: links out of ``docs``, the help of every verb, public names, executed notebooks.
 
 ``mkdocs.yml`` names this file. A link to a file of the repository that is not a page becomes the file's path; one that
 leads nowhere ends a strict build, as does a name of ``splitknit.__all__`` without a docstring, or a page that would
@@ -12,6 +12,7 @@ import importlib
 import logging
 import os
 import re
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,34 @@ def public_names() -> str:
     return "\n\n".join(parts)
 
 
+def executed(notebook: Path, files_folder: str) -> tuple[str, dict[str, bytes]]:
+    """A notebook, run in a folder of its own, as Markdown, and the pictures it drew by their names from that page."""
+    import nbformat  # noqa: PLC0415 - the tests load this file without what builds the site
+    from nbconvert import MarkdownExporter  # noqa: PLC0415
+    from nbconvert.preprocessors import ExecutePreprocessor  # noqa: PLC0415
+
+    run = nbformat.read(notebook, as_version=4)
+    with tempfile.TemporaryDirectory() as folder:
+        ExecutePreprocessor(timeout=300).preprocess(run, {"metadata": {"path": folder}})  # an error ends the build
+    text, found = MarkdownExporter().from_notebook_node(run, {"output_files_dir": files_folder})
+    return text, found["outputs"]
+
+
+def on_files(files: Any, config: Any) -> None:
+    """Run the notebooks and put their pages into the site, beside the notebooks themselves (an event of mkdocs)."""
+    from mkdocs.structure.files import File  # noqa: PLC0415
+
+    for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        source = Path(notebook.abs_src_path)
+        text, pictures = executed(source, f"{source.stem}_files")
+        title, _, rest = text.strip().partition("\n")
+        text = f"{title}\n\n[This page as a notebook]({source.name})\n{rest}\n"
+        files.append(File.generated(config, notebook.src_uri.replace(".ipynb", ".md"), content=text))
+        folder = Path(notebook.src_uri).parent.as_posix()
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"{folder}/{name}", content=content))
+
+
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Complete one page (an event of mkdocs)."""
 
@@ -114,7 +143,10 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         if mark in markdown:
             markdown = markdown.replace(mark, make())
     markdown = re.sub(r"`[^`\n]*`", lambda code: code[0].replace("\\|", "|"), markdown)  # GitHub wants them escaped
-    return inside(markdown, (DOCS / page.file.src_uri).parent, add)
+    here = DOCS / page.file.src_uri
+    if not here.with_suffix(".ipynb").exists():  # which links to the notebook itself
+        markdown = re.sub(r"(\]\([^)\s:]+)\.ipynb\)", r"\1.md)", markdown)
+    return inside(markdown, here.parent, add)
 
 
 def on_page_content(html: str, **_: Any) -> str:

@@ -500,15 +500,65 @@ class Reconstruction:
         """
         _above("report.result").write_results(self, capture, folder)
 
-    def plot(self) -> Any:
-        """The shaded surface from above and from the left.
+    def plot(self, *panels: str, ax: Any = None) -> Any:
+        """Draw the result with matplotlib: upright, with scale bars in mm.
+
+        Parameters
+        ----------
+        *panels : {'height', 'relief', 'normals', 'print'}
+            What to draw, side by side; all that the result has if none is named. Heights are in mm below the highest
+            point, the relief is in um, and the print is as ink on paper (mirrored against the others).
+        ax : matplotlib Axes, or a sequence of one for each panel, optional
+            Where to draw; a new figure of pyplot by default.
 
         Returns
         -------
-        PIL.Image.Image
-            ``.show()`` opens it, ``.save(file)`` writes it, a notebook displays it.
+        matplotlib.axes.Axes, or (N,) array of them
+            One for each panel. `matplotlib.pyplot.show` shows the figure, `savefig` writes it, a notebook displays it.
+
+        Raises
+        ------
+        BadInput
+            If matplotlib is not installed (extra `plot`), a panel is unknown or not in this result (a print needs a
+            finger of known scale), or `ax` and `panels` differ in number.
+
+        Examples
+        --------
+        >>> import splitknit
+        >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
+        >>> axes = splitknit.reconstruct(capture, "ea").plot("relief", "print")
+        >>> axes[0].figure.savefig("relief.png")
         """
-        return _above("report.result").preview(self)
+        return _above("report.plot").plot(self, panels, ax)
+
+    def show(self, *, block: bool | None = None) -> str:
+        """Open the result in the viewer, a page in the browser on this machine only.
+
+        What is shown is a copy in a private temporary folder, which is removed when the page or the program ends.
+
+        Parameters
+        ----------
+        block : bool, optional
+            Whether to wait until Ctrl-C. By default a program waits, as its end closes the page; a notebook or an
+            interactive session goes on.
+
+        Returns
+        -------
+        str
+            The page's address, should the browser not have opened it.
+
+        Raises
+        ------
+        BadInput
+            If nothing was reconstructed, or the temporary folder cannot be written.
+
+        Examples
+        --------
+        >>> import splitknit
+        >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
+        >>> address = splitknit.reconstruct(capture, "ea").show(block=False)
+        """
+        return str(_above("viewer.server").show(self.save, block))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

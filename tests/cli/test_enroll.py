@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -369,7 +370,7 @@ def test_damage_is_found_and_taken_out(gallery: Path, capsys) -> None:
     assert "is sound: all 6" in words_of(capsys, "gallery", "check", gallery)
     import sqlite3
 
-    with sqlite3.connect(gallery) as raw:
+    with contextlib.closing(sqlite3.connect(gallery)) as raw, raw:
         raw.execute("UPDATE template SET content = zeroblob(500) WHERE id = 2")
     raw.close()
     assert main(["gallery", "check", str(gallery), "--json"]) == 2

@@ -161,7 +161,7 @@ def test_any_changed_byte_is_noticed(tmp_path: Path, key: Key | None, column: st
         gallery.add([new("Ann", 1, code=b"code", code_version=1, images=b"image"), new("Bob", 2)])
     table = column if column in ("template", "images") else "finger"
     field = column if table == "finger" else "content"
-    with sqlite3.connect(path) as raw:
+    with contextlib.closing(sqlite3.connect(path)) as raw, raw:
         (sealed,) = raw.execute(f"SELECT {field} FROM {table} WHERE id = 1").fetchone()
         changed = bytearray(sealed)
         changed[len(changed) // 2] ^= 4
@@ -180,7 +180,7 @@ def test_every_seal_has_its_own_nonce(tmp_path: Path) -> None:
     path = tmp_path / "g.skg"
     with Gallery.create(path, SETTINGS, KEY) as gallery:
         gallery.add([new(f"P{k}", 1) for k in range(20)])
-    with sqlite3.connect(path) as raw:
+    with contextlib.closing(sqlite3.connect(path)) as raw, raw:
         cells = [
             cell for row in raw.execute("SELECT entry, content FROM finger JOIN template USING (id)") for cell in row
         ]
@@ -211,7 +211,10 @@ def test_each_problem_is_one_printable_line(tmp_path: Path) -> None:
         (lambda path, whole: path.write_bytes(b""), "is not a gallery"),
         (lambda path, whole: path.write_text("people"), "is not a gallery"),
         (lambda path, whole: path.mkdir(), "is a folder"),
-        (lambda path, whole: sqlite3.connect(path).executescript("CREATE TABLE t (x)").close(), "another program's"),
+        (
+            lambda path, whole: sqlite3.connect(path).executescript("CREATE TABLE t (x)").connection.close(),
+            "another program's",
+        ),
         (lambda path, whole: path.write_bytes(whole[:4096]), "is damaged"),
         (lambda path, whole: path.write_bytes(whole[:100] + b"\xff" * 3000 + whole[3100:]), "is damaged"),
         (lambda path, whole: path.write_bytes(whole[:20]), "is damaged|not a gallery|another program"),

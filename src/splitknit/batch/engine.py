@@ -49,7 +49,7 @@ from splitknit.batch.solids import (
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.scores import Ids, Scores, ids_of
-from splitknit.io.atomic import atomic_file, private_modes
+from splitknit.io.atomic import atomic_file, hold, private_modes
 from splitknit.io.capture import read_capture
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
@@ -288,17 +288,12 @@ def alone(store: Path) -> Iterator[None]:
     BadInput
         If another run holds it, or the folder cannot be written.
     """
-    import fcntl  # noqa: PLC0415 - not on every system
-
     try:
         stream = os.fdopen(os.open(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
     except OSError as error:
         raise BadInput(f"cannot write into '{store}': {error.strerror or error}; choose another place.") from error
     with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise BadInput(f"another run is writing into '{store}'; wait for it, or stop it.") from error
+        hold(stream, f"another run is writing into '{store}'; wait for it, or stop it.")
         yield
 
 

@@ -149,9 +149,11 @@ def on_cluster(work: Callable[[Task], Done], task: Task, version: str) -> Done:
 
 
 def peak_memory_mb() -> float:
-    """Most memory that this process has had so far."""
-    import resource  # noqa: PLC0415 - not on every system
-
+    """Most memory that this process has had so far; 0 on Windows, which does not keep it there."""
+    try:
+        import resource  # noqa: PLC0415 - not on every system
+    except ImportError:
+        return 0.0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return float(peak) / (1e6 if sys.platform == "darwin" else 1e3)
 

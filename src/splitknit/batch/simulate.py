@@ -22,7 +22,7 @@ from typing import Any
 from splitknit.batch.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment, plan_enrolment
 from splitknit.errors import BadInput, refusing, require
-from splitknit.io.atomic import atomic_file, atomic_folder
+from splitknit.io.atomic import atomic_file, atomic_folder, hold
 from splitknit.io.capture import write_capture
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import plain_json, provenance, settings_hash
@@ -216,13 +216,8 @@ def _differing(one: Any, other: Any, name: str = "") -> list[str]:
 @contextmanager
 def _alone(file: Path) -> Iterator[None]:
     """Hold the population for this run; a killed run lets go."""
-    import fcntl  # noqa: PLC0415 - not on every system
-
     with file.open("rb") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise BadInput(f"another run is simulating into '{file.parent}'; wait for it, or stop it.") from error
+        hold(stream, f"another run is simulating into '{file.parent}'; wait for it, or stop it.")
         yield
 
 

@@ -74,9 +74,9 @@ def _leave(*unused: object) -> NoReturn:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    from splitknit import __version__  # noqa: PLC0415
     from splitknit.cli.batch import add_batch  # noqa: PLC0415
     from splitknit.cli.capture import add_capture  # noqa: PLC0415
+    from splitknit.cli.completion import add_completion  # noqa: PLC0415
     from splitknit.cli.demo import add_demo  # noqa: PLC0415
     from splitknit.cli.enroll import add_enroll  # noqa: PLC0415
     from splitknit.cli.evaluate import add_evaluate  # noqa: PLC0415
@@ -97,7 +97,6 @@ def build_parser() -> argparse.ArgumentParser:
         description="Metric 3D fingerprints from photographs of a finger under one light after another.",
         epilog="Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'.",
     )
-    parser.add_argument("--version", action="version", version=f"splitknit {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
     add_demo(verbs)
     add_simulate(verbs)
@@ -116,6 +115,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_batch(verbs)
     add_view(verbs)
     add_print(verbs)
+    add_completion(verbs)
     return parser
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -16,11 +16,57 @@ Outcome = tuple[dict[str, Any], list[str]]
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser, and those of its verbs, whose errors take one line after the usage."""
+    """A parser, and those of its verbs: ``--version``, and errors of one line that suggest what a typo stands for."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:  # noqa: D107 - as its parent's
+        super().__init__(*given, **named)
+        self._words: list[str] = []
+        self.add_argument("--version", action=_Version, help="print the program's version and exit")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Parse the words after a verb; an unknown one is refused here, where the verb's options are known."""
+        self._words = sys.argv[1:] if args is None else list(args)
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return found, unknown
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line."""
+        options = list(self._option_string_actions)
+        typos = [word.partition("=")[0] for word in self._words if word.startswith("--") and len(word) > 2]
+        for word in typos:
+            if not any(option.startswith(word) for option in options):
+                message += _suggestion(word, options)
+                break
         super().error(one_line(message))
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message = str(error.message) + _suggestion(str(value), map(str, action.choices or ()))
+            raise
+
+
+class _Version(argparse.Action):
+    """Print the version, which is looked up only then."""
+
+    def __init__(self, **named: Any) -> None:
+        super().__init__(nargs=0, **(named | {"dest": argparse.SUPPRESS, "default": argparse.SUPPRESS}))
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: Any) -> None:
+        from splitknit import __version__  # noqa: PLC0415
+
+        print(f"splitknit {__version__}")
+        parser.exit()
+
+
+def _suggestion(word: str, choices: Iterable[str]) -> str:
+    from difflib import get_close_matches  # noqa: PLC0415 - only errors need it
+
+    close = get_close_matches(word, choices, 1)
+    return f"; did you mean '{close[0]}' instead of '{word}'?" if close else ""
 
 
 def one_line(error: object) -> str:

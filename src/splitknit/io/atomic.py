@@ -20,7 +20,7 @@ import shutil
 import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any, BinaryIO, TypeVar
 
 from splitknit.errors import BadInput, require
 
@@ -30,6 +30,10 @@ GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
 _LEFT_OVER = re.compile(r"\.(?P<target>.{1,100})\.[0-9a-f]{12}\.(?P<ending>tmp|old)", re.DOTALL)
 _LONGEST_NAME = 100
+Held = TypeVar("Held", int, int | None)
+"""A descriptor that holds a lock; None of a folder on Windows."""
+_WINDOWS = os.name == "nt"
+"""Has no locks of this kind, opens no folders, and renames no open files."""
 _AT_WORK: set[Path] = set()
 """Temporary folders that this process is filling."""
 
@@ -65,7 +69,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
         finally:
             _AT_WORK.discard(temporary)
             shutil.rmtree(temporary, ignore_errors=True)
-            os.close(lock)
+            _release(lock)
 
 
 @contextlib.contextmanager
@@ -92,6 +96,8 @@ def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iter
                 yield stream
                 stream.flush()
                 temporary.chmod(private_modes()[0])
+                if _WINDOWS:  # where no open file is renamed
+                    stream.close()
                 if overwrite:
                     temporary.replace(target)
                 else:
@@ -149,7 +155,7 @@ def _sibling(target: Path, ending: str = "tmp") -> Path:
     return target.with_name(f".{target.name[:_LONGEST_NAME]}.{secrets.token_hex(6)}.{ending}")
 
 
-def _new_sibling(target: Path, make: Callable[[Path], int]) -> tuple[Path, int]:
+def _new_sibling(target: Path, make: Callable[[Path], Held]) -> tuple[Path, Held]:
     """Make a temporary file or folder beside `target`; return its path and the descriptor that holds its lock.
 
     Between its making and its locking :func:`_sweep` of another program may take it for a leftover: then once more.
@@ -161,20 +167,49 @@ def _new_sibling(target: Path, make: Callable[[Path], int]) -> tuple[Path, int]:
             _lock(descriptor, wait=True)
             if path.exists():
                 return path, descriptor
-            os.close(descriptor)
+            _release(descriptor)
 
 
 def _make_file(path: Path) -> int:
-    return os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+    return os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o600)
 
 
-def _make_folder(path: Path) -> int:
+def _make_folder(path: Path) -> int | None:
     path.mkdir(0o700)
-    return os.open(path, os.O_RDONLY)
+    return _hold_folder(path)
 
 
-def _lock(descriptor: int, *, wait: bool) -> bool:
+def _hold_folder(path: Path) -> int | None:
+    return None if _WINDOWS else os.open(path, os.O_RDONLY)
+
+
+def _release(descriptor: int | None) -> None:
+    if descriptor is not None:
+        os.close(descriptor)
+
+
+def hold(stream: IO[Any], busy: str) -> None:
+    """Keep other programs out until `stream` is closed or this one ends; without effect where there are no such locks.
+
+    Raises
+    ------
+    BadInput
+        With the message `busy`, if another program holds it.
+    """
+    try:
+        import fcntl  # noqa: PLC0415 - not on every system
+    except ImportError:
+        return
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise BadInput(busy) from error
+
+
+def _lock(descriptor: int | None, *, wait: bool) -> bool:
     """Lock; False if another program holds it and `wait` is false, or if this system or disk has no locks."""
+    if descriptor is None:
+        return False
     try:
         import fcntl  # noqa: PLC0415 - not on every system
 
@@ -197,7 +232,8 @@ def _sweep(parent: Path) -> None:
 
 def _sweep_one(left: Path, target: Path, ending: str) -> None:
     status = left.lstat()
-    if status.st_uid != os.getuid() or not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+    own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
+    if not own or not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         return
     descriptor = os.open(left, os.O_RDONLY)
     try:
@@ -284,7 +320,7 @@ def _swap(temporary: Path, target: Path, overwrite: bool) -> None:
     if not target.exists():
         temporary.rename(target)
         return
-    old, lock = _sibling(target, "old"), os.open(target, os.O_RDONLY)
+    old, lock = _sibling(target, "old"), _hold_folder(target)
     try:
         _lock(lock, wait=False)  # it fails where another program replaces `target` as well, or has it swept
         target.rename(old)
@@ -295,4 +331,4 @@ def _swap(temporary: Path, target: Path, overwrite: bool) -> None:
             raise
         shutil.rmtree(old, ignore_errors=True)
     finally:
-        os.close(lock)
+        _release(lock)

@@ -61,7 +61,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     values, weight = to_frame(result.ridge_mm, result.mask, frame)
     factor, unit = (1000.0, "µm") if result.scale_known else (1.0, "px")
     relief = factor * values
-    low, high = _relief_limits(result, factor)
+    low, high = relief_limits(result, factor)
     picture = on_paper(colour(relief, low, high), weight)
     return captioned(
         "Relief",
@@ -75,7 +75,7 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
     )
 
 
-def _relief_limits(result: Reconstruction, factor: float) -> tuple[float, float]:
+def relief_limits(result: Reconstruction, factor: float) -> tuple[float, float]:
     """Limits of a colour scale for the relief times `factor`: what ridges span where the skin faces the camera, in
     whole fives of um, or of the first figure that counts."""
     facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)

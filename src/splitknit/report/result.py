@@ -485,15 +485,8 @@ def _write_pages(  # noqa: PLR0917
     return report.facts
 
 
-def preview(result: Reconstruction) -> Any:
-    """The shaded surface from above and from the left, as a ``PIL.Image.Image``."""
-    from PIL import Image  # noqa: PLC0415 - slow to import
-
-    return Image.fromarray(_shaded(render_views(result, upright_frame(result, LONGEST_PX))))
-
-
 def preview_html(result: Reconstruction) -> str:
-    """The same as an image element, small, for notebooks."""
+    """The shaded surface from above and from the left as an image element, small, for notebooks."""
     data = data_uri(_shaded(render_views(result, upright_frame(result, 400))), photo=True)
     return f'<img src="{data}" alt="surface from above and from the left">'
 

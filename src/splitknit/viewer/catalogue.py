@@ -33,6 +33,11 @@ def open_below(root: Path, name: str) -> BinaryIO:
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NONBLOCK", 0)
     held: list[int] = []
     try:
+        if os.open not in os.supports_dir_fd:  # Windows: what is checked may be replaced before it is opened
+            path = root.joinpath(*parts)
+            require(path.resolve(strict=True) == root.resolve().joinpath(*parts), f"'{parts[-1]}' is a link.")
+            require(path.is_file(), f"'{parts[-1]}' is not a plain file.")
+            return path.open("rb")
         held.append(os.open(root, os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)))
         for part in parts:
             held.append(os.open(part, flags, dir_fd=held[-1]))

@@ -8,6 +8,7 @@ the port, but does not know the token either.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gzip
 import hmac
@@ -22,7 +23,7 @@ import tempfile
 import threading
 import time
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from email.message import Message
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -170,6 +171,40 @@ def serve(server: ViewerServer) -> None:
         server.server_close()
 
 
+def show(save: Callable[[Path], object], block: bool | None = None) -> str:
+    """Show what `save` writes into a folder; return the page's address.
+
+    Parameters
+    ----------
+    save : callable
+        Is given a temporary folder, which only this user may read and which goes when the page ends.
+    block : bool, optional
+        Whether to answer until Ctrl-C, or in a thread, as long as this program runs. By default as matplotlib does it:
+        a program waits, an interactive session goes on.
+
+    Raises
+    ------
+    BadInput
+        If what was written cannot be shown.
+    """
+    waits = not (hasattr(sys, "ps1") or sys.flags.interactive) if block is None else block
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="splitknit-show-"))  # 0700
+        save(Path(folder) / "result")
+        server = start(open_paths([Path(folder) / "result"]), 0)
+        stack.callback(server.server_close)
+        shown = stack.enter_context(opened_page(server.url))
+        if waits:
+            words = "Shown in the browser" if shown else "Open this address"
+            sys.stdout.write(f"{server.url}\n{words}; Ctrl-C ends it.\n")
+            sys.stdout.flush()
+            serve(server)
+        else:
+            threading.Thread(target=serve, args=(server,), daemon=True).start()
+            atexit.register(stack.pop_all().close)
+        return server.url
+
+
 @contextlib.contextmanager
 def opened_page(url: str) -> Iterator[bool]:
     """Open `url` in the browser; return whether there is one.
@@ -224,7 +259,10 @@ class ViewerServer(ThreadingHTTPServer):
 
     def server_bind(self) -> None:
         """Bind without asking the network for this host's name."""
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        alone = getattr(
+            socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR
+        )  # of Windows, where the other shares the port
+        self.socket.setsockopt(socket.SOL_SOCKET, alone, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = "127.0.0.1", int(self.server_address[1])

@@ -1,0 +1,75 @@
+"""What installs the program agrees with pyproject.toml: wheel, conda recipe, environment.yml, Dockerfile, workflow."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+"""Names that differ there."""
+
+
+def of_conda(requirements: list[str]) -> set[str]:
+    """`numpy>=2.0` as conda writes it."""
+    names = [re.fullmatch(r"([\w-]+)(>=[\d.,<]+)", one) for one in requirements]
+    assert all(names), requirements
+    return {f"{CONDA.get(found[1], found[1])} {found[2]}" for found in names if found}
+
+
+def test_the_wheel_holds_every_file_of_the_package() -> None:
+    """No rule of .gitignore, which hatchling obeys, takes out networks, presets, pages or licences."""
+    wheel = pytest.importorskip("hatchling.builders.wheel")
+    held = {file.distribution_path for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()}
+    files = [path.relative_to(ROOT / "src") for path in (ROOT / "src" / "splitknit").rglob("*") if path.is_file()]
+    kept = {path.as_posix() for path in files if "__pycache__" not in path.parts}
+    assert held == kept
+    assert {Path(name).suffix for name in held} >= {".onnx", ".npz", ".json", ".html", ".js", ".css", ".svg", ".typed"}
+    for licence in PROJECT["license-files"]:
+        assert (ROOT / licence).is_file()
+
+
+def test_the_conda_recipe_needs_what_the_project_needs() -> None:
+    text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    recipe = yaml.safe_load(re.sub(r"{{ *(\w+) *}}", r"\1", text))
+    assert recipe["package"] == {"name": PROJECT["name"], "version": PROJECT["version"]}
+    assert set(recipe["requirements"]["run"]) == of_conda(PROJECT["dependencies"]) | {
+        f"python {PROJECT['requires-python']}"
+    }
+    ((name, target),) = PROJECT["scripts"].items()
+    assert recipe["build"]["entry_points"] == [f"{name} = {target}"]
+    assert recipe["about"]["license"] == PROJECT["license"]
+    assert recipe["about"]["license_file"] == PROJECT["license-files"]
+
+
+def test_the_conda_environment_has_the_extras_batch_and_plot() -> None:
+    environment = yaml.safe_load((ROOT / "environment.yml").read_text(encoding="utf-8"))
+    extras = PROJECT["optional-dependencies"]
+    needed = of_conda(PROJECT["dependencies"] + extras["batch"] + extras["plot"])
+    found = {one for one in environment["dependencies"] if isinstance(one, str)}
+    assert found - {"pip", "python >=3.11,<3.14"} == needed
+    assert environment["dependencies"][-1] == {"pip": ["."]}
+
+
+def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    copied = {name for line in re.findall(r"^COPY (?!--)(.*) \S+$", text, flags=re.MULTILINE) for name in line.split()}
+    let_in = set(re.findall(r"^!(.*)$", (ROOT / ".dockerignore").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    assert copied == let_in
+    assert all((ROOT / name).exists() for name in copied)
+
+
+def test_the_workflow_runs_what_is_there_on_versions_that_are_declared() -> None:
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))
+    jobs = workflow["jobs"]
+    assert any(step.get("run") == ".ci/run" for step in jobs["linux"]["steps"])
+    tested = {case["python"] for case in jobs["unit"]["strategy"]["matrix"]["include"]} | {"3.11"}
+    declared = {one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)}
+    assert tested == declared
+    pinned = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
+    assert all(re.fullmatch(r"actions/[\w-]+@[0-9a-f]{40}", one) for one in pinned)
