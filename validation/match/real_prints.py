@@ -171,9 +171,9 @@ def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
-    parser.add_argument("--fingers", type=int, default=12, help="simulated ones, to fit and to report")
+    parser.add_argument("--fingers", type=int, default=24, help="simulated ones, to fit and to report")
     parser.add_argument("--presses", type=int, default=4)
-    parser.add_argument("--impostors", type=int, default=600, help="simulated pairs at most")
+    parser.add_argument("--impostors", type=int, default=800, help="simulated pairs at most")
     options = parser.parse_args()
     facts: dict[str, Any] = json.loads(OUT.read_text(encoding="utf-8")) if OUT.is_file() else {}
     drawn = pressed(FITTED, options.fingers, options.presses)

@@ -62,7 +62,7 @@ class Matcher(ABC):
 
 
 class _RidgeMatcher(Matcher):
-    """Ridge templates; a side that is ready takes up to 10 MB."""
+    """Ridge templates; a side that is ready takes up to 9 MB."""
 
     name = "ridge"
     columns = ("correlation", "overlap_mm2", "rotation_deg")

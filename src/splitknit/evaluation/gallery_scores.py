@@ -83,7 +83,7 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
 def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progress) -> NDArray[np.float64]:
     """(N,) similarity of each pair, NaN where a side is a failure to acquire.
 
-    What a side keeps for many comparisons is large where it is turned (8 MB) and small where it is not (2 MB): pairs go
+    What a side keeps for many comparisons is large where it is turned (7 MB) and small where it is not (2 MB): pairs go
     in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
     (:func:`splitknit.matching.ridge.ridge_match`), so that the order changes nothing.
     """

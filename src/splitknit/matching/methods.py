@@ -129,7 +129,8 @@ def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     for side in (a, b):
         minutiae = _template(side).minutiae
         if minutiae is None:
-            extract(np.full((64, 64), 255, np.uint8))  # refused where nbis-py is not installed
+            if side.kind == "print":
+                extract(*read_print(side.path), enhance=True)  # refused where nbis-py is not installed
             raise BadInput(
                 f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
                 "one, or a template (.skt) that was made of one."

@@ -87,7 +87,7 @@ class RotatedViews:
     def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PhaseSettings) -> None:
         """Take the band; its middle becomes the middle of the grids."""
         self._value, self._pitch_mm, self._settings = value, pitch_mm, settings
-        self.directions = block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF))
+        self.directions = block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
         count = 2 * _HALF
         self._ridges = np.zeros((count, _PLANE_PX[0], 2 * (_PLANE_PX[1] // 2 + 1)), dtype=np.int16)
         self._unit = np.zeros(count, dtype=np.float32)
@@ -120,8 +120,9 @@ def block_directions(value: FloatArray, valid: BoolArray, pitch_mm: float, angle
         return np.asarray(cv2.blur(part, side, borderType=cv2.BORDER_CONSTANT))
 
     xx, yy, xy = mean(across * across), mean(up * up), mean(across * up)
-    total = np.maximum(xx + yy, 0.3 * float(np.median((xx + yy)[valid])))
-    field = cv2.merge([(xx - yy) / total, 2 * xy / total, mean(valid.astype(np.float32))])
+    total = np.maximum(xx + yy, max(0.3 * float(np.median((xx + yy)[valid])), 1e-12))
+    parts = [(xx - yy) / total, 2 * xy / total, mean(valid.astype(np.float32))]
+    field = np.stack(parts, axis=-1, dtype=np.float32)
     turned = np.empty((len(angles_deg), *_BLOCKS, 3), dtype=np.float32)
     for k, angle in enumerate(np.deg2rad(angles_deg)):
         cos, sin = np.cos(2 * angle), np.sin(2 * angle)
