@@ -68,7 +68,9 @@ def _words(facts: dict[str, Any]) -> list[str]:
         elif facts["method"] in _MINUTIAE:
             if facts["similarity_with_ridges"] is not None:
                 joined = facts["similarity_with_ridges"]
-                lines.append(f"fused with the ridges {joined:.2f} (log-likelihood ratio; other fingers lie below 0)")
+                lines.append(
+                    f"fused with the ridges {joined:.2f} (log-likelihood ratio; most other fingers lie below 0)"
+                )
             lines += [_print_words(facts[name]) for name in ("a", "b")]
         elif facts["method"] in _IN_SPACE:
             both = " and ".join(str(facts[name]["minutiae"]) for name in ("a", "b"))
@@ -118,7 +120,7 @@ def _meaning(facts: dict[str, Any]) -> str:
         return f"not compared: {why}"
     return {
         "ridge": "1 = the same picture",
-        "fusion": "log-likelihood ratio of ridges and minutiae; other fingers lie below 0",
+        "fusion": "log-likelihood ratio of ridges and minutiae; most other fingers lie below 0",
         "thesis": "1 = equal, 0 = as dissimilar as possible",
         "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
         "minutiae3d": "fraction of minutiae that agree, squared",

@@ -11,10 +11,10 @@ from splitknit.matching.template import Template
 
 # Slopes and offsets of logistic regressions, both classes of equal weight, on simulated presses: `fitted` in
 # validation/match/real_prints.json, made by validation/match/real_prints.py.
-_BOTH = (0.1, 10.0, -3.0)
+_BOTH = (0.1917, 22.2986, -9.8619)
 """Of bozorth3's score, of the similarity of ridges, offset."""
-_MINUTIAE_ALONE = (0.1, -2.0)
-_RIDGES_ALONE = (20.0, -5.0)
+_MINUTIAE_ALONE = (0.2274, -4.7266)
+_RIDGES_ALONE = (30.7494, -8.0142)
 
 
 @dataclass(frozen=True, slots=True)
