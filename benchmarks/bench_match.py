@@ -58,6 +58,8 @@ def main() -> None:
     contenders = {
         "comparison, both sides prepared": lambda: ridge_match(*ready),
         "comparison, one side read and prepared anew": lambda: ridge_match(ready[0], Prepared(unpack(stored[1]))),
+        "comparison, the other side anew": lambda: ridge_match(Prepared(unpack(stored[0])), ready[1]),
+        "comparison, both sides anew": lambda: ridge_match(*(Prepared(unpack(one)) for one in stored)),
         "template from a reconstruction": lambda: template(0),
     }
     print_table("Ridge templates", race(contenders, 4 * rounds), lambda _: "", "")
@@ -100,8 +102,9 @@ def main() -> None:
 
 def warm(a: Prepared, b: Prepared) -> None:
     """Make what is kept between comparisons, whichever side it is on."""
+    ridge_match(a, b)
     for side in (a, b):
-        assert len(side.rotated.ridges) > len(side.fixed.ridges) == 1
+        assert side.rotated.directions.ndim == side.directions.ndim > side.ridges.ndim
         assert len(side.first.rows) <= len(side.patches.rows)
         assert side.key
 

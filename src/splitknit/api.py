@@ -75,7 +75,7 @@ def make_print(
 
 
 def match(
-    a: Finger, b: Finger, method: str = "ridge", preset: str = "metric", settings: Mapping[str, Any] | None = None
+    a: Finger, b: Finger, method: str = "auto", preset: str = "metric", settings: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Compare two fingers.
 
@@ -83,7 +83,8 @@ def match(
     ----------
     a, b : Reconstruction, Capture or path
         Paths may also be templates (``.skt``) and 500-ppi prints.
-    method : ``ridge``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``
+    method : ``auto`` (``fusion`` of two prints, else ``ridge``), ``ridge``, ``fusion``, ``thesis``, ``minutiae``,
+        ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``
     preset : by which captures are reconstructed
     settings : mapping from ``stage.field`` to a value, optional
         Of :class:`splitknit.matching.surface.MatchingSettings`.

@@ -117,7 +117,7 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["PARTIAL", "a"], "holds no 'ridge_mm'"),
         (["COARSE", "a"], "pixels per inch"),
         (["a", "a/print.png", "--method", "thesis"], "needs a surface"),
-        (["a", "again", "--set", "ridge.phase.limit_deg=60"], "limit_deg"),
+        (["a", "again", "--set", "ridge.phase.whitening=2"], "whitening"),
         (["a", "again", "--set", "ridge.speed=1"], "speed"),
         (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
     ],

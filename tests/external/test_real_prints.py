@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from splitknit.io.prints import read_print_png
+from splitknit.matching.fusion import fused_similarity
 from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.minutiae_record import pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.ridge_band import print_band
-from splitknit.matching.score import joined_similarity
 from splitknit.matching.template import make_template
 
 pytestmark = pytest.mark.external
@@ -53,7 +53,7 @@ def test_our_route_is_no_worse_than_nbis_py(files) -> None:
     ridges = [Prepared(make_template(print_band(image))) for image in images]
 
     def joined(i: int, j: int) -> float:
-        return joined_similarity(minutiae_match(points[i], points[j]), ridge_match(ridges[i], ridges[j]).similarity)
+        return fused_similarity(minutiae_match(points[i], points[j]), ridge_match(ridges[i], ridges[j]).similarity)
 
     theirs = share_above_all_impostors(files, lambda i, j: plain[i].compare(plain[j]))
     assert share_above_all_impostors(files, joined) >= theirs > 0.7

@@ -75,11 +75,11 @@ def _words(facts: dict[str, Any]) -> list[str]:
         who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
         lines.append(f"{one['rank']:>3}. similarity {one['similarity']:.4f}{rate}: {who}")
     searched = facts["searched"]
-    whose = ""
+    whose, how = "", "by ridges and minutiae" if searched["compared_by"] == "fusion" else "ridge by ridge"
     if searched["people"] is not None:
         whose = f" ({count(searched['fingers'], 'finger')} of {count(searched['people'], 'person', 'people')})"
     lines.append(
-        f"Searched: {count(searched['captures'], 'capture')}{whose}, {searched['compared']} compared ridge by ridge"
+        f"Searched: {count(searched['captures'], 'capture')}{whose}, {searched['compared']} compared {how}"
         + (" (chosen by their codes)." if searched["method"] == "codes" else ".")
     )
     if facts["candidates"] and facts["candidates"][0]["fmr"] is not None:

@@ -9,6 +9,7 @@ from typing import Any
 from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, new_verb
 
 _MINUTIAE = ("minutiae", "voted")
+_DIGITS = {"minutiae": 0, "voted": 0, "fusion": 2}
 _IN_SPACE = ("minutiae3d", "tetrahedra")
 
 
@@ -20,10 +21,11 @@ def add_match(verbs: Any) -> None:
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
     verb.add_argument(
         "--method",
-        choices=("ridge", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
-        default="ridge",
-        help="ridge (the default), thesis (local binary patterns; needs captures or results), minutiae (of the "
-        "prints, by NIST's mindtct and bozorth3; needs the extra minutiae, on x86-64 Linux), voted (minutiae on which "
+        choices=("auto", "ridge", "fusion", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
+        default="auto",
+        help="auto (the default: fusion of two prints, else ridge), ridge, fusion (of ridges and minutiae of two "
+        "prints), thesis (local binary patterns; needs captures or results), minutiae (of the prints, by NIST's "
+        "mindtct and bozorth3; like fusion it needs the extra minutiae, on x86-64 Linux), voted (minutiae on which "
         "sets of images that leave one out agree; needs captures), or of surfaces (captures or results): minutiae3d "
         "(Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
     )
@@ -54,7 +56,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 def _words(facts: dict[str, Any]) -> list[str]:
     lines = []
     if "similarity" in facts:
-        shown = f"{facts['similarity']:.{0 if facts['method'] in _MINUTIAE else 4}f}"
+        shown = f"{facts['similarity']:.{_DIGITS.get(facts['method'], 4)}f}"
         lines.append(f"similarity {shown} ({_meaning(facts)})")
         if facts["fmr"] is not None:
             lines.append(f"fmr at most {facts['fmr']:.2g} (fraction of other, simulated fingers that are as similar)")
@@ -66,7 +68,9 @@ def _words(facts: dict[str, Any]) -> list[str]:
         elif facts["method"] in _MINUTIAE:
             if facts["similarity_with_ridges"] is not None:
                 joined = facts["similarity_with_ridges"]
-                lines.append(f"joined with the ridges {joined:.2f} (mean of both z-scores; other fingers lie about 0)")
+                lines.append(
+                    f"fused with the ridges {joined:.2f} (log-likelihood ratio; most other fingers lie below 0)"
+                )
             lines += [_print_words(facts[name]) for name in ("a", "b")]
         elif facts["method"] in _IN_SPACE:
             both = " and ".join(str(facts[name]["minutiae"]) for name in ("a", "b"))
@@ -78,18 +82,33 @@ def _words(facts: dict[str, Any]) -> list[str]:
                 f"{turned:.1f} deg"
             )
         elif facts["compared"]:
+            if facts["method"] == "fusion":
+                score = facts["similarity_of_minutiae"]
+                minutiae = "too few" if score is None else f"{score:.0f}"
+                lines.append(f"ridges {facts['similarity_of_ridges']:.4f}, minutiae {minutiae}")
             laid = facts["alignment"]
             lines.append(
                 f"overlap {facts['overlap_mm2']:.0f} mm² of skin; A turned by {laid['rotation_deg']:.1f} deg, its "
                 f"middle {laid['right_mm']:+.2f} mm right and {laid['up_mm']:+.2f} mm up of B's"
             )
+    lines += _notes(facts)
+    if "template" in facts:
+        made = facts["template"]
+        lines.append(f"Template of {made['bytes']} bytes (version {made['version']}) written to {made['file']}.")
+    return lines
+
+
+def _notes(facts: dict[str, Any]) -> list[str]:
+    lines = []
     for name in ("a", "b"):
         if name in facts and not facts[name]["acquired"]:
             lacks = "fewer than ten minutiae" if facts["method"] in (*_MINUTIAE, *_IN_SPACE) else "no ridges"
             lines.append(f"Please note: {facts[name]['path']} holds {lacks} (failure to acquire).")
-    if "template" in facts:
-        made = facts["template"]
-        lines.append(f"Template of {made['bytes']} bytes (version {made['version']}) written to {made['file']}.")
+    if "fusion_missing" in facts:
+        lines.append(
+            "Please note: compared by ridges alone; ridges and minutiae together distinguish prints better, which "
+            "needs nbis-py: pip install 'splitknit[minutiae]' (x86-64 Linux)."
+        )
     return lines
 
 
@@ -101,6 +120,7 @@ def _meaning(facts: dict[str, Any]) -> str:
         return f"not compared: {why}"
     return {
         "ridge": "1 = the same picture",
+        "fusion": "log-likelihood ratio of ridges and minutiae; most other fingers lie below 0",
         "thesis": "1 = equal, 0 = as dissimilar as possible",
         "minutiae": "about how many pairs of minutiae fit together; other fingers seldom reach 40",
         "minutiae3d": "fraction of minutiae that agree, squared",

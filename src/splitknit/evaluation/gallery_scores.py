@@ -1,4 +1,7 @@
-"""Scores from a gallery: every finger of a session with every finger of each later session, by the ridge matcher."""
+"""Scores from a gallery: every finger of a session with every finger of each later session, by the ridge matcher.
+
+Where all are prints with minutiae, by ridges and minutiae.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from splitknit.gallery.entry import session_order
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.provenance import file_hash
+from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.template import unpack
 from splitknit.model import Progress, no_progress
@@ -84,6 +88,7 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
     (:func:`splitknit.matching.ridge.ridge_match`), so that the order changes nothing.
     """
     templates = [unpack(payload) for payload in payloads]
+    match = fused_match if can_fuse(*(one for one in templates if not one.empty)) else ridge_match
     keys = [Prepared(one).key for one in templates]
     rank = np.empty(len(keys), dtype=np.int64)
     rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
@@ -103,7 +108,7 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
             ready, block = {}, b // _BLOCK
         if a != last[0]:
             last = (a, Prepared(templates[a]))
-        score[n] = ridge_match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
+        score[n] = match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
     return score
 
 

@@ -17,6 +17,7 @@ from splitknit.gallery.entry import Enrolled, check_person, session_order
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import read_side
 from splitknit.matching.methods import as_calibrated, false_match_rate, similarity_at
 from splitknit.matching.ridge import RidgeMatchSettings, prepared, ridge_match
@@ -95,7 +96,8 @@ def identify_file(
         it, or the rate was not measured.
     """
     calibrated = as_calibrated(settings.matching)
-    threshold = similarity_at(question.fmr) if calibrated else None
+    if calibrated:
+        similarity_at(question.fmr)  # refused here where no such rate was measured
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)
     with Gallery.open(gallery, key) as opened:
@@ -107,8 +109,11 @@ def identify_file(
         started = time.perf_counter()
         found, facts = _search(opened, made, pool, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
+    by = facts["compared_by"]
+    threshold = similarity_at(question.fmr, by) if calibrated else None
     candidates = _merged(found, question.merge)[: question.top]
-    reported = [_candidate(rank, one, facts["captures"], calibrated) for rank, one in enumerate(candidates, start=1)]
+    rated = by if calibrated else None
+    reported = [_candidate(rank, one, facts["captures"], rated) for rank, one in enumerate(candidates, start=1)]
     best = candidates[0][0] if candidates else None
     decision = None
     if threshold is not None:
@@ -134,7 +139,7 @@ def identify_file(
 
 
 _Found = tuple[float, float | None, Enrolled]
-"""Similarity of ridges, of codes, and what was compared."""
+"""Similarity of ridges (or of ridges and minutiae), of codes, and what was compared."""
 
 
 def _pool(gallery: Gallery, person: str | None, finger: str | None, search: str) -> list[Enrolled] | None:
@@ -163,9 +168,15 @@ def _search(
     settings: IdentifySettings,
     progress: Progress,
 ) -> tuple[list[_Found], dict[str, Any]]:
-    """Compare; all, or those that codes choose."""
+    """Compare; all, or those that codes choose. By ridges and minutiae where the probe and all of these have both."""
     codes: dict[int, NDArray[np.int8]] = {}
-    facts: dict[str, Any] = {"method": "exhaustive", "without_code": 0, "fingers": None, "people": None}
+    facts: dict[str, Any] = {
+        "method": "exhaustive",
+        "compared_by": "ridge",
+        "without_code": 0,
+        "fingers": None,
+        "people": None,
+    }
     if pool is None:
         codes, facts["without_code"], facts["failures"] = _codes(gallery, progress)
         acquired = list(codes)
@@ -187,10 +198,14 @@ def _search(
     rows = {one.row: one for one in pool} if pool is not None else gallery.entries_at(acquired)
     ready = prepared(probe, settings.ridge)
     found: list[_Found] = []
-    for k, (row, payload) in enumerate(gallery.templates(acquired).items()):
+    payloads = gallery.templates(acquired)
+    if can_fuse(probe) and all(can_fuse(_unpacked(gallery, *one)) for one in payloads.items()):
+        facts["compared_by"] = "fusion"
+    for k, (row, payload) in enumerate(payloads.items()):
         progress("comparing", 0.5 + 0.5 * k / len(acquired))
         if row in rows:  # else removed just now
-            match = ridge_match(ready, _unpacked(gallery, row, payload), settings.ridge)
+            other = prepared(_unpacked(gallery, row, payload), settings.ridge)
+            match = (fused_match if facts["compared_by"] == "fusion" else ridge_match)(ready, other)
             found.append((match.similarity, score.get(row), rows[row]))
     facts["compared"] = len(found)
     return sorted(found, key=_order), facts
@@ -231,9 +246,9 @@ def _merged(found: Sequence[_Found], merge: str) -> list[_Found]:
     return kept
 
 
-def _candidate(rank: int, one: _Found, searched: int, calibrated: bool) -> dict[str, Any]:
+def _candidate(rank: int, one: _Found, searched: int, rated: str | None) -> dict[str, Any]:
     similarity, code_similarity, row = one
-    fmr = false_match_rate(similarity) if calibrated else None
+    fmr = false_match_rate(similarity, rated) if rated else None
     return {
         "rank": rank,
         "person": row.entry.person,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from splitknit.io.images import read_image
 from splitknit.io.prints import read_print_png
 from splitknit.io.results import read_fields
 from splitknit.io.templates import read_template
+from splitknit.matching.minutiae import extract, installed
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import VERSION, Template, make_template, unpack
@@ -76,10 +77,22 @@ def read_side(
         return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
     if path.suffix.lower() in _IMAGES:
         image, ppi = read_print(path)
-        band = naming(path, lambda: print_band(image, ppi, settings.band))
-        return naming(path, lambda: Side(path, "print", None, make_template(band, settings.template)))
+        return naming(path, lambda: Side(path, "print", None, print_template(image, ppi, settings)))
     payload = read_template(path, VERSION)
     return naming(path, lambda: Side(path, "template", None, unpack(payload)))
+
+
+def print_template(image: NDArray[np.uint8], ppi: float = _PPI, settings: MatchingSettings | None = None) -> Template:
+    """Template of a print (H, W), ridges dark, with its minutiae where `nbis-py` is installed.
+
+    Raises
+    ------
+    BadInput
+        As :func:`splitknit.matching.ridge_band.print_band`.
+    """
+    settings = settings or MatchingSettings()
+    template = make_template(print_band(image, ppi, settings.band), settings.template)
+    return replace(template, minutiae=extract(image, ppi, enhance=True)) if installed() else template
 
 
 def read_surface(path: Path) -> Surface:

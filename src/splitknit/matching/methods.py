@@ -1,4 +1,4 @@
-"""Matching of files by one of seven methods: captures, results, templates and prints in, similarity out."""
+"""Matching of files by one of eight methods: captures, results, templates and prints in, similarity out."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from splitknit.errors import BadInput, naming, require
 from splitknit.io.capture import read_capture
 from splitknit.io.targets import check_file
 from splitknit.io.templates import MAGIC, write_template
+from splitknit.matching.fusion import can_fuse, fused_match, fused_similarity
 from splitknit.matching.inputs import Side, read_print, read_side
 from splitknit.matching.leave_one_out import voted_minutiae
-from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
+from splitknit.matching.minutiae import NFIQ2_FAILED, extract, installed, minutiae_match, nfiq2
 from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import Minutiae
-from splitknit.matching.ridge import ridge_match
-from splitknit.matching.score import FmrTable, joined_similarity
+from splitknit.matching.ridge import RidgeMatch, prepared, ridge_match
+from splitknit.matching.score import FmrTable
 from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings, surface_images
 from splitknit.matching.surface_code import surface_code_match
@@ -35,9 +36,9 @@ from splitknit.settings import override
 
 SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
 """Those that compare surfaces in space."""
-METHODS = ("ridge", "thesis", "minutiae", "voted", *SPACE_METHODS)
-_RIDGE_TABLE = "match_fmr.json"
-"""Made by validation/match/impostors.py."""
+METHODS = ("auto", "ridge", "fusion", "thesis", "minutiae", "voted", *SPACE_METHODS)
+_TABLES = {"ridge": "match_fmr.json", "fusion": "match_fmr_prints.json", "minutiae": "match_fmr_minutiae.json"}
+"""Made by validation/match/impostors.py (the first two) and impostors_minutiae.py."""
 _FMR_ROUNDING = 1e-5
 """Of the similarities in it: no rate comes out too low."""
 
@@ -46,7 +47,7 @@ def match_files(
     a: Path | Reconstruction | Capture,
     b: Path | Reconstruction | Capture | None,
     *,
-    method: str = "ridge",
+    method: str = "auto",
     template: Path | None = None,
     preset: str = "metric",
     settings: MatchingSettings | dict[str, Any] | None = None,
@@ -60,7 +61,9 @@ def match_files(
         Capture folder, result folder, template (``.skt``), 500-ppi print, or an object. Without `b` only the template
         is made.
     method
-        ``ridge``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``.
+        ``ridge``, ``fusion`` (of ridges and minutiae; of two prints), ``thesis``, ``minutiae``, ``voted``,
+        ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``fusion`` where both sides have minutiae of a
+        print and `nbis-py` is installed, else ``ridge``. The facts name the method that was used.
     template
         File to write the template of `a` into.
     preset
@@ -85,9 +88,14 @@ def match_files(
     if b is not None:
         second = read_side(b, preset, chosen, progress)
         facts["b"] = _facts(second)
+        if method == "auto":
+            method = facts["method"] = "fusion" if can_fuse(_template(first), _template(second)) else "ridge"
+            if first.kind == second.kind == "print" and not installed():
+                facts["fusion_missing"] = "nbis-py is not installed"
         progress("comparing", 0.9)
         compare: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
             "ridge": _by_ridges,
+            "fusion": _fused,
             "thesis": _by_thesis,
             "minutiae": _by_minutiae,
             "voted": partial(_by_votes, preset),
@@ -106,28 +114,60 @@ def match_files(
 
 
 def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
-    left, right = _template(a), _template(b)
-    found = ridge_match(left, right, settings.ridge)
+    found = ridge_match(_template(a), _template(b), settings.ridge)
     return {
         "similarity": found.similarity,
         "fmr": false_match_rate(found.similarity) if found.compared and as_calibrated(settings) else None,
         "compared": found.compared,
+        **_laid(found),
+    }
+
+
+def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    """Compare two prints by ridges and minutiae. Raises BadInput if a side holds no minutiae, or nbis-py is missing."""
+    sides = []
+    for side in (a, b):
+        minutiae = _template(side).minutiae
+        if minutiae is None:
+            if side.kind == "print":
+                extract(*read_print(side.path), enhance=True)  # refused where nbis-py is not installed
+            raise BadInput(
+                f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
+                "one, or a template (.skt) that was made of one."
+            )
+        sides.append({"minutiae": minutiae.count, "acquired": minutiae.acquired or not _template(side).empty})
+    found = fused_match(prepared(_template(a), settings.ridge), prepared(_template(b), settings.ridge))
+    rated = found.compared and as_calibrated(settings)
+    return {
+        "similarity": found.similarity,
+        "similarity_of_ridges": found.ridge.similarity,
+        "similarity_of_minutiae": found.minutiae,
+        "fmr": false_match_rate(found.similarity, "fusion") if rated else None,
+        "compared": found.compared,
+        **_laid(found.ridge),
+        "sides": sides,
+    }
+
+
+def _laid(found: RidgeMatch) -> dict[str, Any]:
+    """How the ridges lie on each other."""
+    return {
         "overlap_mm2": found.overlap_mm2,
         "correlation": found.correlation,
         "alignment": {"rotation_deg": found.rotation_deg, "right_mm": found.right_mm, "up_mm": found.up_mm},
     }
 
 
-def false_match_rate(similarity: float) -> float | None:
-    """Rate at which other (simulated) fingers reach this similarity of the ridge matcher; None without a table.
+def false_match_rate(similarity: float, method: str = "ridge") -> float | None:
+    """Rate at which other (simulated) fingers reach this similarity of ``ridge`` or ``fusion``; None without a table.
 
     Never below one over the number of impostor comparisons that the table was measured on.
     """
-    table = _fmr_table(_RIDGE_TABLE)
+    table = _fmr_table(_TABLES[method])
     return None if table is None else table(similarity - _FMR_ROUNDING)
 
 
-def similarity_at(fmr: float) -> float | None:
+def similarity_at(fmr: float, method: str = "ridge") -> float | None:
     """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less; None without a table.
 
     Raises
@@ -135,7 +175,7 @@ def similarity_at(fmr: float) -> float | None:
     BadInput
         If the table was measured on too few comparisons to state such a rate.
     """
-    table = _fmr_table(_RIDGE_TABLE)
+    table = _fmr_table(_TABLES[method])
     if table is None:
         return None
     enough = table.fmr <= fmr
@@ -184,8 +224,6 @@ def _facts(side: Side) -> dict[str, Any]:
     return {"path": str(side.path), "kind": side.kind, "area_mm2": template.area_mm2, "acquired": not template.empty}
 
 
-_MINUTIAE_TABLE = "match_fmr_minutiae.json"
-"""Made by validation/match/impostors_minutiae.py."""
 _PPI = 500.0
 
 
@@ -224,16 +262,16 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
 
 def _minutiae_false_match_rate(similarity: float) -> float | None:
     """Rate at which other (simulated) fingers' relief prints reach this similarity; None without a table."""
-    table = _fmr_table(_MINUTIAE_TABLE)
+    table = _fmr_table(_TABLES["minutiae"])
     return None if table is None else table(similarity)
 
 
 def _joined(a: Side, b: Side, similarity: float) -> float | None:
-    """Minutiae and ridges as one score, for which the templates of the ridges are at hand."""
+    """Fusion of minutiae and ridges, for which the templates of the ridges are at hand."""
     if a.template is None or b.template is None:
         return None
     found = ridge_match(a.template, b.template)
-    return joined_similarity(similarity, found.similarity if found.compared else float("nan"))
+    return fused_similarity(similarity, found.similarity if found.compared else float("nan"))
 
 
 def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | None, str | None]:

@@ -338,6 +338,15 @@ def _png(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
+def installed() -> bool:
+    """Whether nbis-py can be used on this machine."""
+    try:
+        _module()
+    except BadInput:
+        return False
+    return True
+
+
 def _module() -> Any:
     try:
         import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - 40 MB

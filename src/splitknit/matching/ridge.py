@@ -34,33 +34,35 @@ from splitknit.settings import Checked, Limits
 Spectra = NDArray[np.complex64]
 
 
-_STEP_DEG = 2.5
-"""Between two rotations."""
+_STEP_DEG = 5.0
+"""Between two rotations whose directions of ridges are compared."""
 _ROTATIONS = 6
-"""How many are tried on the ridges, after a ranking by their directions."""
+"""How many of all are tried on the ridges, each there and half a step on, to the side of the better neighbour."""
+_UPRIGHT_ROTATIONS, _UPRIGHT_STEPS = 3, 6
+"""How many of the steps to each side of no rotation are tried in any case: most fingers lie upright, and where little
+overlaps, directions alone find them too seldom."""
 _PITCH_MM = 0.15
 """Side of a pixel of the coarse grid."""
-_PLANE_PX = (270, 243)
+_PLANE_PX = (216, 216)
 """Rows and columns of the coarse grid; of a finger that is larger the middle is used."""
-_BLOCK_PX = 7
-"""Pixels of the coarse grid, each way, that share one direction."""
+_MIDDLE = np.array(_PLANE_PX) // 2
+_BLOCK_MM, _BLOCKS = 1.5, (27, 24)
+"""Side of a block that has one direction, and rows and columns of the grid of blocks."""
+_WINDOW_MM = 1.05
+"""Side of the square over which a direction is averaged."""
 _CANDIDATES = 2
 """Peaks that are looked at closely."""
+_HALF = round(180 / _STEP_DEG)
+"""Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is conjugate, and the
+peak of a correlation with it lies one pixel further on both axes."""
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseSettings(Checked):
     """The coarse search."""
 
-    limit_deg: Annotated[float, Limits(0, 45)] = 30.0
-    """Largest rotation tried."""
     whitening: Annotated[float, Limits(0, 1)] = 0.5
     """Power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone."""
-
-    def angles_deg(self) -> NDArray[np.float64]:
-        """Rotations tried, zero among them."""
-        count = int(np.floor(self.limit_deg / _STEP_DEG + 1e-9))
-        return _STEP_DEG * np.arange(-count, count + 1, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,61 +78,128 @@ class Peak:
     """Of the correlation, relative to complete agreement."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Views:
-    """One finger under some rotations, as spectra."""
+class RotatedViews:
+    """A ridge band (H, W) under all rotations, as spectra: its directions at once, its ridges when first asked for.
 
-    ridges: Spectra
-    """(A, rows, columns // 2 + 1) whitened; correlated with itself, one has a peak of 1."""
-    directions: Spectra
-    """(A, blocks down, blocks across) of the field of doubled directions."""
+    The latter take up to 7 MB, as whole numbers of 16 bits.
+    """
+
+    def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PhaseSettings) -> None:
+        """Take the band; its middle becomes the middle of the grids."""
+        self._value, self._pitch_mm, self._settings = value, pitch_mm, settings
+        self.directions = block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
+        count = 2 * _HALF
+        self._ridges = np.zeros((count, _PLANE_PX[0], 2 * (_PLANE_PX[1] // 2 + 1)), dtype=np.int16)
+        self._unit = np.zeros(count, dtype=np.float32)
+
+    def ridges(self, number: int) -> tuple[Spectra, float]:
+        """Spectrum, turned by `number` half steps (less half a turn), and its unit."""
+        k = number % len(self._unit)
+        if self._unit[k] == 0:
+            view = ridge_view(self._value, self._pitch_mm, _angle_deg(k), self._settings).view(np.float32)
+            self._unit[k] = max(float(np.abs(view).max()), 1e-30) / np.iinfo(np.int16).max
+            self._ridges[k] = np.round(view / self._unit[k])
+        return self._ridges[k].astype(np.float32).view(np.complex64), float(self._unit[k])
 
 
-def views(value: FloatArray, pitch_mm: float, angles_deg: NDArray[np.float64], settings: PhaseSettings) -> Views:
-    """Spectra of a ridge band (H, W) for some rotations (A,); its middle is brought to the grid's middle."""
-    plane = _PLANE_PX
+def _angle_deg(number: int) -> float:
+    """Rotation that is tried on the ridges."""
+    return number * _STEP_DEG / 2
+
+
+def block_directions(value: FloatArray, valid: BoolArray, pitch_mm: float, angles_deg: NDArray[np.float64]) -> Spectra:
+    """Spectra (3, A, rows, columns // 2 + 1) of blocks of a ridge band (H, W), turned by some angles (A,).
+
+    Cosine and sine of the doubled directions, of length at most about one, and the fraction that is valid.
+    """
+    across = cv2.Sobel(value, cv2.CV_32F, 1, 0)
+    up = -cv2.Sobel(value, cv2.CV_32F, 0, 1)
+    side = (round(_WINDOW_MM / pitch_mm),) * 2
+
+    def mean(part: FloatArray) -> FloatArray:
+        return np.asarray(cv2.blur(part, side, borderType=cv2.BORDER_CONSTANT))
+
+    xx, yy, xy = mean(across * across), mean(up * up), mean(across * up)
+    total = np.maximum(xx + yy, max(0.3 * float(np.median((xx + yy)[valid])), 1e-12))
+    parts = [(xx - yy) / total, 2 * xy / total, mean(valid.astype(np.float32))]
+    field = np.stack(parts, axis=-1, dtype=np.float32)
+    turned = np.empty((len(angles_deg), *_BLOCKS, 3), dtype=np.float32)
+    for k, angle in enumerate(np.deg2rad(angles_deg)):
+        cos, sin = np.cos(2 * angle), np.sin(2 * angle)
+        fetched = _fetched(field, float(angle), _BLOCK_MM / pitch_mm, _BLOCKS)
+        turned[k] = cv2.transform(fetched, np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]))
+    return np.asarray(scipy.fft.rfft2(np.moveaxis(turned, -1, 0)), dtype=np.complex64)
+
+
+def ridge_view(value: FloatArray, pitch_mm: float, angle_deg: float, settings: PhaseSettings) -> Spectra:
+    """Whitened spectrum (rows, columns // 2 + 1) of a ridge band (H, W), turned; its middle is the grid's middle.
+
+    Correlated with itself, it has a peak of 1.
+    """
     factor = _PITCH_MM / pitch_mm
     soft = blur(value, 0.4 * factor)  # less of what the coarse grid cannot hold
-    centre = (value.shape[1] - 1) / 2, (value.shape[0] - 1) / 2
-    middle = (plane[1] - 1) / 2, (plane[0] - 1) / 2
-    turned = np.empty((len(angles_deg), *plane), dtype=np.float32)
-    for k, angle in enumerate(np.deg2rad(angles_deg)):
-        cos, sin = factor * np.cos(angle), factor * np.sin(angle)
-        # the content turns counter-clockwise as seen (rows run down): fetch from the clockwise place
-        source = np.array(
-            [
-                [cos, -sin, centre[0] - cos * middle[0] + sin * middle[1]],
-                [sin, cos, centre[1] - sin * middle[0] - cos * middle[1]],
-            ]
-        )
-        turned[k] = cv2.warpAffine(soft, source, plane[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
-    directions = np.stack([_directions(picture, _BLOCK_PX) for picture in turned])
-    return Views(_whitened(scipy.fft.rfft2(turned), settings), np.asarray(scipy.fft.fft2(directions)))
+    turned = _fetched(soft, float(np.deg2rad(angle_deg)), factor, _PLANE_PX)
+    return _whitened(np.asarray(scipy.fft.rfft2(turned)), settings)
 
 
-def peaks(rotated: Views, fixed: Views, settings: PhaseSettings) -> list[Peak]:
+def _fetched(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[int, int]) -> FloatArray:
+    """`picture`, turned counter-clockwise about its middle, on a grid of `size` whose steps are `step_px`."""
+    # the content turns counter-clockwise as seen (rows run down): fetch from the clockwise place
+    cos, sin = step_px * np.cos(angle_rad), step_px * np.sin(angle_rad)
+    centre = (picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2
+    middle = (size[1] - 1) / 2, (size[0] - 1) / 2
+    source = np.array(
+        [
+            [cos, -sin, centre[0] - cos * middle[0] + sin * middle[1]],
+            [sin, cos, centre[1] - sin * middle[0] - cos * middle[1]],
+        ]
+    )
+    return np.asarray(cv2.warpAffine(picture, source, size[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP))
+
+
+def peaks(rotated: RotatedViews, directions: Spectra, ridges: Spectra) -> list[Peak]:
     """Best alignments, best first, at most one a rotation.
 
     Parameters
     ----------
-    rotated : A, once for each of `settings.angles_deg()`
-    fixed : B, once
+    rotated : A
+    directions : (3, 1, rows, columns // 2 + 1) of B, not turned, from :func:`block_directions`
+    ridges : (rows, columns // 2 + 1) of B, not turned, from :func:`ridge_view`
     """
-    angles = settings.angles_deg()
-    agreement = scipy.fft.ifft2(rotated.directions.conj() * fixed.directions).real
-    ranked = np.argsort(-agreement.reshape(len(angles), -1).max(axis=1), kind="stable")[:_ROTATIONS]
-    rows, columns = _PLANE_PX
-    correlation = scipy.fft.irfft2(rotated.ridges[ranked].conj() * fixed.ridges, s=_PLANE_PX)
-    places = correlation.reshape(len(ranked), -1).argmax(axis=1)
-    found = []
-    for picture, place, angle in zip(correlation, places.tolist(), angles[ranked].tolist(), strict=True):
-        row, column = divmod(place, columns)
-        down = row if row <= rows // 2 else row - rows
-        right = column if column <= columns // 2 else column - columns
-        height = float(picture[row, column])
-        found.append(Peak(angle, right * _PITCH_MM, down * _PITCH_MM, height))
+    worth = np.concatenate(
+        [_agreement(rotated.directions.conj() * directions), _agreement(rotated.directions * directions)]
+    )
+    upright = np.arange(-_UPRIGHT_STEPS, _UPRIGHT_STEPS + 1)
+    best = np.concatenate(
+        [
+            np.argsort(-worth, kind="stable")[:_ROTATIONS],
+            upright[np.argsort(-worth[upright], kind="stable")[:_UPRIGHT_ROTATIONS]] % (2 * _HALF),
+        ]
+    )
+    aside = np.where(np.roll(worth, -1)[best] >= np.roll(worth, 1)[best], 1, -1)
+    numbers = np.unique(np.concatenate([2 * best, (2 * best + aside) % (4 * _HALF)]))
+    found = [_peak(*rotated.ridges(number), ridges, number) for number in numbers.tolist()]
     found.sort(key=lambda peak: -peak.height)
     return found[:_CANDIDATES]
+
+
+def _peak(turned: Spectra, unit: float, ridges: Spectra, number: int) -> Peak:
+    """Largest correlation of one view of A with B."""
+    flipped = number >= 2 * _HALF
+    turned *= ridges if flipped else ridges.conj()
+    correlation = scipy.fft.irfft2(turned, s=_PLANE_PX, overwrite_x=True)
+    place = np.array(divmod(int(correlation.argmax()), _PLANE_PX[1]))
+    height = float(correlation[tuple(place)]) * unit
+    # of what is not upside down the spectrum is conjugate: its correlation is mirrored
+    down, right = (((place + 1 if flipped else -place) + _MIDDLE) % _PLANE_PX - _MIDDLE).tolist()
+    return Peak(_angle_deg(number), right * _PITCH_MM, down * _PITCH_MM, height)
+
+
+def _agreement(products: Spectra) -> NDArray[np.float32]:
+    """(A,) largest agreement of directions over all shifts, over the root of the overlap; from (3, A, ...)."""
+    both = scipy.fft.irfft2(np.stack([products[0] + products[1], products[2]]), s=_BLOCKS)
+    overlap = np.maximum(both[1], 0.2 * both[1].max())
+    return np.asarray((both[0] / np.sqrt(overlap)).reshape(both.shape[1], -1).max(axis=1))
 
 
 def _whitened(spectrum: Spectra, settings: PhaseSettings) -> Spectra:
@@ -138,29 +207,12 @@ def _whitened(spectrum: Spectra, settings: PhaseSettings) -> Spectra:
     cycles = np.hypot(np.fft.fftfreq(plane[0], pitch)[:, None], np.fft.rfftfreq(plane[1], pitch)[None, :])
     ridges = ((cycles > 1.2) & (cycles < min(3.8, 0.5 / pitch))).astype(np.float32)  # periods of 0.26 to 0.83 mm
     size = np.abs(spectrum)
-    floor = np.maximum(0.05 * size.max(axis=(1, 2), keepdims=True), np.float32(1e-12))
-    result = spectrum * (ridges / np.maximum(size, floor) ** settings.whitening)
+    floor = max(0.05 * float(size.max()), 1e-12)
+    result = spectrum * (ridges / np.maximum(size, np.float32(floor)) ** settings.whitening)
     # twice the power of the half plane, but for its first column, where ridges have little
-    power = 2 * (np.abs(result) ** 2).sum(axis=(1, 2), keepdims=True)
-    result *= np.sqrt(plane[0] * plane[1] / np.maximum(power, 1e-30)).astype(np.float32)
+    power = 2 * float((np.abs(result) ** 2).sum())
+    result *= np.float32(np.sqrt(plane[0] * plane[1] / max(power, 1e-30)))
     return np.asarray(result, dtype=np.complex64)
-
-
-def _directions(picture: FloatArray, block: int) -> Spectra:
-    """Doubled directions, as complex numbers of length at most about one, of blocks of `picture`."""
-    across = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
-    up = -cv2.Sobel(picture, cv2.CV_32F, 0, 1)
-    size = picture.shape[1] // block, picture.shape[0] // block
-    cut = slice(0, size[1] * block), slice(0, size[0] * block)
-
-    def mean(part: FloatArray) -> FloatArray:
-        return np.asarray(cv2.resize(np.ascontiguousarray(part[cut]), size, interpolation=cv2.INTER_AREA))
-
-    xx, yy, xy = mean(across * across), mean(up * up), mean(across * up)
-    total = xx + yy
-    inside = total > 0
-    typical = float(np.median(total[inside])) if bool(inside.any()) else 1.0
-    return np.asarray((xx - yy + 2j * xy) / np.maximum(total, 0.3 * typical), dtype=np.complex64)
 
 
 def _band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
@@ -216,7 +268,7 @@ class Prepared:
     @cached_property
     def key(self) -> bytes:
         """By which sides are ordered, so that the result does not depend on the order of arguments."""
-        return hashlib.sha256(pack(self.template)).digest()
+        return hashlib.sha256(pack(replace(self.template, minutiae=None))).digest()
 
     @cached_property
     def value(self) -> FloatArray:
@@ -224,15 +276,19 @@ class Prepared:
         return _band_of(self.template.value(), self.template.valid)
 
     @cached_property
-    def rotated(self) -> Views:
+    def rotated(self) -> RotatedViews:
         """Views under all rotations."""
-        phase = self.settings.phase
-        return views(self.value, self.template.pitch_mm, phase.angles_deg(), phase)
+        return RotatedViews(self.value, self.template.valid, self.template.pitch_mm, self.settings.phase)
 
     @cached_property
-    def fixed(self) -> Views:
-        """View without rotation."""
-        return views(self.value, self.template.pitch_mm, np.zeros(1), self.settings.phase)
+    def directions(self) -> Spectra:
+        """Directions without rotation."""
+        return block_directions(self.value, self.template.valid, self.template.pitch_mm, np.zeros(1))
+
+    @cached_property
+    def ridges(self) -> Spectra:
+        """Ridges without rotation."""
+        return ridge_view(self.value, self.template.pitch_mm, 0.0, self.settings.phase)
 
     @cached_property
     def first(self) -> PatchGrid:
@@ -313,7 +369,7 @@ def prepared(side: Template | Prepared, settings: RidgeMatchSettings | None = No
 def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
     settings, pitch = a.settings, a.template.pitch_mm
     best: tuple[float, Affine, Agreement] | None = None
-    for peak in peaks(a.rotated, b.fixed, settings.phase):
+    for peak in peaks(a.rotated, b.directions, b.ridges):
         start = rigid(
             a.template.valid.shape,
             b.template.valid.shape,

@@ -2,8 +2,9 @@
 
 A template is what a gallery keeps. Its payload, little-endian: rows and columns (uint16 each), number of runs (uint32),
 pitch in micrometres (uint16); the lengths of alternating runs of missing and valid pixels in row order (uint16 each, or
-65535 and a uint32 for longer ones); and two bits for each valid pixel, the first pixel in the lowest bits. A finger
-that could not be acquired is a payload of zero bytes.
+65535 and a uint32 for longer ones); two bits for each valid pixel, the first pixel in the lowest bits; and of a print,
+where they were found, its minutiae (:func:`splitknit.matching.minutiae_record.pack_minutiae`, with a version of their
+own). A finger that could not be acquired is a payload of zero bytes.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import RidgeBand
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -45,6 +47,8 @@ class Template:
     valid: BoolArray
     """(H, W)."""
     pitch_mm: float
+    minutiae: Minutiae | None = None
+    """Of a print; None where none were sought or found."""
 
     @property
     def empty(self) -> bool:
@@ -120,7 +124,8 @@ def pack(template: Template) -> bytes:
     level = template.level.ravel()[flat]
     level = np.concatenate([level, np.zeros(-len(level) % 4, dtype=np.uint8)]).reshape(-1, 4)
     packed = level[:, 0] | level[:, 1] << 2 | level[:, 2] << 4 | level[:, 3] << 6
-    return head + lengths + packed.astype(np.uint8).tobytes()
+    minutiae = b"" if template.minutiae is None else pack_minutiae(template.minutiae)
+    return head + lengths + packed.astype(np.uint8).tobytes() + minutiae
 
 
 def unpack(payload: bytes) -> Template:
@@ -151,9 +156,12 @@ def unpack(payload: bytes) -> Template:
     require(sum(runs) == height * width and all(runs[1:]), wrong)
     flat = np.repeat(np.arange(count) % 2 == 1, runs)
     known = int(flat.sum())
-    require(known > 0 and len(payload) == position + (known + 3) // 4, wrong)
-    packed = np.frombuffer(payload, dtype=np.uint8, offset=position)
+    end = position + (known + 3) // 4
+    require(known > 0 and len(payload) >= end, wrong)
+    require(len(payload) == end or payload[end : end + 4] == b"SKMI", wrong)
+    minutiae = unpack_minutiae(payload[end:]) if len(payload) > end else None
+    packed = np.frombuffer(payload[:end], dtype=np.uint8, offset=position)
     level = np.zeros(height * width, dtype=np.uint8)
     level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
     shape = (height, width)
-    return Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000)
+    return Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000, minutiae)
