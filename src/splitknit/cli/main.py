@@ -74,7 +74,6 @@ def _leave(*unused: object) -> NoReturn:
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
-    from splitknit import __version__  # noqa: PLC0415
     from splitknit.cli.batch import add_batch  # noqa: PLC0415
     from splitknit.cli.capture import add_capture  # noqa: PLC0415
     from splitknit.cli.demo import add_demo  # noqa: PLC0415
@@ -89,7 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     from splitknit.cli.separate import add_separate  # noqa: PLC0415
     from splitknit.cli.simulate import add_simulate  # noqa: PLC0415
     from splitknit.cli.train import add_train  # noqa: PLC0415
-    from splitknit.cli.verb import Parser  # noqa: PLC0415
+    from splitknit.cli.verb import Parser, Version  # noqa: PLC0415
     from splitknit.cli.view import add_view  # noqa: PLC0415
 
     parser = Parser(
@@ -97,7 +96,7 @@ def build_parser() -> argparse.ArgumentParser:
         description="Metric 3D fingerprints from photographs of a finger under one light after another.",
         epilog="Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'.",
     )
-    parser.add_argument("--version", action="version", version=f"splitknit {__version__}")
+    parser.add_argument("--version", action=Version, nargs=0, help="show program's version number and exit")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
     add_demo(verbs)
     add_simulate(verbs)

@@ -23,6 +23,17 @@ class Parser(argparse.ArgumentParser):
         super().error(one_line(message))
 
 
+class Version(argparse.Action):
+    """Look the version up, which takes a while, when it is asked for only."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: object) -> NoReturn:
+        """Print and leave."""
+        from splitknit import __version__  # noqa: PLC0415
+
+        print(f"splitknit {__version__}")
+        parser.exit()
+
+
 def one_line(error: object) -> str:
     """Return an error's text on one line that moves no cursor: what it quotes may hold any character."""
     text = " ".join(str(error).split()) or "no further words"
