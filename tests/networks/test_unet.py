@@ -77,6 +77,10 @@ def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: in
     np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
 
 
+def test_no_memory_is_kept_for_every_shape(network: Network) -> None:
+    assert not network.session.get_session_options().enable_mem_pattern
+
+
 def test_little_is_computed_twice() -> None:
     """Pixels computed for a pixel of the result: of a finger on the working grid, of a whole image, of a coarse one."""
     for shape, tile, reach, stride, count, most in (
