@@ -12,9 +12,9 @@ HEAVY = ("numpy", "cv2", "scipy", "tifffile", "jinja2", "tqdm", "torch", "onnxru
 REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
 
 
-def _loaded_after(code: str) -> list[str]:
+def _loaded_after(code: str, names: tuple[str, ...] = HEAVY) -> list[str]:
     run = subprocess.run(
-        [sys.executable, "-c", code + "\n" + REPORT.format(heavy=HEAVY)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code + "\n" + REPORT.format(heavy=names)], capture_output=True, text=True, check=True
     )
     return list(json.loads(run.stdout.splitlines()[-1]))
 
@@ -24,8 +24,19 @@ def test_import_loads_nothing_heavy() -> None:
 
 
 def test_help_needs_no_numerics() -> None:
-    loaded = _loaded_after("from splitknit.cli.main import main\nassert main(['reconstruct', '--help']) == 0")
-    assert not set(loaded) & {"cv2", "scipy", "tifffile", "jinja2", "tqdm"}
+    for words in (["--help"], ["reconstruct", "--help"]):
+        assert _loaded_after(f"from splitknit.cli.main import main\nassert main({words}) == 0") == []
+
+
+def test_the_pipeline_loads_scipy_in_parts_when_they_are_used() -> None:
+    parts = ("scipy.fft", "scipy.ndimage", "scipy.linalg", "scipy.sparse", "scipy.spatial", "onnxruntime", "tifffile")
+    assert _loaded_after("import splitknit.pipeline", parts) == []
+
+
+def test_a_comparison_of_templates_loads_no_reconstruction() -> None:
+    others = ("splitknit.pipeline", "splitknit.finger", "splitknit.skin", "splitknit.networks")
+    parts = ("scipy.ndimage", "scipy.linalg", "scipy.sparse", "scipy.spatial", "onnxruntime", "tifffile", "jinja2")
+    assert _loaded_after("import splitknit.matching.methods", (*others, *parts)) == []
 
 
 def test_types_need_numpy_only() -> None:

@@ -11,10 +11,11 @@ import io
 import os
 import stat
 from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:  # numpy takes longer to import than all the rest of `splitknit --help`
+    import numpy as np
+    from numpy.typing import NDArray
 
 T = TypeVar("T")
 
@@ -147,6 +148,8 @@ def shown_path(path: str | os.PathLike[str]) -> str:
 
 def check_stack(stack: Any, *, least: int = 1, name: str = "stack") -> NDArray[np.float32]:
     """Return `stack` as a finite float32 array of shape (L, H, W) with at least `least` images."""
+    import numpy as np  # noqa: PLC0415
+
     array = np.asarray(stack)
     require(array.ndim == 3, f"{name} must have the shape (L, H, W), but it has the shape {array.shape}.")
     require(array.shape[0] >= least, f"{name} must hold at least {least} images, but it holds {array.shape[0]}.")
@@ -156,6 +159,8 @@ def check_stack(stack: Any, *, least: int = 1, name: str = "stack") -> NDArray[n
 
 def check_image(image: Any, *, name: str = "image") -> NDArray[np.float32]:
     """Return `image` as a finite float32 array of shape (H, W)."""
+    import numpy as np  # noqa: PLC0415
+
     array = np.asarray(image)
     require(array.ndim == 2 and array.size > 0, f"{name} must have the shape (H, W), but it has {array.shape}.")
     return _finite(array, name)
@@ -163,6 +168,8 @@ def check_image(image: Any, *, name: str = "image") -> NDArray[np.float32]:
 
 def check_mask(mask: Any, shape: tuple[int, int], *, name: str = "mask") -> NDArray[np.bool_]:
     """Return `mask` as a boolean array of `shape` that is true somewhere; ``None`` gives an all-true mask."""
+    import numpy as np  # noqa: PLC0415
+
     if mask is None:
         return np.ones(shape, dtype=np.bool_)
     array = np.asarray(mask)
@@ -184,6 +191,8 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     BadInput
         If the shape is wrong, a value is not finite, or the directions do not span three dimensions.
     """
+    import numpy as np  # noqa: PLC0415
+
     array = np.asarray(lights, dtype=np.float64)
     require(array.ndim == 2 and array.shape[1] == 3, f"{name} must have the shape (L, 3), but it has {array.shape}.")
     finite = np.isfinite(array) & (np.abs(array) < 1e100)  # the squares of more overflow
@@ -212,6 +221,8 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
 
 
 def _finite(array: NDArray[Any], name: str) -> NDArray[np.float32]:
+    import numpy as np  # noqa: PLC0415
+
     result = np.ascontiguousarray(array, dtype=np.float32)
     require(bool(np.isfinite(result).all()), f"{name} contains NaN or infinite values.")
     return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,6 +24,40 @@ def test_codes_are_those_of_scikit_image(radius: float) -> None:
     edge = 5  # it takes zeros beyond the border, we repeat the edge
     inner = slice(edge, -edge), slice(edge, -edge)
     assert np.mean(lbp_codes(image, radius)[inner] == expected[inner]) > 0.9999
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (128, 31), (300, 190)])
+@pytest.mark.parametrize("radius", [1.0, 2.5, 4.3])
+@pytest.mark.parametrize("interpolation", ["linear", "nearest"])
+def test_codes_do_not_depend_on_the_strips(shape: tuple[int, int], radius: float, interpolation: str) -> None:
+    """Against whole images, one neighbour after the other."""
+    image = np.random.default_rng(5).normal(size=shape).astype(np.float32)
+    image[:, : shape[1] // 3] = 0.0
+    diagonal, straight = radius * float(np.sqrt(0.5)), radius
+    if interpolation == "nearest":
+        diagonal, straight = round(diagonal), round(straight)
+    code = np.zeros(shape, np.uint8)
+    for bit in range(8):
+        size = diagonal if bit % 2 else straight
+        across, up = (round(float(f(bit * np.pi / 4))) * size for f in (np.cos, np.sin))
+        code |= (from_afar(from_afar(np.pad(image, 9, "edge"), across, 1), -up, 0)[9:-9, 9:-9] >= image).astype(
+            np.uint8
+        ) << bit
+    np.testing.assert_array_equal(lbp_codes(image, radius, interpolation), code)
+
+
+def from_afar(image: np.ndarray, shift: float, axis: int) -> np.ndarray:
+    """Linear interpolation, weights as the exact shift gives them."""
+    first = int(np.floor(shift + 1e-9))
+    part = shift - first
+    near = np.roll(image, -first, axis)
+    if part <= 1e-9:
+        return near
+    # rows as long as the image's: the last columns of a row round differently in opencv
+    core, far = np.ascontiguousarray(near[:, 9:-9]), np.ascontiguousarray(np.roll(image, -first - 1, axis)[:, 9:-9])
+    mixed = near.copy()
+    mixed[:, 9:-9] = cv2.addWeighted(core, 1.0 - part, far, part, 0.0)
+    return mixed
 
 
 def test_uniform_bins_are_those_of_scikit_image() -> None:
@@ -73,6 +108,11 @@ def test_histograms_count() -> None:
         for column in range(2):
             part = codes[20 * row : 20 * row + 20, 20 * column : 20 * column + 20]
             assert counts[row, column].tolist() == [int((part == code).sum()) for code in range(256)]
+    many = _cell_histograms(np.tile(codes, (3, 30)), 4, LbpSettings(uniform=False, normalisation="none"))
+    assert many.shape == (52, 337, 256)  # more columns than fit into one count
+    assert (
+        many[17, 300].tolist() == np.bincount(np.tile(codes, (3, 30))[68:72, 1200:1204].ravel(), minlength=256).tolist()
+    )
     fractions = _cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
     assert fractions.shape == (3, 2, 59)
     np.testing.assert_allclose(fractions.sum(axis=2), 1.0, rtol=1e-6)

@@ -33,7 +33,7 @@ def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None
             source, inner, target = tile.source[axis], tile.inner[axis], tile.target[axis]
             assert source.start % 8 == 0 and source.stop % 8 == 0
             assert source.start + inner.start == target.start
-            assert inner.stop - inner.start == target.stop - target.start <= 56
+            assert inner.stop - inner.start == target.stop - target.start
             assert source.start in (0, target.start - 48)
             assert source.stop in (covered.shape[axis], target.stop + 48)
     assert (covered == 1).all()
@@ -75,6 +75,29 @@ def test_in_tiles_as_in_one_piece(network: Network, images: np.ndarray, tile: in
     assert whole.shape == images.shape
     assert np.ptp(whole) > 0.05
     np.testing.assert_allclose(run_network(network, images, tile=tile), whole, atol=2e-6)
+
+
+def test_no_memory_is_kept_for_every_shape(network: Network) -> None:
+    assert not network.session.get_session_options().enable_mem_pattern
+
+
+def test_little_is_computed_twice() -> None:
+    """Pixels computed for a pixel of the result: of a finger on the working grid, of a whole image, of a coarse one."""
+    for shape, tile, reach, stride, count, most in (
+        ((1200, 896), 640, 94, 16, 2, 1.2),
+        ((896, 1200), 640, 94, 16, 2, 1.2),
+        ((3200, 2200), 512, 60, 8, 28, 1.5),
+        ((400, 304), 640, 94, 16, 1, 1.0),
+    ):
+        tiles = _plan_tiles(shape, tile, reach=reach, stride=stride)
+        pixels = [(t.source[0].stop - t.source[0].start) * (t.source[1].stop - t.source[1].start) for t in tiles]
+        assert len(tiles) == count
+        assert sum(pixels) <= most * shape[0] * shape[1]
+        assert max(pixels) <= (tile + 2 * reach + 2 * stride) ** 2
+        filled = np.zeros(shape, np.int64)
+        for t in tiles:
+            filled[t.target] += 1
+        assert (filled == 1).all()
 
 
 def test_the_reach_of_the_card_is_needed(network: Network, images: np.ndarray) -> None:

@@ -82,7 +82,8 @@ def rig(folder: Path) -> Iterator[Step]:
     yield Step("rig circuit --out board", 2, "board")  # there is one already
     yield Step("rig target --out targets", makes="targets")
     yield Step("simulate --bench --seed 7 --scale 0.35 --out bench", makes="bench/plane.png")
-    camera = "calibrate camera bench/board --board 9x6 --plane bench/plane.png --rig bench/rig_drawn.json --out rig_1.json"
+    camera = "calibrate camera bench/board --board 9x6 --plane bench/plane.png --rig bench/rig_drawn.json"
+    camera += " --out rig_1.json"
     yield Step(camera, 2, "--square-mm")
     yield Step(camera.replace("9x6", "8x6") + " --square-mm 3", 2, "8")  # the board has other corners
     yield Step(camera + " --square-mm 3", makes="rig_1.json")
@@ -114,7 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = Path(options.out or temporary).absolute()
         python = options.python or fresh_environment(folder / "environment", chosen)
         lines: list[str] = []
-        bad = sum(not _taken(step, name, python.absolute(), folder, lines) for name in chosen for step in _steps(name, folder))
+        steps = ((name, step) for name in chosen for step in _steps(name, folder))
+        bad = sum(not _taken(step, name, python.absolute(), folder, lines) for name, step in steps)
     if options.log is not None:
         options.log.write_text("\n".join(lines) + "\n", encoding="utf-8")
     print(f"{bad} of {sum(line.startswith('    $') for line in lines)} steps went wrong.")
@@ -149,7 +151,8 @@ def _taken(step: Step, walk: str, python: Path, folder: Path, lines: list[str]) 
         good &= len(said.splitlines()) == 1 and "Traceback" not in said
     shown = [f"    $ splitknit {step.command}", *(f"    {line}" for line in said.splitlines())]
     if not good:
-        shown.append(f"    !! exit code {done.returncode}, must be {step.code}; must say '{step.says}', make '{step.makes}'")
+        must = f"exit code {step.code}, say '{step.says}', make '{step.makes}'"
+        shown.append(f"    !! exit code {done.returncode}; must: {must}")
     print("\n".join(shown), flush=True)
     lines += [*shown, ""]
     return good

@@ -25,7 +25,7 @@ from splitknit.matching.space_features import SLOPE_SIGMA_MM
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
 from splitknit.matching.template import unpack
-from splitknit.matching.thesis import ATTRIBUTES, ThesisSettings, database_finger, match_database
+from splitknit.matching.thesis import ATTRIBUTES, ThesisSettings, finger_features, thesis_match
 
 Values = Mapping[str, float]
 
@@ -101,13 +101,14 @@ class _ThesisMatcher(Matcher):
 
     def database(self, place: Place) -> Any:
         images = images_of(place)
-        return None if images is None else database_finger(images, self.settings)
+        return None if images is None else (replace(images, channels={}), finger_features(images, self.settings))
 
     def query(self, place: Place) -> Any:
         return images_of(place)
 
     def compare(self, a: Any, b: Any) -> Values:
-        found = match_database(a, b, self.settings)
+        images, features = a
+        found = thesis_match(images, b, self.settings, features)
         chosen = [found.dissimilarity[name] for name in self.attributes]
         return {
             "similarity": similarity_of(sum(chosen) / len(chosen)),

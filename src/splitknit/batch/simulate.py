@@ -21,7 +21,7 @@ from typing import Any
 
 from splitknit.batch.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment, plan_enrolment
-from splitknit.errors import BadInput, refusing, require
+from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file, atomic_folder, hold
 from splitknit.io.capture import write_capture
 from splitknit.io.fields import read_json

@@ -9,7 +9,7 @@ from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
 from splitknit.cli.verb import Outcome, Progress, group, natural, new_verb
-from splitknit.gallery.key import NEW_KEY_VARIABLE, key_notes, key_of
+from splitknit.gallery import NEW_KEY_VARIABLE
 
 
 def add_gallery_verbs(verbs: Any) -> None:
@@ -52,6 +52,8 @@ def _kind(
     kinds: Any, name: str, does: str, run: Callable[[argparse.Namespace, Any], Outcome]
 ) -> argparse.ArgumentParser:
     def with_key(options: argparse.Namespace) -> Outcome:
+        from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415 - verbs import what they need
+
         facts, lines = run(options, key_of(options.key_file))
         return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.key_file))]
 
@@ -163,6 +165,7 @@ def _index(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _rekey(options: argparse.Namespace, key: Any) -> Outcome:
+    from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415
     from splitknit.gallery.manage import rekey_gallery  # noqa: PLC0415
 
     new = None if options.plain else key_of(options.new_key_file, NEW_KEY_VARIABLE)

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from splitknit.gallery.key import COUNTER, KEY_VARIABLE
-
-if TYPE_CHECKING:
-    pass
+from splitknit.gallery import COUNTER, KEY_VARIABLE
 
 
 def add_gallery(verb: argparse.ArgumentParser) -> None:

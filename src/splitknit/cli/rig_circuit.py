@@ -11,7 +11,9 @@ from splitknit.cli.verb import Outcome, add_settings, new_verb
 
 def add_circuit(kinds: Any) -> None:
     """Add ``splitknit rig circuit``."""
-    verb = new_verb(kinds, "circuit", "the LED board: layout, Gerbers, schematic, parts, pin map, light on eye and skin", _run)
+    verb = new_verb(
+        kinds, "circuit", "the LED board: layout, Gerbers, schematic, parts, pin map, light on eye and skin", _run
+    )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
     verb.add_argument(

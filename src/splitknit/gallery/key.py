@@ -26,11 +26,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from splitknit.errors import BadInput, open_at_once, require, shown_path
+from splitknit.gallery import COUNTER, KEY_VARIABLE
 from splitknit.gallery.file import VERSION, damaged
 
-KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
-COUNTER = ".counter"
-"""End of the name of the counter file that may lie beside a key file."""
 _MAX_KEY_BYTES = 4096
 _WRITER_S = 3.0
 """How long a pipe may be without a program that writes into it."""

@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
+from splitknit.gallery import KEY_VARIABLE, NEW_KEY_VARIABLE
 from splitknit.gallery.enrol import LARGEST_RAW, gallery_facts
 from splitknit.gallery.entry import Entry, NewCapture, check_person, session_order
 from splitknit.gallery.file import describe
 from splitknit.gallery.gallery import Gallery
-from splitknit.gallery.key import KEY_VARIABLE, NEW_KEY_VARIABLE, Key
+from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.targets import check_target

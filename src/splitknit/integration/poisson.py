@@ -7,11 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
-import scipy.fft
-import scipy.linalg
-import scipy.sparse
-import scipy.sparse.csgraph
-import scipy.sparse.linalg
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
@@ -233,15 +229,18 @@ class _DirectSolver:
         value = -np.concatenate(values)
         degree = grid.degree.ravel()[self.pixels].astype(np.float64)
         own = np.arange(self.pixels.size)
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - slow to import
+        from scipy.sparse.linalg import splu  # noqa: PLC0415 - slow to import
+
         matrix = scipy.sparse.csc_matrix(
             (
                 np.concatenate([value, value, degree + _GROUND * degree.mean()]),
                 (np.concatenate([first, second, own]), np.concatenate([second, first, own])),
             )
         )
-        parts, self.part = scipy.sparse.csgraph.connected_components(matrix, directed=False)
+        parts, self.part = connected_components(matrix, directed=False)
         self.size = np.bincount(self.part, minlength=parts)
-        self.factor = scipy.sparse.linalg.splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+        self.factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
     def __call__(self, right_side: FloatArray) -> FloatArray:
         """Solve for one right side (H, W)."""

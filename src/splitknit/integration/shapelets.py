@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.integration.frankot_chellappa import WORKERS, Transfer, integrate_spectrum, sample_radially

@@ -1,6 +1,6 @@
 """Deterministic ``.npz`` archives, compressed on all cores.
 
-:func:`numpy.savez_compressed` uses one core and a slow level. Here an array is cut into blocks of fixed size that are
+:func:`numpy.savez_compressed` uses one core and a slow engine. Here an array is cut into blocks of fixed size that are
 deflated side by side and joined into one deflate stream, as pigz does; so the bytes do not depend on the number of
 threads, and any ``.npz`` reader reads them.
 
@@ -18,7 +18,6 @@ import os
 import re
 import struct
 import zipfile
-import zlib
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import IO, Any, BinaryIO, Literal
@@ -27,6 +26,7 @@ import numpy as np
 
 from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.io.atomic import atomic_file
+from splitknit.io.deflate import engine
 
 _BLOCK = 1 << 20
 _LIMIT = (1 << 32) - 1
@@ -43,20 +43,18 @@ _HEADER = re.compile(
 """What numpy writes before the values of an array of numbers or text."""
 
 
-def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any], compresslevel: int = 1) -> None:
+def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     """Write arrays and scalars as an ``.npz`` file that :func:`numpy.load` reads; equal input gives equal bytes.
 
     Parameters
     ----------
     arrays : name to array or number; names are written in the order given
-    compresslevel : 0 (stored) to 9, of zlib
 
     Raises
     ------
     BadInput
         If a name or an array cannot be stored (objects, 4 GB or more), or the file cannot be written.
     """
-    require(0 <= compresslevel <= 9, f"compresslevel must be 0 to 9, but it is {compresslevel}.")
     workers = min(8, os.cpu_count() or 1)
     with atomic_file(path) as stream, ThreadPoolExecutor(workers) as pool:
         entries = []
@@ -67,7 +65,7 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any], compressl
             array = np.asarray(value)
             require(not array.dtype.hasobject, f"the array '{name}' holds objects; only numbers and text are stored.")
             require(array.nbytes < _LIMIT - 65536, f"the array '{name}' has {array.nbytes} bytes; at most 4 GB fit.")
-            entries.append(_write_member(stream, f"{name}.npy".encode("ascii"), array, compresslevel, pool))
+            entries.append(_write_member(stream, f"{name}.npy".encode("ascii"), array, pool))
         _write_directory(stream, entries)
 
 
@@ -155,7 +153,7 @@ def _header(stream: IO[bytes], damaged: str) -> tuple[np.dtype[Any], tuple[int, 
 
 
 def _write_member(
-    stream: BinaryIO, name: bytes, array: np.ndarray[Any, Any], level: int, pool: ThreadPoolExecutor
+    stream: BinaryIO, name: bytes, array: np.ndarray[Any, Any], pool: ThreadPoolExecutor
 ) -> tuple[bytes, bytes, int]:
     """Write one file of the archive; return its name, the common part of its headers, and its offset."""
     head = io.BytesIO()
@@ -169,9 +167,9 @@ def _write_member(
     crc, size, stored = 0, 0, 0
     for group in range(0, len(blocks), 32):
         chosen = blocks[group : group + 32]
-        jobs = [pool.submit(_deflate, block, level, group + k == len(blocks) - 1) for k, block in enumerate(chosen)]
+        jobs = [pool.submit(_deflate, block, group + k == len(blocks) - 1) for k, block in enumerate(chosen)]
         for block, job in zip(chosen, jobs, strict=True):
-            crc = zlib.crc32(block, crc)
+            crc = engine.crc32(block, crc)
             size += len(block)
             stored += stream.write(job.result())
     require(stored <= _LIMIT, f"the array '{name.decode()}' does not fit into a ZIP archive of 4 GB.")
@@ -183,9 +181,10 @@ def _write_member(
     return name, common, offset
 
 
-def _deflate(block: memoryview, level: int, last: bool) -> bytes:
-    engine = zlib.compressobj(level, zlib.DEFLATED, -15)
-    return engine.compress(block) + engine.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH)
+def _deflate(block: memoryview, last: bool) -> bytes:
+    job = engine.compressobj(1, engine.DEFLATED, -15)
+    packed: bytes = job.compress(block) + job.flush(engine.Z_FINISH if last else engine.Z_SYNC_FLUSH)
+    return packed
 
 
 def _write_directory(stream: BinaryIO, entries: list[tuple[bytes, bytes, int]]) -> None:

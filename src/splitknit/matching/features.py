@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
@@ -31,7 +31,7 @@ AnyArray = np.ndarray[Any, Any]
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis's sizes in pixels hold."""
-_STRIP = 48
+_STRIP = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,60 +80,52 @@ def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "line
     if interpolation == "nearest":
         diagonal, radius = float(np.round(diagonal)), float(np.round(radius))
     border = int(np.ceil(radius)) + 1
-    padded = cv2.copyMakeBorder(image, border, border, border, border, cv2.BORDER_REPLICATE)
-    height, width = image.shape
-    codes = np.zeros((height, width), dtype=np.uint8)
+    # Rows keep their border throughout, so that what is compared is contiguous.
+    padded = cv2.copyMakeBorder(image, border + 1, border + 1, border, border, cv2.BORDER_REPLICATE)
+    height, width = image.shape[0], padded.shape[1]
+    codes = np.empty((height, width), dtype=np.uint8)
+    right, left = np.zeros((2, _STRIP + 2 * border, width), dtype=np.float32)
+    between = np.zeros((_STRIP, width), dtype=np.float32)
     reached = np.empty((_STRIP, width), dtype=np.bool_)
-    bits = np.empty((_STRIP, width), dtype=np.uint8)
+
+    def seen(source: AnyArray, rows: slice, shift: float, step: int, out: AnyArray) -> AnyArray:
+        """`rows` of `source` as seen from places `shift` columns (step 1) or rows (step `width`) further on, linear."""
+        first = int(np.floor(shift + 1e-9))
+        part = shift - first
+        near, far = (
+            source.reshape(-1)[rows.start * width + by : rows.stop * width + by].reshape(-1, width)
+            for by in (first * step, (first + 1) * step)
+        )
+        if part <= 1e-9:
+            return near
+        inside = slice(border, -border)
+        cv2.addWeighted(near[:, inside], 1.0 - part, far[:, inside], part, 0.0, dst=out[: len(near), inside])
+        return out[: len(near)]
+
     for top in range(0, height, _STRIP):  # strips stay in the cache
         rows = min(_STRIP, height - top)
-        strip = padded[top : top + rows + 2 * border]
-        centre = strip[border:-border, border:-border]
-        right, middle, left = (_across(strip, shift, border) for shift in (diagonal, 0.0, -diagonal))
+        code, bit = codes[top : top + rows], reached[:rows]
+        strip = slice(top + 1, top + 1 + rows + 2 * border)
+        inner = slice(strip.start + border, strip.stop - border)
+        middle = slice(border, border + rows)
+        to_right, to_left = seen(padded, strip, diagonal, 1, right), seen(padded, strip, -diagonal, 1, left)
+        # from the highest bit to the lowest: each pass doubles what is there
         neighbours = (
-            _across(strip[border:-border], radius, border),
-            _down(right, -diagonal, border),
-            _down(middle, -radius, border),
-            _down(left, -diagonal, border),
-            _across(strip[border:-border], -radius, border),
-            _down(left, diagonal, border),
-            _down(middle, radius, border),
-            _down(right, diagonal, border),
+            (to_right, middle, diagonal, width),
+            (padded, inner, radius, width),
+            (to_left, middle, diagonal, width),
+            (padded, inner, -radius, 1),
+            (to_left, middle, -diagonal, width),
+            (padded, inner, -radius, width),
+            (to_right, middle, -diagonal, width),
+            (padded, inner, radius, 1),
         )
-        code = codes[top : top + rows]
-        for bit, neighbour in enumerate(neighbours):
-            np.greater_equal(neighbour, centre, out=reached[:rows])
-            np.left_shift(reached[:rows].view(np.uint8), bit, out=bits[:rows])
-            np.bitwise_or(code, bits[:rows], out=code)
-    return codes
-
-
-def _across(strip: AnyArray, shift: float, border: int) -> AnyArray:
-    """The strip without its side borders, seen from places `shift` columns to the right, linear."""
-    first, part = _split(shift)
-    width = strip.shape[1] - 2 * border
-    near = strip[:, border + first : border + first + width]
-    if part == 0.0:
-        return near
-    far = strip[:, border + first + 1 : border + first + 1 + width]
-    return cv2.addWeighted(near, 1.0 - part, far, part, 0.0)
-
-
-def _down(strip: AnyArray, shift: float, border: int) -> AnyArray:
-    """The strip without its upper and lower borders, seen from places `shift` rows down, linear."""
-    first, part = _split(shift)
-    height = strip.shape[0] - 2 * border
-    near = strip[border + first : border + first + height]
-    if part == 0.0:
-        return near
-    far = strip[border + first + 1 : border + first + 1 + height]
-    return cv2.addWeighted(near, 1.0 - part, far, part, 0.0)
-
-
-def _split(shift: float) -> tuple[int, float]:
-    first = int(np.floor(shift + 1e-9))
-    part = shift - first
-    return first, part if part > 1e-9 else 0.0
+        code[:] = 0
+        for source, part, shift, step in neighbours:
+            np.greater_equal(seen(source, part, shift, step, between), padded[inner], out=bit)
+            np.add(code, code, out=code)
+            np.add(code, bit.view(np.uint8), out=code)
+    return codes[:, border:-border]
 
 
 def uniform_bins() -> Codes:
@@ -157,13 +149,17 @@ def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = Non
     bins = 59 if settings.uniform else 256
     if settings.uniform:
         codes = np.asarray(cv2.LUT(codes, _UNIFORM))
-    cut = codes[: rows * cell, : columns * cell]
     result = np.empty((rows, columns, bins), dtype=np.float32)
-    for row in range(rows):
-        band = cut[row * cell : (row + 1) * cell]
-        for column in range(columns):
-            part = np.ascontiguousarray(band[:, column * cell : (column + 1) * cell])
-            result[row, column] = np.bincount(part.ravel(), minlength=bins)
+    across = min(columns, 256)
+    down = min(rows, 256 // across)
+    number = np.arange(down * across, dtype=np.uint8).reshape(down, across).repeat(cell, axis=0).repeat(cell, axis=1)
+    for i in range(0, rows, down):
+        for j in range(0, columns, across):
+            block = result[i : i + down, j : j + across]
+            part = codes[i * cell : (i + block.shape[0]) * cell, j * cell : (j + block.shape[1]) * cell]
+            cells = np.ascontiguousarray(number[: part.shape[0], : part.shape[1]])
+            counts = cv2.calcHist([cells, part], [0, 1], None, [down * across, bins], [0, down * across, 0, bins])
+            block[:] = counts.reshape(down, across, bins)[: block.shape[0], : block.shape[1]]
     if settings.normalisation == "l2":
         result /= np.sqrt((result * result).sum(axis=2, keepdims=True))
     elif settings.normalisation == "l1":

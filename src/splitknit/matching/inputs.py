@@ -20,7 +20,6 @@ from splitknit.matching.ridge_band import print_band
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import VERSION, Template, make_template, unpack
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
-from splitknit.pipeline import reconstruct
 
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _PPI = 500.0
@@ -108,6 +107,8 @@ def read_surface(path: Path) -> Surface:
 
 
 def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:
+    from splitknit.pipeline import reconstruct  # noqa: PLC0415 - a template needs none of it
+
     return reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction))
 
 

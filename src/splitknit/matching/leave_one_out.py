@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
-from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import linear_stack
-from splitknit.imaging.coloured import balanced
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
@@ -20,6 +18,9 @@ from splitknit.model import Capture, FloatArray
 from splitknit.photometric.lambertian import left_out
 from splitknit.prints.print_map import plane_map, resample
 from splitknit.prints.ridges import PrintSettings, ink
+
+if TYPE_CHECKING:
+    from splitknit.finger.locate import Finger, FingerSettings
 
 PICTURES = ("x", "y", "z", "albedo")
 """Components of the normals in the upright frame, and the albedo."""
@@ -87,6 +88,11 @@ def left_out_pictures(
     Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as
     the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
     """
+    # settings of this method belong to those of all, so that every comparison imports this module
+    from splitknit.finger.locate import prepared_capture  # noqa: PLC0415
+    from splitknit.finger.steady import find_steady_finger  # noqa: PLC0415
+    from splitknit.imaging.coloured import balanced  # noqa: PLC0415
+
     chosen = chosen or LeaveOneOutSettings()
     capture, _ = prepared_capture(capture, settings)
     if finger is None:

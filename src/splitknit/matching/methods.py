@@ -30,7 +30,6 @@ from splitknit.matching.surface_code import surface_code_match
 from splitknit.matching.template import VERSION, Template, pack
 from splitknit.matching.thesis import thesis_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
-from splitknit.presets import preset_settings
 from splitknit.prints.ridges import surface_print
 from splitknit.settings import override
 
@@ -369,6 +368,8 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
 
 
 def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
+    from splitknit.presets import preset_settings  # noqa: PLC0415 - of captures only
+
     capture = read_capture(side.path)
     return naming(
         side.path, lambda: voted_minutiae(capture, preset_settings(preset), settings.leave_one_out, settings.voted)

@@ -12,7 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require

@@ -14,8 +14,8 @@ from itertools import combinations, permutations
 from typing import Annotated
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from splitknit.matching.minutiae_record import SpaceMinutiae
 from splitknit.matching.space_alignment import (
@@ -85,14 +85,14 @@ class PreparedMinutiae3D(Framed):
         return np.stack([np.linalg.norm(line, axis=1), azimuth[first] - ahead, azimuth[second] - ahead], axis=1)
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> scipy.spatial.cKDTree:
         """The looks in units of the tolerances; azimuths go round."""
         angle = np.deg2rad(_ANGLE_DEG)
         scaled = self.looks / np.array([_LENGTH_MM, angle, angle])
         round_ = 2 * np.pi / angle
         scaled[:, 1:] %= round_
         scaled[:, 1:][scaled[:, 1:] >= round_] = 0.0
-        return cKDTree(scaled, boxsize=np.array([1e6, round_, round_]))
+        return scipy.spatial.cKDTree(scaled, boxsize=np.array([1e6, round_, round_]))
 
 
 def minutiae3d_match(
@@ -223,10 +223,10 @@ class PreparedTetrahedra(Framed):
         return np.concatenate([np.sort(part, axis=1) for part in parts], axis=1)
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> scipy.spatial.cKDTree:
         """The looks in units of the tolerances."""
         units = np.repeat([self.settings.edge_mm, self.settings.edge_mm, np.deg2rad(self.settings.angle_deg)], 3)
-        return cKDTree(self.looks / units, leafsize=32)
+        return scipy.spatial.cKDTree(self.looks / units, leafsize=32)
 
 
 def tetrahedra_match(

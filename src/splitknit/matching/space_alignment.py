@@ -11,8 +11,8 @@ from functools import cached_property
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from splitknit.errors import require
 from splitknit.matching.minutiae_record import SpaceMinutiae, pack_space_minutiae
@@ -237,7 +237,7 @@ def nearest(places: Array, count: int) -> tuple[Index, Array]:
     return np.argsort(apart2, axis=1, kind="stable")[:, :count], apart2
 
 
-def close_points(a: cKDTree, b: cKDTree) -> tuple[Index, Index]:
+def close_points(a: scipy.spatial.cKDTree, b: scipy.spatial.cKDTree) -> tuple[Index, Index]:
     """Points of `a` and `b` that differ by one at most in every coordinate, ordered by both."""
     found = a.sparse_distance_matrix(b, 1.0, p=np.inf, output_type="ndarray")
     order = np.lexsort((found["j"], found["i"]))

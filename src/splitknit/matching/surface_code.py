@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require

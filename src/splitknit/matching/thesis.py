@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
 from types import MappingProxyType
 from typing import Annotated, Literal
 
@@ -20,7 +19,6 @@ from splitknit.matching.features import (
     hog_features,
     lbp_features,
     shape_context_features,
-    uniform_bins,
 )
 from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
 from splitknit.model import BoolArray, FloatArray
@@ -68,13 +66,9 @@ def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
     small_database, small_query = _reduced(database, factor), _reduced(query, factor)
     reach = max(database.shape[1], query.shape[1]) // (4 * factor) + 1
     middle = round(start / factor)
-    coarse = max(
-        range(middle - reach, middle + reach + 1),
-        key=lambda shift: (_overlap(small_database, small_query, shift), -abs(shift)),
-    )
-    shifts = [coarse * factor + step for step in range(-factor, factor + 1)]
-    best = max(shifts, key=lambda shift: (_overlap(database, query, shift), -abs(shift)))
-    return MaskAlignment(best, _intersection_over_union(database, query, best))
+    coarse, _ = _largest(small_database, small_query, range(middle - reach, middle + reach + 1))
+    best, both = _largest(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
+    return MaskAlignment(best, _intersection_over_union(database, query, both))
 
 
 def _tip_column(mask: BoolArray) -> int:
@@ -83,19 +77,44 @@ def _tip_column(mask: BoolArray) -> int:
     return int(np.flatnonzero(mask[row]).mean())
 
 
-def _intersection_over_union(database: BoolArray, query: BoolArray, right: int = 0) -> float:
-    """(5.1) of two masks whose first rows and, after `right` columns, first columns coincide."""
-    both = _overlap(database, query, right)
-    union = np.count_nonzero(database) + np.count_nonzero(query) - both
+def _intersection_over_union(a: BoolArray, b: BoolArray, both: int) -> float:
+    """(5.1) of two masks that have `both` pixels in common."""
+    union = np.count_nonzero(a) + np.count_nonzero(b) - both
     return float(both / union) if union else 0.0
 
 
+def _largest(a: BoolArray, b: BoolArray, shifts: range) -> tuple[int, int]:
+    """The one of `shifts` of `b` to the right with the largest overlap, of equal ones the smallest; and the overlap."""
+    counts = _overlaps(a, b, shifts)
+    best = max(range(len(shifts)), key=lambda k: (counts[k], -abs(shifts[k])))
+    return shifts[best], int(counts[best])
+
+
+def _overlaps(a: BoolArray, b: BoolArray, shifts: range) -> NDArray[np.int64]:
+    """Pixels in common after each of the shifts: from where the rows' runs begin and end, where a row has one run."""
+    rows = min(len(a), len(b))
+    (first_a, last_a, one_a), (first_b, last_b, one_b) = _runs(a[:rows]), _runs(b[:rows])
+    moved = np.asarray(shifts)[:, None]
+    common = np.minimum(last_a, last_b + moved) - np.maximum(first_a, first_b + moved)
+    one = one_a & one_b
+    counts: NDArray[np.int64] = np.where(one, np.maximum(common, 0), 0).sum(axis=1)
+    if not one.all():
+        counts += [_overlap(a[:rows][~one], b[:rows][~one], shift) for shift in shifts]
+    return counts
+
+
+def _runs(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
+    """Of each row: first column, column behind the last, and whether all between them belong to the mask."""
+    first, width = mask.argmax(axis=1), mask.shape[1]
+    last = np.where(mask[np.arange(len(mask)), first], width - mask[:, ::-1].argmax(axis=1), first)
+    return first, last, mask.view(np.uint8).sum(axis=1, dtype=np.uint32) == last - first
+
+
 def _overlap(a: BoolArray, b: BoolArray, right: int) -> int:
-    rows = min(a.shape[0], b.shape[0])
     first, last = max(0, right), min(a.shape[1], b.shape[1] + right)
     if last <= first:
         return 0
-    return int(np.count_nonzero(a[:rows, first:last] & b[:rows, first - right : last - right]))
+    return int(np.count_nonzero(a[:, first:last] & b[:, first - right : last - right]))
 
 
 def _reduced(mask: BoolArray, factor: int) -> BoolArray:
@@ -271,7 +290,7 @@ def thesis_match(
         Of one scale (pixels per mm).
     settings : ThesisSettings, optional
     features : of the database's finger by channel, optional
-        What :func:`finger_features` made with the same settings.
+        What :func:`finger_features` made with the same settings; the database's channels are not needed then.
 
     Returns
     -------
@@ -295,7 +314,8 @@ def thesis_match(
         f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs one "
         "scale.",
     )
-    _needed(database, settings)
+    if features is None:
+        _needed(database, settings)
     needed = _needed(query, settings)
     laid = align_masks(database.mask, query.mask)
     if laid.ratio < settings.gate or laid.ratio <= 0.0:
@@ -303,12 +323,12 @@ def thesis_match(
         return ThesisMatch(
             similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
         )
-    distances = {}
+    known = finger_features(database, settings) if features is None else features
+    box = database.mask.shape[0], database.mask.shape[1]
     extract = _extractor(settings, database.px_per_mm)
-    for name in needed:
-        channel = to_box(query.channels[name], (database.mask.shape[0], database.mask.shape[1]))
-        known = extract(database.channels[name]) if features is None else features[name]
-        distances[name] = float(np.linalg.norm(known - extract(channel)))
+    distances = {
+        name: float(np.linalg.norm(known[name] - extract(to_box(query.channels[name], box)))) for name in needed
+    }
     scores = {
         attribute: dissimilarity(laid.ratio, [distances[name] for name in ATTRIBUTES[attribute]])
         for attribute in settings.attributes
@@ -329,149 +349,3 @@ def _extractor(settings: ThesisSettings, px_per_mm: float) -> Callable[[FloatArr
         return lambda image: lbp_features(image, px_per_mm, settings.lbp)
     others = {"hog": hog_features, "gabor": gabor_features, "shape_context": shape_context_features}
     return lambda image: others[settings.feature](image, px_per_mm)
-
-
-# The thesis's matcher for many pairs: what :func:`splitknit.matching.thesis.thesis_match` gives, to the last bit,
-# sooner.
-#
-# The features of the database's finger are kept without its images, and local binary patterns are counted for all cells
-# of a channel at once.
-
-
-_STRIP = 128
-_UNIFORM = uniform_bins()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DatabaseFinger:
-    """A finger of the database without its images; 1 MB at 30 px/mm with all attributes."""
-
-    features: Mapping[str, NDArray[np.float32]]
-    mask: BoolArray
-    px_per_mm: float
-
-
-def database_finger(images: FingerImages, settings: ThesisSettings) -> DatabaseFinger:
-    """Keep of a finger what comparisons with it need."""
-    return DatabaseFinger(_features_of(images, settings), images.mask, images.px_per_mm)
-
-
-def match_database(database: DatabaseFinger, query: FingerImages, settings: ThesisSettings) -> ThesisMatch:
-    """Compare a query with a finger of the database; equal to ``thesis_match`` with the same settings.
-
-    Raises
-    ------
-    BadInput
-        If the two have different scales, or one lacks a channel.
-    """
-    require(
-        abs(database.px_per_mm / query.px_per_mm - 1.0) < 0.02,
-        f"the fingers have {database.px_per_mm:.1f} and {query.px_per_mm:.1f} px/mm; the thesis's matcher needs one "
-        "scale.",
-    )
-    laid = align_masks(database.mask, query.mask)
-    if laid.ratio < settings.gate or laid.ratio <= 0.0:
-        gated = dissimilarity_of_gated(laid.ratio)
-        return ThesisMatch(
-            similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
-        )
-    box = database.mask.shape[0], database.mask.shape[1]
-    needed = [name for attribute in settings.attributes for name in ATTRIBUTES[attribute]]
-    require(all(name in query.channels for name in needed), "the query lacks a channel.")
-    channels = {name: to_box(query.channels[name], box) for name in needed}
-    found = _features_of(FingerImages(channels, database.mask, database.px_per_mm), settings)
-    distances = {name: float(np.linalg.norm(database.features[name] - found[name])) for name in needed}
-    scores = {
-        attribute: dissimilarity(laid.ratio, [distances[name] for name in ATTRIBUTES[attribute]])
-        for attribute in settings.attributes
-    }
-    mean = float(np.mean(list(scores.values())))
-    return ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
-
-
-def _features_of(images: FingerImages, settings: ThesisSettings) -> dict[str, NDArray[np.float32]]:
-    """What ``finger_features`` gives."""
-    if settings.feature != "lbp" or settings.lbp.interpolation != "linear":
-        return finger_features(images, settings)
-    needed = [name for attribute in settings.attributes for name in ATTRIBUTES[attribute]]
-    missing = [name for name in needed if name not in images.channels]
-    require(not missing, f"a finger has no channel '{missing[0] if missing else ''}'.")
-    return {name: _quick_lbp_features(images.channels[name], images.px_per_mm, settings.lbp) for name in needed}
-
-
-def _quick_lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings) -> NDArray[np.float32]:
-    """Feature vector of a finite channel (H, W), as ``lbp_features`` with linear interpolation gives it."""
-    cell = settings.cell(px_per_mm)
-    rows, columns = image.shape[0] // cell, image.shape[1] // cell
-    require(rows > 0 and columns > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
-    codes = _codes(np.ascontiguousarray(image, dtype=np.float32), settings.radius(px_per_mm))
-    codes = np.ascontiguousarray(codes[: rows * cell, : columns * cell])
-    bins = 59 if settings.uniform else 256
-    if settings.uniform:
-        codes = np.asarray(cv2.LUT(codes, _UNIFORM))
-    number = _first_bins(rows, columns, cell, bins) + codes
-    counts = np.bincount(number.ravel(), minlength=rows * columns * bins).astype(np.float32)
-    result = counts.reshape(rows, columns, bins)
-    if settings.normalisation == "l2":
-        result /= np.sqrt((result * result).sum(axis=2, keepdims=True))
-    elif settings.normalisation == "l1":
-        result /= result.sum(axis=2, keepdims=True)
-    return result.ravel()
-
-
-@lru_cache(maxsize=4)
-def _first_bins(rows: int, columns: int, cell: int, bins: int) -> NDArray[np.int64]:
-    """First bin (rows * cell, columns * cell) of each pixel's cell."""
-    down, across = np.arange(rows * cell) // cell * columns, np.arange(columns * cell) // cell
-    return (down[:, None] + across[None, :]) * bins
-
-
-def _codes(image: FloatArray, radius: float) -> NDArray[np.uint8]:
-    """Patterns (H, W): the sums of ``lbp_codes`` in the same order, in larger strips, with fewer passes."""
-    diagonal = radius * float(np.sqrt(0.5))
-    border = int(np.ceil(radius)) + 1
-    border_of = cv2.copyMakeBorder(image, border, border, border, border, cv2.BORDER_REPLICATE)
-    padded = np.asarray(border_of, dtype=np.float32)
-    height, width = image.shape
-    codes = np.empty((height, width), dtype=np.uint8)
-    reached = np.empty((min(_STRIP, height), width), dtype=np.bool_)
-    for top in range(0, height, _STRIP):
-        rows = min(_STRIP, height - top)
-        strip = padded[top : top + rows + 2 * border]
-        inner = strip[border:-border]
-        centre = inner[:, border:-border]
-        right, left = _mixed(strip, diagonal, border, 1), _mixed(strip, -diagonal, border, 1)
-        middle = strip[:, border:-border]
-        # from the highest bit to the lowest: each pass doubles what is there
-        neighbours = (
-            _mixed(right, diagonal, border, 0),
-            _mixed(middle, radius, border, 0),
-            _mixed(left, diagonal, border, 0),
-            _mixed(inner, -radius, border, 1),
-            _mixed(left, -diagonal, border, 0),
-            _mixed(middle, -radius, border, 0),
-            _mixed(right, -diagonal, border, 0),
-            _mixed(inner, radius, border, 1),
-        )
-        code, bit = codes[top : top + rows], reached[:rows]
-        np.greater_equal(neighbours[0], centre, out=code.view(np.bool_))
-        for neighbour in neighbours[1:]:
-            np.greater_equal(neighbour, centre, out=bit)
-            np.add(code, code, out=code)
-            np.add(code, bit.view(np.uint8), out=code)
-    return codes
-
-
-def _mixed(strip: FloatArray, shift: float, border: int, axis: int) -> FloatArray:
-    """The strip without its borders along `axis`, seen from places `shift` pixels further along it, linear."""
-    first = int(np.floor(shift + 1e-9))
-    part = shift - first
-    length = strip.shape[axis] - 2 * border
-
-    def cut(start: int) -> FloatArray:
-        along = slice(start, start + length)
-        return strip[along] if axis == 0 else strip[:, along]
-
-    if part <= 1e-9:
-        return cut(border + first)
-    return np.asarray(cv2.addWeighted(cut(border + first), 1.0 - part, cut(border + first + 1), part, 0.0))

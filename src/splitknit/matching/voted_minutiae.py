@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from splitknit.errors import require
 from splitknit.matching.minutiae_record import PPI, Minutiae
@@ -127,7 +127,7 @@ def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     places = np.stack([pool["x"], pool["y"]], axis=1)
     reach = _REACH_MM * PPI / MM_PER_INCH
     found = []
-    for k, around in enumerate(cKDTree(places).query_ball_point(places, reach, return_sorted=True)):
+    for k, around in enumerate(scipy.spatial.cKDTree(places).query_ball_point(places, reach, return_sorted=True)):
         index = np.array(around, dtype=np.intp)
         turn = np.abs(np.angle(np.exp(1j * (pool["direction"][index] - pool["direction"][k]))))
         found.append(index[turn <= np.deg2rad(_TURN_DEG)])

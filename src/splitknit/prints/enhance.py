@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
@@ -249,7 +249,7 @@ def _dense_inverse(
     near = np.isfinite(print_of_grid).all(axis=2)
     near &= cv2.dilate(grid.inside.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     places = np.argwhere(near)[:, ::-1].astype(np.float64)
-    distance, nearest = cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
+    distance, nearest = scipy.spatial.cKDTree(print_of_grid[near]).query(coarse.reshape(-1, 2))
     gaps = _gaps(print_of_grid)[near]
     start = np.where((distance < gaps[nearest])[:, None], places[nearest], np.nan)
     nodes = _inverted(print_of_grid, coarse.reshape(-1, 2), start).reshape(coarse.shape)

@@ -10,10 +10,8 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from splitknit.errors import require
 from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid, slant_cos
@@ -197,7 +195,9 @@ def _relaxed(
     ).tocsc()
     pinned = int(np.argmin(np.linalg.norm(flat - np.median(flat, axis=0), axis=1)))
     free = np.delete(np.arange(count), pinned)
-    solver = scipy.sparse.linalg.splu(
+    from scipy.sparse.linalg import splu  # noqa: PLC0415 - slow to import
+
+    solver = splu(
         ones[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
     )
     across, along = _edge_sums(corner, local, cotangent, count)
@@ -353,6 +353,8 @@ def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
     values[rows] = np.array(circles)
     tops = np.zeros(len(points))
     tops[rows] = np.array([c[1] + c[2] for c in circles])
+    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - slow to import
+
     total = gaussian_filter1d(weight, sigma, mode="constant")
     total = np.maximum(total, 1e-9)
     smooth = gaussian_filter1d(values * weight[:, None], sigma, axis=0, mode="constant") / total[:, None]

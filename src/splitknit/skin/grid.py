@@ -8,9 +8,8 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
@@ -120,8 +119,8 @@ def coarsen(grid: Grid, factor: int) -> Grid:
     """Grid of blocks of `factor` pixels a side, all of which belong to the mask; the largest part of it."""
     rows, columns = (n // factor for n in grid.shape)
     blocks = grid.mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    mask = np.asarray(ndimage.binary_opening(np.asarray(blocks.all(axis=(1, 3)))))
-    labels, count = ndimage.label(mask)
+    mask = np.asarray(scipy.ndimage.binary_opening(np.asarray(blocks.all(axis=(1, 3)))))
+    labels, count = scipy.ndimage.label(mask)
     if count > 1:
         mask = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
     if grid.x_mm.ndim == 1:
@@ -137,7 +136,7 @@ def coarsen(grid: Grid, factor: int) -> Grid:
 
 def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:
     """Smooth copy of a coarse field on the fine grid, continued beyond its mask by the nearest values."""
-    nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
     filled = np.where(mask, field, np.float32(0.0))[tuple(nearest)].astype(np.float32)
     rows, columns = filled.shape
     large = cv2.resize(filled, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.imaging.band import bin_mean
+from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Rig
 from splitknit.photometric.near_light import pseudo_normals
@@ -62,54 +63,63 @@ def features(
     found : (C, h, w, 3) brightness times normal of ``band.stack / light.entering``, optional
         Minimum squares over the lights where it is not given.
     """
-    weights = light.trust * light.entering * light.entering
-    stack = band.stack / light.entering
-    g = pseudo_normals(stack, band.rig, surface_mm, grid.mask, weights, view=grid.view) if found is None else found
+    if found is None:
+        weights = light.trust * light.entering * light.entering
+        found = pseudo_normals(band.stack / light.entering, band.rig, surface_mm, grid.mask, weights, view=grid.view)
+    g = found
     slope_x, slope_y = (grid.smooth(s, grid.mask, RIDGE_BAND_MM) for s in height_gradients(surface_mm, grid.pitch_mm))
     normals = normals_from_gradients(slope_x, slope_y)
-    nz = normals[..., 2]
-    mask = grid.mask.astype(np.float32)
     to_harmonics = _beyond_matt(band.rig)
-    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))  # (L, h, w)
-    bright: list[FloatArray] = []
-    slopes: list[FloatArray] = []
-    beyond: list[FloatArray] = []
-    levels: list[FloatArray] = []
-    for c in range(len(band.channels)):
-        along = np.einsum("hwi,hwi->hw", g[c], normals)
-        level = np.maximum(grid.smooth(along, grid.mask, LEVEL_MM), np.float32(1e-6))
-        levels.append(level)
-        bright.append(np.clip(along / level - 1, -1, 1))
-        for axis, slope in ((0, slope_x), (1, slope_y)):
-            lacking = -(g[c, ..., axis] + slope * g[c, ..., 2]) / (level * nz)
-            limited: FloatArray = np.clip(lacking, -2, 2).astype(np.float32)
-            slopes.append(limited - grid.smooth(limited, grid.mask, RIDGE_BAND_MM))
+    channels, lights = band.stack.shape[:2]
+    fields = np.zeros((COUNT, *grid.shape), dtype=np.float32)
+    bright, slopes, beyond, geometry = np.split(fields, np.cumsum([channels, 2 * channels, 4 * channels]))
+    levels = np.empty((channels, *grid.shape), dtype=np.float32)
+
+    def brightness(rows: slice) -> None:
+        for c in range(channels):
+            bright[c, rows] = np.einsum("hwi,hwi->hw", g[c, rows], normals[rows])
+
+    def relative(rows: slice) -> None:
+        vectors, trust, entering = light.vectors[:, :, rows], light.trust[:, rows], light.entering[:, rows]
+        size = np.sqrt((vectors * vectors).sum(axis=1))  # (L, h, w)
         left = np.empty_like(size)
-        for k in range(len(size)):
-            v = light.vectors[k]
-            matt = v[0] * g[c, ..., 0] + v[1] * g[c, ..., 1] + v[2] * g[c, ..., 2]
-            left[k] = (stack[c, k] - matt) * light.trust[k] / (level * size[k] + np.float32(1e-9))
-        beyond.extend(np.clip(np.tensordot(to_harmonics, left, 1), -1, 1))
-    tints = [np.log(level / levels[0]) for level in levels[1:]]
+        for c in range(channels):
+            level, here = levels[c, rows], g[c, rows]
+            bright[c, rows] = np.clip(bright[c, rows] / level - 1, -1, 1)
+            for axis, slope in ((0, slope_x[rows]), (1, slope_y[rows])):
+                lacking = -(here[..., axis] + slope * here[..., 2]) / (level * normals[rows, :, 2])
+                slopes[2 * c + axis, rows] = np.clip(lacking, -2, 2)
+            for k, v in enumerate(vectors):
+                matt = v[0] * here[..., 0] + v[1] * here[..., 1] + v[2] * here[..., 2]
+                stored = band.stack[c, k, rows] / entering[k]
+                left[k] = (stored - matt) * trust[k] / (level * size[k] + np.float32(1e-9))
+            beyond[4 * c : 4 * c + 4, rows] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
+
+    for_each_chunk(brightness, *grid.shape, lights)
+    for c in range(channels):
+        levels[c] = np.maximum(grid.smooth(bright[c], grid.mask, LEVEL_MM), np.float32(1e-6))
+    for_each_chunk(relative, *grid.shape, lights)
+    for k in range(len(slopes)):
+        slopes[k] -= grid.smooth(slopes[k], grid.mask, RIDGE_BAND_MM)
     towards = band.rig.light_vectors()
     tangent = float(np.mean(np.hypot(towards[:, 0], towards[:, 1]) / np.maximum(towards[:, 2], 1e-6)))
-    geometry = [
+    others = [
         np.clip(slope_x, -2, 2) / 2,
         np.clip(slope_y, -2, 2) / 2,
         np.minimum(grid.depth_mm, 1),
         light.trust.mean(axis=0),
-        *(np.clip(t, -3, 3) / 2 for t in tints),
+        *(np.clip(np.log(level / levels[0]), -3, 3) / 2 for level in levels[1:]),
         np.float32(grid.pitch_mm / 0.0264 - 1),
         np.float32(tangent * 2),
+        *_statistics(slopes, beyond, light.trust.min(axis=0) > 0.9),
     ]
-    whole = _statistics(slopes, beyond, light.trust.min(axis=0) > 0.9)
-    fields = np.zeros((COUNT, *grid.shape), dtype=np.float32)
-    for room, field in zip(fields, [*bright, *slopes, *beyond, *geometry, *whole], strict=True):
-        np.multiply(field, mask, out=room, casting="same_kind")
-    return Features(np.nan_to_num(fields, copy=False), np.stack(levels))
+    for room, field in zip(geometry, others, strict=True):
+        room[...] = field
+    fields *= grid.mask
+    return Features(np.nan_to_num(fields, copy=False), levels)
 
 
-def _statistics(slopes: list[FloatArray], beyond: list[FloatArray], lit: BoolArray) -> list[np.float32]:
+def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[np.float32]:
     """What tells the scattering and the glare of the whole finger.
 
     Logarithms of the rms slope in every channel but the last over that in the last (more scattering takes more from red
@@ -117,7 +127,7 @@ def _statistics(slopes: list[FloatArray], beyond: list[FloatArray], lit: BoolArr
     """
     region = lit if lit.any() else np.ones_like(lit)
 
-    def power(fields: list[FloatArray]) -> float:
+    def power(fields: FloatArray) -> float:
         return float(np.mean([(f[region] ** 2).mean(dtype=np.float64) for f in fields])) + 1e-9
 
     channels = len(slopes) // 2

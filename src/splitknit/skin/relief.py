@@ -8,9 +8,8 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
-import scipy.fft
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
@@ -130,8 +129,8 @@ def _window(side: int) -> FloatArray:
 
 
 def _smooth(power: NDArray[np.float32]) -> NDArray[np.float32]:
-    along = ndimage.uniform_filter1d(power, 3, axis=1, mode="wrap")
-    return np.asarray(ndimage.uniform_filter1d(along, 3, axis=2, mode="nearest"), dtype=np.float32)
+    along = scipy.ndimage.uniform_filter1d(power, 3, axis=1, mode="wrap")
+    return np.asarray(scipy.ndimage.uniform_filter1d(along, 3, axis=2, mode="nearest"), dtype=np.float32)
 
 
 CROSSOVER_MM = 0.3

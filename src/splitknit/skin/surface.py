@@ -245,7 +245,7 @@ class MetricSettings(Checked):
     shape_network: str = "shape"
     """The same for what mends the shape in the last round; empty: none."""
     tile_px: int = 640
-    """Longest side in pixels of what the network works on at once; memory grows with its square."""
+    """Side in pixels of a square as large as what the network works on at once; memory grows with its square."""
     by_colour: ColourSettings = field(default_factory=ColourSettings)
     """The second way."""
 
