@@ -17,7 +17,6 @@ from typing import Any, Literal, cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, open_file, require
 from splitknit.gallery.entry import Entry
@@ -34,6 +33,7 @@ from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, no_minutiae, unpack_minutiae
+from splitknit.matching.ridge_band import blur
 from splitknit.matching.template import VERSION, Template, unpack
 from splitknit.model import Progress, no_progress
 from splitknit.prints.from_file import pressed_print, read_print_file, resampled
@@ -47,6 +47,10 @@ _KEPT_PPI = (500, 1000)
 """Resolutions that records have; prints of others are resampled to 500."""
 _INK = 70.0
 """Grey levels for one standard deviation of a template's ridges."""
+_WINDOW_MM, _LEAST_SPREAD = 0.3, 0.3
+"""Skin of a template whose levels differ less within a sigma of 0.3 mm has no ridges (ridges: about 1)."""
+_CLOSED_MM = 1.5
+"""Gaps in a template that are narrower than twice this are grey, and beside them no ridge ends."""
 
 Extractor = Literal["phase", "mindtct"]
 
@@ -101,7 +105,7 @@ class _Item:
     view: FingerView | None = None
     """Its minutiae, where the source holds them."""
     made: Print | None = None
-    """The picture as it was made of a surface: its contrast is even, and it ends at an edge."""
+    """The picture as it was made of a surface or a template."""
     names: tuple[str, str] | None = None
     """Person and session, of a gallery."""
 
@@ -267,24 +271,35 @@ def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:
     if holds_minutiae(payload):
         view = _view(unpack_minutiae(payload), 0, finger, impression)
         return _Item(name, "template", view=view, names=names)
-    picture = PrintFile(template_print(unpack(payload)), PPI, {}, finger, impression)
-    return _Item(name, "template", picture, names=names)
+    made = template_print(unpack(payload))
+    return _Item(name, "template", PrintFile(made.image, PPI, {}, finger, impression), made=made, names=names)
 
 
-def template_print(template: Template) -> NDArray[np.uint8]:
-    """Print (H, W) of 500 ppi that a template's ridges make: dark, mirrored, in four grey levels made smooth.
+def template_print(template: Template) -> Print:
+    """Print of 500 ppi that a template's ridges make: dark, mirrored, four grey levels made smooth, paper elsewhere.
 
     Raises
     ------
     BadInput
-        If the template is empty.
+        If the template is empty, or has no ridges.
     """
     require(not template.empty, "the template is a failure to acquire: it holds no ridges.")
-    scale = PPI * template.pitch_mm / 25.4
-    value, valid = (np.ascontiguousarray(one[:, ::-1]) for one in (template.value(), template.valid.astype(np.float32)))
-    ridges = cv2.resize(value, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
-    inside = cv2.resize(valid, (ridges.shape[1], ridges.shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
-    return np.where(inside, np.clip(127.5 - _INK * ridges, 0, 255), 255.0).astype(np.uint8)
+    scale, sigma = PPI * template.pitch_mm / 25.4, _WINDOW_MM / template.pitch_mm
+    value = template.value()
+    spread = np.sqrt(np.maximum(blur(value * value, sigma) - blur(value, sigma) ** 2, np.float32(0)))
+    there = (template.valid & (spread > _LEAST_SPREAD)).astype(np.uint8)  # rims are of one level, and no ridges
+    radius = round(_CLOSED_MM / template.pitch_mm)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    closed = cv2.morphologyEx(np.pad(there, radius), cv2.MORPH_CLOSE, disc)[radius:-radius, radius:-radius]
+    ridges, weight = (
+        np.asarray(
+            cv2.resize(np.ascontiguousarray(one[:, ::-1]), None, fx=scale, fy=scale, interpolation=how), np.float32
+        )
+        for one, how in ((value * there, cv2.INTER_CUBIC), (closed.astype(np.float32), cv2.INTER_LINEAR))
+    )
+    inside = weight > 0.5
+    image = np.where(inside, np.clip(127.5 - _INK * ridges, 0, 255), 255.0).astype(np.uint8)
+    return pressed_print(PrintFile(image, PPI, {}), inside)
 
 
 def _free(stem: str, suffix: str, taken: set[str]) -> str:

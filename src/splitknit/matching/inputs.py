@@ -19,7 +19,7 @@ from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
 from splitknit.pipeline import reconstruct
-from splitknit.prints.from_file import minutiae_of, read_one_finger
+from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +101,9 @@ def read_side(  # noqa: PLR0911 - one for each kind
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
-    band = naming(path, lambda: print_band(finger.image, finger.resolution_ppi or PPI, settings.band))
-    return naming(path, lambda: Side(path, "print", None, make_template(band, settings.template), finger.image))
+    printed = naming(path, lambda: resampled(finger))
+    band = naming(path, lambda: print_band(printed.image, printed.resolution_ppi or PPI, settings.band))
+    return naming(path, lambda: Side(path, "print", None, make_template(band, settings.template), printed.image))
 
 
 def is_of_minutiae(path: Path) -> bool:

@@ -16,6 +16,7 @@ from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile
 from splitknit.matching.minutiae import at_500_ppi, enhance_print
 from splitknit.matching.minutiae_record import PPI, Minutiae
+from splitknit.model import BoolArray
 from splitknit.prints.make import Print
 from splitknit.prints.print_map import plane_map
 from splitknit.prints.ridge_field import ridge_field
@@ -59,7 +60,7 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
 
 
 def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | FingerView:
-    """Read the only print, or the minutiae of the only finger, of a file; a print comes at 500 ppi.
+    """Read the only print, or the minutiae of the only finger, of a file.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
         len(found) == 1,
         f"{path} holds {len(found)} prints; take them apart: splitknit import {path} --out DIR.",
     )
-    return resampled(found[0]) if isinstance(found[0], PrintFile) else found[0]
+    return found[0]
 
 
 def resampled(item: PrintFile) -> PrintFile:
@@ -111,8 +112,10 @@ def _suggestion(image: NDArray[np.uint8]) -> str:
     )
 
 
-def pressed_print(item: PrintFile) -> Print:
+def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
+
+    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere.
 
     Raises
     ------
@@ -121,8 +124,8 @@ def pressed_print(item: PrintFile) -> Print:
     """
     image = resampled(item).image
     even = enhance_print(image)
-    found = ridge_field(even, PPI)
-    inside = np.kron(found.mask, np.ones((found.step_px, found.step_px), np.float32))[
+    found = ridge_field(even, PPI, inside)
+    ridges = np.kron(found.mask, np.ones((found.step_px, found.step_px), np.float32))[
         : image.shape[0], : image.shape[1]
     ]
     ppi = item.resolution_ppi or PPI
@@ -130,7 +133,8 @@ def pressed_print(item: PrintFile) -> Print:
     mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
     there = dataclasses.replace(plane_map(25.4 / ppi, mirrored, (rows, columns), PPI), surface="paper")
     light = (np.float32(255.0) - image).astype(np.float32)
-    return Print(image, inside.astype(np.float32), there, light, in_mm=False, even=even)
+    weight = (ridges if inside is None else ridges * inside).astype(np.float32)
+    return Print(image, weight, there, light, in_mm=False, even=even)
 
 
 def ridge_period_px(image: NDArray[np.uint8]) -> float | None:

@@ -157,7 +157,7 @@ def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -
     settings = settings or PrintingSettings()
     require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
     if made.even is not None:
-        return gabor_enhance(made.even, ppi)  # of what is filtered along the ridges already
+        return gabor_enhance(made.even, ppi, made.weight > 0.5)  # it is filtered along the ridges already
     if settings.enhance == "stft":
         return stft_enhance(made.image, ppi, made.weight > 0.5)
     return gabor_enhance(made.image, ppi, made.weight > 0.5)
