@@ -12,6 +12,7 @@ from PIL import Image
 
 from enrolled import facts_of, refusal_of, words_of
 from spiral_prints import PLACES, spiral_print
+from splitknit.cli.export import TO
 from splitknit.io.minutiae_files import read_minutiae_record
 from splitknit.io.print_formats import WRITTEN, read_prints
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
@@ -264,4 +265,4 @@ def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917
 
 
 def test_every_format_that_is_written_is_tested() -> None:
-    assert set(WRITTEN) == set(PICTURES) | set(MINUTIAE)
+    assert set(WRITTEN) == set(PICTURES) | set(MINUTIAE) == set(TO)

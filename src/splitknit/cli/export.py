@@ -10,7 +10,7 @@ from typing import Any
 from splitknit.cli.gallery_options import add_key, count
 from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, new_verb
 
-_FORMATS = ("iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "ansi-nist-itl", "wsq", "png", "tiff")
+TO = ("iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "ansi-nist-itl", "wsq", "png", "tiff")
 
 
 def add_export(verbs: Any) -> None:
@@ -26,7 +26,7 @@ def add_export(verbs: Any) -> None:
     )
     verb.add_argument(
         "--to",
-        choices=_FORMATS,
+        choices=TO,
         required=True,
         help="minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4 (of 2005), "
         "ansi-nist-itl (Type-14), wsq, png, tiff",
