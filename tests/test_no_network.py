@@ -79,6 +79,7 @@ RUNS = {  # snk runs its network at any size of the images, metric its two at 0.
         ["match", "CAPTURE", "--template", "finger.skt", "--preset", "snk"],
         ["enroll", "one.skg", "CAPTURE", "--person", "one", "--finger", "right_index", "--preset", "snk"],
         ["identify", "one.skg", "CAPTURE", "--preset", "snk"],
+        ["export", "CAPTURE", "--to", "iso-19794-2", "--out", "records", "--preset", "snk"],
         ["batch", "PEOPLE", "--out", "store", "--cases", "pr", "--matchers", "none"],
     ],
 }

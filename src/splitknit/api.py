@@ -75,19 +75,27 @@ def make_print(
 
 
 def match(
-    a: Finger, b: Finger, method: str = "auto", preset: str = "metric", settings: Mapping[str, Any] | None = None
+    a: Finger,
+    b: Finger,
+    method: str = "auto",
+    preset: str = "metric",
+    settings: Mapping[str, Any] | None = None,
+    *,
+    input_ppi: float | None = None,
 ) -> dict[str, Any]:
     """Compare two fingers.
 
     Parameters
     ----------
     a, b : Reconstruction, Capture or path
-        Paths may also be templates (``.skt``) and 500-ppi prints.
-    method : ``auto`` (``fusion`` of two prints, else ``ridge``), ``ridge``, ``fusion``, ``thesis``, ``minutiae``,
-        ``voted``, ``minutiae3d``, ``surface-code`` or ``tetrahedra``
+        Paths may also be templates (``.skt``), prints and records of minutiae.
+    method : ``auto``, ``ridge``, ``fusion``, ``thesis``, ``minutiae``, ``voted``, ``minutiae3d``, ``surface-code`` or
+        ``tetrahedra``; ``auto`` is ``fusion`` of two prints, ``minutiae`` where one is a record of minutiae, else
+        ``ridge``.
     preset : by which captures are reconstructed
     settings : mapping from ``stage.field`` to a value, optional
         Of :class:`splitknit.matching.surface.MatchingSettings`.
+    input_ppi : resolution of prints whose files do not state it, optional
 
     Returns
     -------
@@ -111,10 +119,15 @@ def match(
     from splitknit.matching.methods import match_files  # noqa: PLC0415
 
     sides = [side if isinstance(side, Reconstruction | Capture) else Path(side) for side in (a, b)]
-    return match_files(sides[0], sides[1], method=method, preset=preset, settings=dict(settings or {}))
+    return match_files(
+        sides[0], sides[1], method=method, preset=preset, settings=dict(settings or {}),
+        input_ppi=input_ppi,
+    )  # fmt: skip
 
 
-def identify(gallery: AnyPath, finger: Finger, key: Key | None = None, **question: Any) -> dict[str, Any]:
+def identify(
+    gallery: AnyPath, finger: Finger, key: Key | None = None, *, input_ppi: float | None = None, **question: Any
+) -> dict[str, Any]:
     """Search a gallery for a finger.
 
     Parameters
@@ -123,6 +136,7 @@ def identify(gallery: AnyPath, finger: Finger, key: Key | None = None, **questio
     finger : Reconstruction, Capture or path
     key : of an encrypted gallery, optional
         See :mod:`splitknit.gallery.key`.
+    input_ppi : resolution of a print whose file does not state it, optional
     **question
         Fields of :class:`splitknit.gallery.identify.Question`: ``top``, ``merge``, ``fmr``, ``search``, ``person``,
         ``finger``.
@@ -145,7 +159,7 @@ def identify(gallery: AnyPath, finger: Finger, key: Key | None = None, **questio
     from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415
 
     probe = finger if isinstance(finger, Reconstruction | Capture) else Path(finger)
-    return identify_file(Path(gallery), probe, Question(**question), IdentifySettings(), key=key)
+    return identify_file(Path(gallery), probe, Question(**question), IdentifySettings(), key=key, input_ppi=input_ppi)
 
 
 def evaluate(files: AnyPath | Sequence[AnyPath], **settings: Any) -> Evaluation:

@@ -154,11 +154,11 @@ def test_a_population_goes_on_where_it_was_stopped(people_folder: Path, tmp_path
     file, calls = tmp_path / "g.skg", []
     made = enrolling_population.made_or_failed
 
-    def stopped(path, **options):
+    def stopped(path, *options):
         calls.append(path)
         if len(calls) == 4:
             raise KeyboardInterrupt
-        return made(path, **options)
+        return made(path, *options)
 
     monkeypatch.setattr(enrolling_population, "made_or_failed", stopped)
     assert main(["enroll", str(file), "--population", str(people_folder)]) == 130
@@ -197,13 +197,12 @@ def test_failures_and_damage_in_a_population(people_folder: Path, tmp_path: Path
 
 def test_a_capture_without_a_finger_is_a_failure_not_an_error(twin_folder: Path, monkeypatch) -> None:
     from splitknit.gallery import enrol
-    from splitknit.matching.surface import MatchingSettings
 
     def refuses(path, *rest):
         raise BadInput(f"{path}: no finger is seen.")
 
     monkeypatch.setattr(enrol, "read_side", refuses)
-    made = enrol.made_or_failed(twin_folder, "ea", MatchingSettings())
+    made = enrol.made_or_failed(twin_folder, enrol.Enrolling(preset="ea"))
     assert made.template == b""
     assert made.failure == "no finger is seen."
     assert made.source_sha256 == enrol.source_hash(twin_folder)

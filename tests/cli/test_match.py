@@ -112,7 +112,7 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["NOWHERE", "a"], "there is no"),
         (["a"], "second finger"),
         (["EMPTY", "a"], "neither a result"),
-        (["TEXT", "a"], "not a template"),
+        (["TEXT", "a"], "prints and minutiae are read"),
         (["BROKEN", "a"], "cannot be read"),
         (["PARTIAL", "a"], "holds no 'ridge_mm'"),
         (["COARSE", "a"], "pixels per inch"),
@@ -129,7 +129,7 @@ def test_bad_input_is_one_sentence(results: Path, tmp_path: Path, capsys, argume
     (tmp_path / "BROKEN" / "height.npz").write_bytes(b"PK but not really")
     (tmp_path / "PARTIAL").mkdir()
     write_npz(tmp_path / "PARTIAL" / "height.npz", {"mask": np.ones((3, 3), np.bool_)})
-    write_print_png(tmp_path / "COARSE.png", np.full((90, 90), 200, np.uint8), 300.0)
+    write_print_png(tmp_path / "COARSE.png", np.full((90, 90), 200, np.uint8), 100.0)
     names = {"COARSE": tmp_path / "COARSE.png", "NOWHERE": tmp_path / "NOWHERE"}
     names |= {name: tmp_path / name for name in ("EMPTY", "TEXT", "BROKEN", "PARTIAL")}
     before = sorted(path.name for path in tmp_path.iterdir())

@@ -56,6 +56,7 @@ GUARD_MB = 2500
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
+    "gallery.records.import_records": "writes what prints.from_file.read_print_file reads",
     "capture.pi.open_pi": "opens devices",
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",

@@ -29,7 +29,7 @@ from unittest import mock
 import cv2
 import numpy as np
 from tests.batch.batch_stores import waves
-from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, ISO_BYTES, encode, three_minutiae
+from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, FIR_2011, ISO_BYTES, encode, three_minutiae
 from tests.fuzz.mutators import Files
 from tests.handmade import finger
 from tests.png_files import png_of
@@ -56,10 +56,11 @@ from splitknit.gallery.identify import IdentifySettings, Question, identify_file
 from splitknit.gallery.key import Key, ScryptSettings, key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
 from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.finger_image import encode_finger_images
 from splitknit.io.float_tiff import read_height_tiff, read_light_tiff, write_height_tiff, write_light_tiff
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
-from splitknit.io.itl_reading import _TransactionFacts, _TransactionPrint, encode_transaction, read_transaction
+from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
 from splitknit.io.mesh import read_glb, surface_mesh, write_glb
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
@@ -73,15 +74,16 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import capture_from_photographs, capture_from_plain_images, read_lights_txt
 from splitknit.io.ply import read_ply, write_ply
-from splitknit.io.prints import read_print_png, read_print_tiff, write_print_png, write_print_tiff
+from splitknit.io.print_formats import read_prints
+from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
 from splitknit.io.rig import read_rig
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
-from splitknit.io.wsq_image import encode_wsq, read_print_wsq
+from splitknit.io.wsq_image import encode_wsq
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.inputs import read_print, read_side
+from splitknit.matching.inputs import read_side
 from splitknit.matching.inputs import read_surface as read_matched
 from splitknit.matching.minutiae_record import (
     Minutiae,
@@ -98,6 +100,7 @@ from splitknit.matching.template import VERSION, Template, make_template, pack, 
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.presets import preset_settings
+from splitknit.prints.from_file import minutiae_of, read_one_finger, read_print_file, ridge_period_px
 from splitknit.prints.sources import read_source
 from splitknit.rig.assembly import read_stl, write_stl
 from splitknit.rig.candidates import Candidate, Study
@@ -463,9 +466,9 @@ def _card(data: bytes) -> object:
 
 
 def _transactions() -> list[Files]:
-    facts = _TransactionFacts(datetime.date(2026, 11, 20), "P01-7", "OTHER", "LAB", "RIG3")
-    prints = [_TransactionPrint(_noise(11, 13), "right_index"), _TransactionPrint(_noise(11, 13), compression="png")]
-    wsq = _TransactionPrint(_print(), compression="wsq")
+    facts = TransactionFacts(datetime.date(2026, 11, 20), "P01-7", "OTHER", "LAB", "RIG3")
+    prints = [TransactionPrint(_noise(11, 13), "right_index"), TransactionPrint(_noise(11, 13), compression="png")]
+    wsq = TransactionPrint(_print(), compression="wsq")
     return _each("x.eft", encode_transaction(prints, facts), encode_transaction([wsq], facts))
 
 
@@ -885,6 +888,35 @@ def _prints() -> list[Files]:
     )
 
 
+def _print_files() -> list[Files]:
+    """A small print in every format, and minutiae in both."""
+    image, small = _print(), _noise(70, 66)
+    png, jpeg, bmp = (cv2.imencode(suffix, image)[1].tobytes() for suffix in (".png", ".jpg", ".bmp"))
+    bmp = bmp[:38] + struct.pack("<II", 19685, 19685) + bmp[46:]
+    records = [encode_finger_images([PrintFile(small, 500.0, {}, "left_thumb")], how) for how in ("none", "png")]
+    jfif = jpeg[:13] + struct.pack(">BHH", 2, 394, 394) + jpeg[18:]
+    others = encode_print_tiff(image, 600.0), encode_wsq(image), ISO_BYTES, ANSI_BYTES, FIR_2011
+    return _each("x", png, jfif, bmp, *records, *others)
+
+
+def _print_file(folder: Path, files: Files) -> object:
+    path = folder / "x"
+
+    def read(ppi: float | None) -> object:
+        for one in read_print_file(path, ppi):
+            if isinstance(one, PrintFile):
+                assert one.image.ndim == 2 and one.image.dtype == np.uint8
+                assert one.resolution_ppi is not None and 200 <= one.resolution_ppi <= 5080
+            else:
+                minutiae_of(one)
+        return None
+
+    def measured() -> object:
+        return [ridge_period_px(one.image) for one in read_prints(path) if isinstance(one, PrintFile)]
+
+    return _any(lambda: read(None), lambda: read(700.0), lambda: read_one_finger(path, 500.0), measured)
+
+
 def _glbs() -> list[Files]:
     vertices, normals, shade, faces = _meshes()
     return _written("x.glb", lambda path: write_glb(path, vertices, normals, shade, faces, {"a": 1}))
@@ -916,9 +948,8 @@ TARGETS = (
     Target("ply", _plys, _of_files("x.ply", read_ply)),
     Target("glb", _glbs, _of_files("x.glb", read_glb)),
     Target("stl", _stls, _of_files("x.stl", read_stl)),
-    Target("print_png", _prints, _of_files("print.png", read_print_png, read_print)),
-    Target("print_tiff", lambda: _written("print.tiff", lambda path: write_print_tiff(path, _print(), 500.0)),
-           _of_files("print.tiff", read_print_tiff, read_print)),
+    Target("print_png", _prints, _of_files("print.png", read_print_png, read_one_finger)),
+    Target("print_file", _print_files, _print_file),
     Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
            _skt_repaired),
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
@@ -926,8 +957,8 @@ TARGETS = (
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
     Target("minutiae_card", _cards, _of_bytes(_card)),
     Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
-    Target("transaction", _transactions, _of_files("x.eft", read_transaction)),
-    Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_print_wsq)),
+    Target("transaction", _transactions, _of_files("x.eft", read_prints)),
+    Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
     Target("scores", lambda: [{"scores.csv": SCORES, "excluded.csv": EXCLUDED}], _scores),
     Target("settings", _setting_files, _settings),
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),

@@ -24,8 +24,8 @@ from agreement_summary import MARGIN_PX
 from agreement_truth import read_truth
 
 from splitknit.matching.minutiae import extract
-from splitknit.prints.folder import by_phase
 from splitknit.prints.make import enhance, make_print
+from splitknit.prints.phase_minutiae import by_phase
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "phase.json"

@@ -12,6 +12,7 @@ from typing import Any
 from splitknit.batch.workers import run_jobs
 from splitknit.errors import Refused, require
 from splitknit.gallery.enrol import (
+    MINUTIAE_HASH,
     Enrolling,
     Made,
     gallery_facts,
@@ -66,6 +67,10 @@ def enroll_population(
     places = _found_in(folder)
     with contextlib.ExitStack() as stack:
         target = opened(gallery, key, settings.matching)
+        require(
+            target is None or target.settings_sha256 != MINUTIAE_HASH,
+            f"'{gallery}' keeps minutiae; enrol a population into a gallery of its own.",
+        )
         created = target is None
         if target is not None:
             stack.enter_context(target)
@@ -147,4 +152,4 @@ def _made(waiting: Sequence[Found], settings: Enrolling, workers: int) -> Iterat
 
 
 def _template_of(place: Found, settings: Enrolling) -> Made | str:
-    return made_or_failed(place.path, preset=settings.preset, settings=settings.matching, keep=settings.keep)
+    return made_or_failed(place.path, settings)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
-from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
+from splitknit.cli.verb import FINGERS, Outcome, Progress, add_input_ppi, add_preset, add_settings, natural, new_verb
 from splitknit.errors import require
 
 
@@ -15,7 +15,7 @@ def add_enroll(verbs: Any) -> None:
     """Add the verb."""
     verb = new_verb(verbs, "enroll", "put fingers into a gallery, which is made where there is none", _run)
     add_gallery(verb)
-    what = "capture folder, result folder, template (.skt) or 500-ppi print; several are sessions of one finger"
+    what = f"{FINGERS}; several are sessions of one finger"
     verb.add_argument("sources", type=Path, metavar="SOURCE", nargs="*", help=what)
     verb.add_argument("--person", default=None, metavar="NAME", help="whose finger it is")
     verb.add_argument("--finger", default=None, metavar="FINGER", help="which, such as right_index")
@@ -38,6 +38,7 @@ def add_enroll(verbs: Any) -> None:
     )
     verb.add_argument("--replace", action="store_true", help="let a capture take the place of one of the same names")
     verb.add_argument("--with-time", action="store_true", help="keep the time of enrolment as well")
+    add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
 
@@ -56,6 +57,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         keep=options.keep_images,
         replace=options.replace,
         with_time=options.with_time,
+        input_ppi=options.input_ppi,
     )
     key = key_of(options.key_file)
     with Progress(options) as progress:
@@ -104,6 +106,8 @@ def _words(one: dict[str, Any]) -> str:
     if not one["new"]:
         return f"{who} was enrolled from the same source already."
     if not one["acquired"]:
-        return f"Please note: {who} holds no ridges (failure to acquire); it is kept as such and will match nobody."
+        lacks = "too few ridges or minutiae (failure to acquire)"
+        return f"Please note: {who} holds {lacks}; it is kept as such and will match nobody."
     kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its images"}[one["images"]]
-    return f"Enrolled {who}: {one['area_mm2']:.0f} mm² of skin, {one['template_bytes'] / 1000:.1f} kB{kept}."
+    held = f"{one['area_mm2']:.0f} mm² of skin" if one["area_mm2"] else "minutiae"
+    return f"Enrolled {who}: {held}, {one['template_bytes'] / 1000:.1f} kB{kept}."

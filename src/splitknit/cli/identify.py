@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
-from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, natural, new_verb
+from splitknit.cli.verb import FINGERS, Outcome, Progress, add_input_ppi, add_preset, add_settings, natural, new_verb
 
 
 def add_identify(verbs: Any) -> None:
     """Add the verb."""
     verb = new_verb(verbs, "identify", "find a finger in a gallery, or check whose it is said to be", _run)
     add_gallery(verb)
-    what = "capture folder, result folder, template (.skt) or 500-ppi print"
-    verb.add_argument("probe", type=Path, metavar="PROBE", help=what)
+    verb.add_argument("probe", type=Path, metavar="PROBE", help=FINGERS)
     verb.add_argument("--top", type=natural, default=10, metavar="N", help="candidates that are reported (default: 10)")
     verb.add_argument("--person", default=None, metavar="NAME", help="verification: whose finger it is said to be")
     verb.add_argument("--finger", default=None, metavar="FINGER", help="which finger it is; others are left out")
@@ -38,6 +37,7 @@ def add_identify(verbs: Any) -> None:
         default="auto",
         help="compare all ridges, or only of those that short codes choose (default: auto, by the gallery's size)",
     )
+    add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
 
@@ -62,10 +62,13 @@ def _run(options: argparse.Namespace) -> Outcome:
     with Progress(options) as progress:
         facts = identify_file(
             options.gallery, options.probe, question, settings,
-            key=key, preset=options.preset, progress=progress.update,
+            key=key, preset=options.preset, progress=progress.update, input_ppi=options.input_ppi,
         )  # fmt: skip
     lines = [*_words(facts), *(f"Please note: {note}" for note in key_notes(options.key_file))]
     return facts, lines
+
+
+_COMPARED = {"ridge": "ridge by ridge", "fusion": "by ridges and minutiae", "minutiae": "by minutiae"}
 
 
 def _words(facts: dict[str, Any]) -> list[str]:
@@ -73,9 +76,13 @@ def _words(facts: dict[str, Any]) -> list[str]:
     for one in facts["candidates"]:
         rate = "" if one["fmr"] is None else f", fmr at most {one['fmr']:.2g}"
         who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
-        lines.append(f"{one['rank']:>3}. similarity {one['similarity']:.4f}{rate}: {who}")
+        shown = f"{one['similarity']:.{0 if facts['by'] == 'minutiae' else 4}f}"
+        lines.append(f"{one['rank']:>3}. similarity {shown}{rate}: {who}")
     searched = facts["searched"]
-    whose, how = "", "by ridges and minutiae" if searched["compared_by"] == "fusion" else "ridge by ridge"
+    whose, how = (
+        "",
+        {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(searched["compared_by"], "ridge by ridge"),
+    )
     if searched["people"] is not None:
         whose = f" ({count(searched['fingers'], 'finger')} of {count(searched['people'], 'person', 'people')})"
     lines.append(
@@ -103,11 +110,16 @@ def _words(facts: dict[str, Any]) -> list[str]:
 def _verdict(facts: dict[str, Any]) -> str:
     decision = facts["decision"]
     if not facts["probe"]["acquired"]:
-        return f"No match: {facts['probe']['path']} holds no ridges (failure to acquire)."
+        lacks = "too few minutiae" if facts["by"] == "minutiae" else "no ridges"
+        return f"No match: {facts['probe']['path']} holds {lacks} (failure to acquire)."
     if facts["searched"]["captures"] == 0:
         return "No match: there is nothing to compare with."
     if decision is None:
-        return "No decision: with other settings than the shipped ones false match rates are not known."
+        return "No decision: " + (
+            "the gallery keeps minutiae, of which other fingers seldom reach a similarity of 40."
+            if facts["by"] == "minutiae"
+            else "with other settings than the shipped ones false match rates are not known."
+        )
     at = f"similarity {decision['threshold']:.4f} or more, a false match rate of {decision['fmr']:g} a comparison"
     best = facts["candidates"][0]
     if facts["mode"] == "verification":

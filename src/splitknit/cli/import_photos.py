@@ -1,6 +1,6 @@
-"""``splitknit import``: photographs and light directions in, a capture folder out.
+"""``splitknit import``: photographs and light directions in, a capture folder out; or prints of other systems.
 
-``splitknit reconstruct`` takes the same options.
+``splitknit reconstruct`` takes the same options of photographs.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.cli.verb import Outcome, Progress, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_input_ppi, new_verb
 from splitknit.errors import naming, require
 
 if TYPE_CHECKING:
@@ -22,9 +22,21 @@ _OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background")
 
 def add_import(verbs: Any) -> None:
     """Add ``splitknit import``."""
-    verb = new_verb(verbs, "import", "turn photographs and a list of light directions into a capture folder", _run)
-    add_photo_options(verb, required=True)
-    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
+    what = "turn photographs and light directions into a capture folder (--images), or prints of other systems into PNG"
+    verb = new_verb(verbs, "import", what, _run)
+    add_photo_options(verb, required=False)
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    group = verb.add_argument_group("prints of other systems")
+    group.add_argument(
+        "files",
+        type=Path,
+        nargs="*",
+        metavar="FILE",
+        help="WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; "
+        "ISO 19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take "
+        "all of them as they are",
+    )
+    add_input_ppi(group)
 
 
 def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
@@ -145,6 +157,33 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
 
 
 def _run(options: argparse.Namespace) -> Outcome:
+    """Write a capture folder, or prints."""
+    both = options.images is not None and options.files
+    require(not both, "photographs (--images DIR) and prints (FILE ...) are imported one after the other.")
+    require(
+        options.images is not None or bool(options.files),
+        "name photographs (--images DIR --lights FILE) or files of prints to import.",
+    )
+    return _import_photos(options) if options.images is not None else _import_prints(options)
+
+
+def _import_prints(options: argparse.Namespace) -> Outcome:
+    """Write the prints of other systems."""
+    from splitknit.cli.export import export_words  # noqa: PLC0415 - verbs import what they need
+    from splitknit.gallery.records import Exporting, import_records  # noqa: PLC0415
+
+    check_photo_options(options)
+    needless = [
+        name for name in ("tip_direction", "light_frame", "px_per_mm", "ridge_period") if getattr(options, name)
+    ]
+    require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} goes with --images.")
+    settings = Exporting(input_ppi=options.input_ppi)
+    with Progress(options) as progress:
+        facts = import_records(options.files, options.out, settings, progress=progress.update)
+    return facts, export_words(facts)
+
+
+def _import_photos(options: argparse.Namespace) -> Outcome:
     """Write a capture folder."""
     from splitknit.io.capture import write_capture  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415

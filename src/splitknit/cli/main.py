@@ -80,6 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
     from splitknit.cli.demo import add_demo  # noqa: PLC0415
     from splitknit.cli.enroll import add_enroll  # noqa: PLC0415
     from splitknit.cli.evaluate import add_evaluate  # noqa: PLC0415
+    from splitknit.cli.export import add_export  # noqa: PLC0415
     from splitknit.cli.gallery import add_gallery_verbs  # noqa: PLC0415
     from splitknit.cli.identify import add_identify  # noqa: PLC0415
     from splitknit.cli.import_photos import add_import  # noqa: PLC0415
@@ -112,6 +113,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_enroll(verbs)
     add_identify(verbs)
     add_gallery_verbs(verbs)
+    add_export(verbs)
     add_batch(verbs)
     add_view(verbs)
     add_print(verbs)

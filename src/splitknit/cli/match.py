@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, new_verb
+from splitknit.cli.verb import FINGERS, Outcome, Progress, add_input_ppi, add_preset, add_settings, new_verb
 
 _MINUTIAE = ("minutiae", "voted")
 _DIGITS = {"minutiae": 0, "voted": 0, "fusion": 2}
@@ -16,20 +16,20 @@ _IN_SPACE = ("minutiae3d", "tetrahedra")
 def add_match(verbs: Any) -> None:
     """Add the verb."""
     verb = new_verb(verbs, "match", "report how similar two fingers are", _run)
-    what = "capture folder, result folder, template (.skt) or 500-ppi print"
-    verb.add_argument("a", type=Path, metavar="A", help=what)
+    verb.add_argument("a", type=Path, metavar="A", help=FINGERS)
     verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
     verb.add_argument(
         "--method",
         choices=("auto", "ridge", "fusion", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
         default="auto",
-        help="auto (the default: fusion of two prints, else ridge), ridge, fusion (of ridges and minutiae of two "
-        "prints), thesis (local binary patterns; needs captures or results), minutiae (of the prints, by NIST's "
-        "mindtct and bozorth3; like fusion it needs the extra minutiae, on x86-64 Linux), voted (minutiae on which "
-        "sets of images that leave one out agree; needs captures), or of surfaces (captures or results): minutiae3d "
-        "(Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
+        help="auto (the default: fusion of two prints, minutiae where one holds minutiae only, else ridge), ridge, "
+        "fusion (of ridges and minutiae of two prints), thesis (local binary patterns; needs captures or results), "
+        "minutiae (of the prints, by NIST's mindtct and bozorth3; like fusion it needs the extra minutiae, on x86-64 "
+        "Linux), voted (minutiae on which sets of images that leave one out agree; needs captures), or of surfaces "
+        "(captures or results): minutiae3d (Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
     )
     verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
+    add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
 
@@ -49,6 +49,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             preset=options.preset,
             settings=changes,
             progress=progress.update,
+            input_ppi=options.input_ppi,
         )
     return facts, _words(facts)
 
@@ -131,6 +132,8 @@ def _meaning(facts: dict[str, Any]) -> str:
 
 
 def _print_words(side: dict[str, Any]) -> str:
+    if side["kind"] == "minutiae":
+        return f"{side['path']}: {side['minutiae']} minutiae of another system"
     if "nfiq2" not in side:
         return f"{side['path']}: {side.get('minutiae', 0)} voted minutiae"
     quality = "unknown" if side["nfiq2"] is None else f"{side['nfiq2']} of 100"

@@ -7,20 +7,24 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.import_photos import add_scale_options, check_scale_options
-from splitknit.cli.verb import Outcome, Progress, add_preset, add_settings, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, add_settings, new_verb
 
 
 def add_print(verbs: Any) -> None:
     """Add the verb."""
     verb = new_verb(verbs, "print", "turn a finger in space into a flat print of 500 pixels per inch", _run)
     verb.add_argument(
-        "finger", type=Path, metavar="FINGER", help="result folder, or capture folder (reconstructed first)"
+        "finger",
+        type=Path,
+        metavar="FINGER",
+        help="result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP, WSQ, "
+        "ISO 19794-4, ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the print into")
     verb.add_argument(
         "--method",
         choices=("relief", "unroll", "curvature", "photo", "rolled"),
-        default="unroll",
+        default=None,
         help="unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's); "
         "curvature: the shape index; photo: the photograph (needs a capture); rolled: around the finger, by front "
         "and its mirrors (needs a capture with mirrors)",
@@ -34,6 +38,7 @@ def add_print(verbs: Any) -> None:
     )
     verb.add_argument("--ppi", type=int, choices=(500, 1000), default=500, help="pixels per inch (default: 500)")
     add_scale_options(verb)
+    add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
 
@@ -57,6 +62,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             progress=progress.update,
             px_per_mm=options.px_per_mm,
             ridge_period_mm=options.ridge_period,
+            input_ppi=options.input_ppi,
         )
     return facts, _words(facts)
 
@@ -69,6 +75,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
         "arc": "on the skin laid flat row by row",
         "tube": "on the best-fit tube, unrolled",
         "cylinder": "on the best-fit cylinder, unrolled",
+        "paper": "as it was pressed",
     }[facts["surface"]]
     period = facts["ridge_period_mm"]["median"]
     lines = [

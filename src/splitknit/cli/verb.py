@@ -11,6 +11,12 @@ from typing import Any, NoReturn
 
 PRESETS = ("metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin", "xie")
 
+FINGERS = (
+    "capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL) or "
+    "record of minutiae (ISO 19794-2, ANSI 378)"
+)
+"""What is matched, for help."""
+
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""
 
@@ -129,6 +135,17 @@ def add_settings(verb: argparse.ArgumentParser) -> None:
         help="change one setting; may be repeated and wins over --settings",
     )
     verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
+
+
+def add_input_ppi(verb: Any) -> None:
+    """Add ``--input-ppi``."""
+    verb.add_argument(
+        "--input-ppi",
+        type=float,
+        default=None,
+        metavar="N",
+        help="pixels per inch of prints whose files do not state it; where they do, N is taken all the same",
+    )
 
 
 def natural(text: str) -> int:

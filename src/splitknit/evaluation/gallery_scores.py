@@ -22,6 +22,8 @@ from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.provenance import file_hash
 from splitknit.matching.fusion import can_fuse, fused_match
+from splitknit.matching.minutiae import minutiae_match
+from splitknit.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.template import unpack
 from splitknit.model import Progress, no_progress
@@ -87,6 +89,10 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
     in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
     (:func:`splitknit.matching.ridge.ridge_match`), so that the order changes nothing.
     """
+    if any(holds_minutiae(payload) for payload in payloads):
+        sides = [unpack_minutiae(payload) for payload in payloads]
+        both = [(sides[a], sides[b]) for a, b in zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)]
+        return np.array([minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both])
     templates = [unpack(payload) for payload in payloads]
     match = fused_match if can_fuse(*(one for one in templates if not one.empty)) else ridge_match
     keys = [Prepared(one).key for one in templates]

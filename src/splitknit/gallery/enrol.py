@@ -1,6 +1,7 @@
-"""Enrolment: captures, results, templates or prints in, rows of a gallery out.
+"""Enrolment: captures, results, templates, prints or records of minutiae in, rows of a gallery out.
 
-A gallery appears with its first finger, or not at all.
+A gallery appears with its first finger, or not at all. It keeps templates of ridges, or, where a record of minutiae
+came first, minutiae: the two cannot be compared.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ from splitknit.gallery.entry import Enrolled, Entry, NewCapture, check_person, c
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.capture import read_capture
-from splitknit.io.images import read_image
 from splitknit.io.prints import encode_print_png
-from splitknit.io.provenance import file_hash
+from splitknit.io.provenance import file_hash, settings_hash
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.inputs import Side, read_side
+from splitknit.matching.inputs import Side, is_of_minutiae, read_side
+from splitknit.matching.methods import side_minutiae
+from splitknit.matching.minutiae_record import MINUTIAE_VERSION, holds_minutiae, pack_minutiae
 from splitknit.matching.surface import MatchingSettings
-from splitknit.matching.template import pack, unpack
+from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
 from splitknit.prints.ridges import surface_print
 
@@ -52,6 +54,8 @@ class Enrolling:
     """Whether a capture takes the place of another of the same names."""
     with_time: bool = False
     """Whether the time of enrolment is kept."""
+    input_ppi: float | None = None
+    """Resolution of prints whose files do not state it."""
 
 
 def enroll_files(
@@ -65,12 +69,12 @@ def enroll_files(
     key: Key | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Enrol captures, results, templates or prints of one finger, all or none; return facts for ``--json``.
+    """Enrol sources of one finger, all or none; return facts for ``--json``.
 
     Parameters
     ----------
     gallery : file; made where there is none
-    sources : at least one
+    sources : at least one capture, result, template, print or record of minutiae
     person, finger : whose
     session : None: that of the very same source if it is enrolled already, else the next number
 
@@ -79,21 +83,23 @@ def enroll_files(
     BadInput
         Naming what is at fault; the gallery is then as before.
     """
-    require(len(sources) > 0, "name a capture, a result, a template (.skt) or a print to enrol.")
+    require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
     require(len(sources) == 1 or session is None, "--session goes with one source; several are numbered by themselves.")
     name, finger = check_person(person), known_finger(finger)
     if session is not None:
         check_session(session)
     earlier: list[Enrolled] = []
     with contextlib.ExitStack() as stack:
-        found = opened(gallery, key, settings.matching)
+        of_minutiae = any(is_of_minutiae(source) for source in sources)
+        found = opened(gallery, key, settings.matching, of_minutiae=of_minutiae)
         if found is not None:
             earlier = stack.enter_context(found).entries(name, finger)
+            of_minutiae = found.settings_sha256 == MINUTIAE_HASH
         made = []
         for k, source in enumerate(sources):
             made.append(
                 _made_of(
-                    source, settings.preset, settings.matching, settings.keep,
+                    source, settings, of_minutiae,
                     lambda stage, fraction, k=k: progress(stage, (k + 0.9 * fraction) / len(sources)),  # type: ignore[misc]
                 )
             )  # fmt: skip
@@ -103,8 +109,9 @@ def enroll_files(
             chosen = session or _session(taken, one.source_sha256)
             taken[chosen] = one.source_sha256
             new.append(new_capture(one, name, finger, chosen, settings))
-        target = found or stack.enter_context(Gallery.create(gallery, templates_hash(settings.matching), key))
-        target.require_comparable(templates_hash(settings.matching))
+        sha256 = MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching)
+        target = found or stack.enter_context(Gallery.create(gallery, sha256, key))
+        target.require_comparable(sha256)
         added = target.add(new, replace=settings.replace)
         facts = gallery_facts(target, created=found is None)
     progress("done", 1.0)
@@ -112,15 +119,24 @@ def enroll_files(
     return {**facts, "enrolled": enrolled}
 
 
-def opened(gallery: Path, key: Key | None, settings: MatchingSettings) -> Gallery | None:
-    """Open a gallery that can be changed and takes templates of these settings; None if there is no such file."""
+def opened(gallery: Path, key: Key | None, settings: MatchingSettings, *, of_minutiae: bool = False) -> Gallery | None:
+    """Open a gallery that can be changed and takes templates of these settings, or `of_minutiae`.
+
+    Returns None if there is no such file. A gallery of minutiae takes everything, for minutiae can be found in it.
+    """
     if not gallery.exists():
         require(gallery.parent.is_dir(), f"there is no folder '{gallery.parent}' for the gallery; make it first.")
         return None
     found = Gallery.open(gallery, key)
     try:
         found.require_changeable()
-        found.require_comparable(templates_hash(settings))
+        if found.settings_sha256 != MINUTIAE_HASH:
+            require(
+                not of_minutiae,
+                f"'{gallery}' keeps templates of ridges, which records of minutiae cannot be compared with; enrol them "
+                "into a gallery of their own.",
+            )
+            found.require_comparable(templates_hash(settings))
     except BaseException:
         found.close()
         raise
@@ -147,7 +163,7 @@ def new_capture(made: Made, person: str, finger: str, session: str, settings: En
         enrolled_at=now,
         images="" if made.images is None else settings.keep,
     )
-    code = code_of(unpack(made.template)).tobytes() if made.template else None
+    code = code_of_payload(made.template)
     return NewCapture(entry, made.template, code, None if code is None else CODE_VERSION, made.images)
 
 
@@ -209,30 +225,29 @@ class Made:
     images: bytes | None = None
 
 
-def _made_of(
-    path: Path, preset: str, settings: MatchingSettings, keep: str = "none", progress: Progress = no_progress
-) -> Made:
+def _made_of(path: Path, settings: Enrolling, of_minutiae: bool = False, progress: Progress = no_progress) -> Made:
     """Template and facts of one source. Raises BadInput if it cannot be read, or (a capture) not be reconstructed."""
-    side = read_side(path, preset, settings, progress)
-    assert side.template is not None
+    side = read_side(path, settings.preset, settings.matching, progress, settings.input_ppi)
+    kept = None if settings.keep == "none" else _kept(path, side, settings.keep)
+    if of_minutiae:
+        minutiae = side_minutiae(side)
+        failure = "" if minutiae.acquired else "fewer than ten minutiae"
+        payload = pack_minutiae(minutiae) if minutiae.acquired else b""
+        return Made(side.kind, payload, 0.0, source_hash(path), failure, kept)
+    if side.template is None:
+        raise BadInput(f"{path} holds minutiae, no ridges; enrol it into a gallery of minutiae.")
     empty = side.template.empty
-    return Made(
-        side.kind,
-        pack(side.template),
-        0.0 if empty else round(side.template.area_mm2, 2),
-        source_hash(path),
-        "too little skin with ridges" if empty else "",
-        None if keep == "none" else _kept(path, side, keep),
-    )
+    area = 0.0 if empty else round(side.template.area_mm2, 2)
+    return Made(side.kind, side.payload, area, source_hash(path), "too little skin with ridges" if empty else "", kept)
 
 
-def made_or_failed(path: Path, preset: str, settings: MatchingSettings, keep: str = "none") -> Made | str:
+def made_or_failed(path: Path, settings: Enrolling) -> Made | str:
     """As :func:`_made_of`, for many: a capture that is sound but shows no finger is a failure to acquire.
 
     Returns a sentence, and no row, where the files themselves are unusable.
     """
     try:
-        return _made_of(path, preset, settings, keep)
+        return _made_of(path, settings)
     except BadInput as error:
         if not (path / "capture.json").is_file() or (path / "height.npz").is_file():
             return str(error)
@@ -263,16 +278,16 @@ def _files(path: Path) -> list[Path]:
 
 def _kept(path: Path, side: Side, keep: str) -> bytes | None:
     """PNG of the relief as a print, or ZIP of the source's files; None where a template is all there is."""
-    if side.kind == "template":
+    if side.kind in ("template", "minutiae"):
         return None
     if keep == "raw":
         return _zipped(path)
-    if side.surface is None:
-        image = read_image(path)
-        rows, columns = image.shape[:2]
+    if side.picture is not None:
+        rows, columns = side.picture.shape
         size = (max(1, columns // 2), max(1, rows // 2))
-        small = cv2.resize(image.reshape(rows, columns), size, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(side.picture, size, interpolation=cv2.INTER_AREA)
         return encode_print_png(small.astype(np.uint8), _THUMBNAIL_PPI)
+    assert side.surface is not None
     return encode_print_png(surface_print(side.surface, _THUMBNAIL_PPI), _THUMBNAIL_PPI)
 
 
@@ -292,8 +307,14 @@ def _zipped(path: Path) -> bytes:
 
 def templates_hash(settings: MatchingSettings) -> str:
     """SHA-256 of all that a template follows from; templates of one gallery agree in it."""
-    from splitknit.io.provenance import settings_hash  # noqa: PLC0415
-    from splitknit.matching.template import VERSION  # noqa: PLC0415
-
     document: dict[str, Any] = {"version": VERSION, "band": settings.band, "template": settings.template}
     return settings_hash(document)
+
+
+MINUTIAE_HASH = settings_hash({"minutiae": MINUTIAE_VERSION})
+"""The same of galleries that keep minutiae."""
+
+
+def code_of_payload(payload: bytes) -> bytes | None:
+    """Search code of a row's template; None for a failure to acquire, and for minutiae, which have none."""
+    return None if not payload or holds_minutiae(payload) else code_of(unpack(payload)).tobytes()

@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.gallery.enrol import known_finger, templates_hash
+from splitknit.gallery.enrol import MINUTIAE_HASH, known_finger, templates_hash
 from splitknit.gallery.entry import Enrolled, check_person, session_order
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import read_side
-from splitknit.matching.methods import as_calibrated, false_match_rate, similarity_at
+from splitknit.matching.methods import as_calibrated, false_match_rate, side_minutiae, similarity_at
+from splitknit.matching.minutiae import minutiae_match
+from splitknit.matching.minutiae_record import Minutiae, unpack_minutiae
 from splitknit.matching.ridge import RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings
 from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
@@ -80,14 +82,17 @@ def identify_file(
     key: Key | None = None,
     preset: str = "metric",
     progress: Progress = no_progress,
+    input_ppi: float | None = None,
 ) -> dict[str, Any]:
     """Who is it? Returns facts for ``--json``; that nobody is found is a fact, no error.
 
     Parameters
     ----------
     gallery : file
-    probe : capture folder, result folder, template (``.skt``) or 500-ppi print
+    probe : capture folder, result folder, template (``.skt``), print or record of minutiae
+        A gallery that keeps minutiae is searched by minutiae, one that keeps ridges by ridges.
     preset : by which a capture is reconstructed
+    input_ppi : resolution of a print whose file does not state it
 
     Raises
     ------
@@ -101,11 +106,20 @@ def identify_file(
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)
     with Gallery.open(gallery, key) as opened:
-        opened.require_comparable(templates_hash(settings.matching))
-        pool = _pool(opened, person, finger, question.search)
-        side = read_side(probe, preset, settings.matching, lambda stage, fraction: progress(stage, 0.5 * fraction))
-        made = side.template
-        assert made is not None
+        of_minutiae = opened.settings_sha256 == MINUTIAE_HASH
+        opened.require_comparable(MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching))
+        calibrated = calibrated and not of_minutiae
+        pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else question.search)
+        side = read_side(
+            probe, preset, settings.matching, lambda stage, fraction: progress(stage, 0.5 * fraction), input_ppi
+        )
+        made = side_minutiae(side) if of_minutiae else side.template
+        if made is None:
+            raise BadInput(
+                f"{side.path} holds minutiae, but '{gallery}' keeps ridges; name a print, or enrol minutiae."
+            )
+        acquired = made.acquired if isinstance(made, Minutiae) else not made.empty
+        area_mm2 = 0.0 if isinstance(made, Minutiae) else made.area_mm2
         started = time.perf_counter()
         found, facts = _search(opened, made, pool, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
@@ -126,10 +140,11 @@ def identify_file(
     progress("done", 1.0)
     return {
         "gallery": str(gallery),
-        "probe": {"path": str(side.path), "kind": side.kind, "area_mm2": made.area_mm2, "acquired": not made.empty},
+        "probe": {"path": str(side.path), "kind": side.kind, "area_mm2": area_mm2, "acquired": acquired},
         "mode": "identification" if person is None else "verification",
         "person": person,
         "finger": finger,
+        "by": "minutiae" if of_minutiae else "ridges",
         "searched": facts,
         "merge": question.merge,
         "candidates": reported,
@@ -162,7 +177,7 @@ def _pool(gallery: Gallery, person: str | None, finger: str | None, search: str)
 
 def _search(
     gallery: Gallery,
-    probe: Template,
+    probe: Template | Minutiae,
     pool: list[Enrolled] | None,
     *,
     settings: IdentifySettings,
@@ -187,6 +202,9 @@ def _search(
         facts["failures"] = len(pool) - len(names)
         acquired = [one.row for one in pool if one.template_bytes > 0]
     facts["captures"], facts["compared"] = len(acquired), 0
+    if isinstance(probe, Minutiae):
+        assert pool is not None
+        return _by_minutiae(gallery, probe, {one.row: one for one in pool}, acquired, facts)
     if probe.empty or not acquired:
         return [], facts
     score: dict[int, float] = {}
@@ -208,6 +226,21 @@ def _search(
             match = (fused_match if facts["compared_by"] == "fusion" else ridge_match)(ready, other)
             found.append((match.similarity, score.get(row), rows[row]))
     facts["compared"] = len(found)
+    return sorted(found, key=_order), facts
+
+
+def _by_minutiae(
+    gallery: Gallery, probe: Minutiae, rows: dict[int, Enrolled], acquired: list[int], facts: dict[str, Any]
+) -> tuple[list[_Found], dict[str, Any]]:
+    """Compare with every row of a gallery of minutiae."""
+    found: list[_Found] = []
+    if probe.acquired:
+        for row, payload in gallery.templates(acquired).items():
+            try:
+                found.append((minutiae_match(probe, unpack_minutiae(payload)), None, rows[row]))
+            except BadInput as error:
+                raise BadInput(f"row {row} of '{gallery.path}': {error}") from error
+    facts |= {"compared": len(found), "compared_by": "minutiae"}
     return sorted(found, key=_order), facts
 
 

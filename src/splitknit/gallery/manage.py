@@ -15,7 +15,7 @@ from typing import Any
 
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
 from splitknit.gallery import KEY_VARIABLE, NEW_KEY_VARIABLE
-from splitknit.gallery.enrol import LARGEST_RAW, gallery_facts
+from splitknit.gallery.enrol import LARGEST_RAW, MINUTIAE_HASH, code_of_payload, gallery_facts
 from splitknit.gallery.entry import Entry, NewCapture, check_person, session_order
 from splitknit.gallery.file import describe
 from splitknit.gallery.gallery import Gallery
@@ -25,6 +25,7 @@ from splitknit.io.fields import Fields, read_json
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
 from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
 
@@ -106,7 +107,9 @@ def index_gallery(gallery: Path, *, key: Key | None = None, progress: Progress =
     made = 0
     with Gallery.open(gallery, key) as opened:
         opened.require_changeable()
-        rows = [one.row for one in opened.entries() if one.template_bytes > 0 and one.code_version != CODE_VERSION]
+        ridges = opened.settings_sha256 != MINUTIAE_HASH
+        missing = [one.row for one in opened.entries() if one.template_bytes > 0 and one.code_version != CODE_VERSION]
+        rows = missing if ridges else []
         for start in range(0, len(rows), 256):  # in short transactions: what is done is kept
             progress("coding", start / len(rows))
             templates = opened.templates(rows[start : start + 256])
@@ -304,7 +307,7 @@ def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
     named = re.fullmatch(r"templates/\d{1,9}\.skt", row["template"]) is not None
     require(named, f"a template is named such as templates/0001.skt, not {row['template'][:60]!a}.")
     payload = read_template(folder / row["template"], VERSION)
-    template = unpack(payload)
+    empty = (unpack_minutiae(payload).count == 0) if holds_minutiae(payload) else unpack(payload).empty
     image = None
     if row["image"]:
         named = re.fullmatch(r"images/\d{1,9}\.(png|zip)", row["image"]) is not None
@@ -316,9 +319,9 @@ def _capture(folder: Path, row: dict[str, str]) -> NewCapture:
         )
         image = read_bytes(folder / row["image"], LARGEST_RAW)
     values: dict[str, Any] = {column: row[column] for column in _FIELDS}
-    values["area_mm2"] = 0.0 if template.empty else _area(row["area_mm2"])
+    values["area_mm2"] = 0.0 if empty else _area(row["area_mm2"])
     values["images"] = row["images"] if image is not None else ""
-    code = None if template.empty else code_of(template).tobytes()
+    code = code_of_payload(payload)
     return NewCapture(Entry(**values), payload, code, None if code is None else CODE_VERSION, image)
 
 

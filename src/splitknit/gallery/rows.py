@@ -32,6 +32,7 @@ from splitknit.gallery.file import (
     write_counter,
 )
 from splitknit.gallery.key import Box, Damaged, Key, box_of, document_of
+from splitknit.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit.matching.template import unpack
 
 _CONTENTS = ("code", "template", "images")
@@ -400,7 +401,7 @@ class Rows:
             try:
                 content = self.opened(row, name, cell)
                 if name == "template":
-                    unpack(content)
+                    (unpack_minutiae if holds_minutiae(content) else unpack)(content)
             except BadInput as error:
                 yield str(error)
 

@@ -319,7 +319,7 @@ def require_standard(data: bytes, wanted: str, magic: bytes, name: str) -> None:
         raise BadInput(
             f"{name} is a record of {found}, but one of {wanted} is expected; convert it or read it as such."
         )
-    raise BadInput(f"{name} is {_what_else(data)}, but a record of {wanted} is expected.")
+    raise BadInput(f"{name} is {what_bytes_are(data)}, but a record of {wanted} is expected.")
 
 
 def _of_20(data: bytes) -> str:
@@ -346,7 +346,10 @@ def _is_iso_2011(data: bytes) -> bool:
     return place == total
 
 
-def _what_else(data: bytes) -> str:
+def what_bytes_are(data: bytes, otherwise: str = "no minutiae record (it does not begin with 'FMR')") -> str:
+    """Name what a file is by its bytes, for messages; `otherwise` where they are not known."""
+    if not data:
+        return "empty"
     for start, words in _OTHERS:
         if data.startswith(start):
             return words
@@ -355,4 +358,4 @@ def _what_else(data: bytes) -> str:
     at = data.find(b"FMR\0", 1, _ENVELOPE_BYTES)
     if at > 0:
         return f"an envelope (CBEFF?) with a minutiae record inside, {at} bytes from its beginning"
-    return "no minutiae record (it does not begin with 'FMR')"
+    return otherwise

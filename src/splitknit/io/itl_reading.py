@@ -8,7 +8,6 @@ ANSI/NIST-ITL 1-2011, update 2015, annex B (traditional encoding).
 from __future__ import annotations
 
 import datetime
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
-from splitknit.io.atomic import atomic_file
+from splitknit.errors import BadInput, refusing, require
+from splitknit.io.finger_image import MAX_PIXELS
 from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
 from splitknit.io.png import decode_png, png_header
 from splitknit.io.prints import encode_print_png
@@ -43,7 +42,7 @@ MIN_PPI, MAX_PPI = 490.0, 5080.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _TransactionPrint:
+class TransactionPrint:
     """One print and its Type-14 record."""
 
     image: NDArray[np.uint8]
@@ -76,7 +75,7 @@ class _TransactionPrint:
 
 
 @dataclass(frozen=True, slots=True)
-class _TransactionFacts:
+class TransactionFacts:
     """Facts of the whole transaction."""
 
     date: datetime.date
@@ -107,11 +106,11 @@ class _TransactionFacts:
 class Transaction:
     """What a transaction holds."""
 
-    prints: tuple[_TransactionPrint, ...]
-    facts: _TransactionFacts
+    prints: tuple[TransactionPrint, ...]
+    facts: TransactionFacts
 
 
-def encode_transaction(prints: Sequence[_TransactionPrint], facts: _TransactionFacts) -> bytes:
+def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFacts) -> bytes:
     """Bytes of a transaction.
 
     Parameters
@@ -148,15 +147,6 @@ def encode_transaction(prints: Sequence[_TransactionPrint], facts: _TransactionF
     return bytes(message.NIST)
 
 
-def write_transaction(
-    path: str | os.PathLike[str], prints: Sequence[_TransactionPrint], facts: _TransactionFacts
-) -> None:
-    """Write a transaction to a file, whole or not at all; see :func:`encode_transaction`."""
-    data = encode_transaction(prints, facts)
-    with atomic_file(path) as stream:
-        stream.write(data)
-
-
 def _itl_package() -> Any:
     """Import `nistitl`, or report how to get it."""
     try:
@@ -166,7 +156,7 @@ def _itl_package() -> Any:
     return nistitl
 
 
-def _record(nistitl: Any, item: _TransactionPrint, number: int, agency: str, date: str) -> Any:
+def _record(nistitl: Any, item: TransactionPrint, number: int, agency: str, date: str) -> Any:
     """Type-14 record; its resolution is in pixels per inch (SLC 1)."""
     rows, columns = item.image.shape
     record = nistitl.AsciiRecord(14)
@@ -189,16 +179,14 @@ def _record(nistitl: Any, item: _TransactionPrint, number: int, agency: str, dat
     return record
 
 
-def _stored_pixels(item: _TransactionPrint) -> bytes:
+def _stored_pixels(item: TransactionPrint) -> bytes:
     if item.compression == "wsq":
         return encode_wsq(item.image, item.ppi)
     return encode_print_png(item.image, item.ppi) if item.compression == "png" else item.image.tobytes()
 
 
-_MAX_BYTES = 200_000_000
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
 _MAX_RECORDS = 1000
-_MAX_PIXELS = 64_000_000
 _SEPARATOR, _WITHIN = b"\x1c", (b"\x1d", b"\x1e", b"\x1f")
 _MAX_PARTS = 100_000
 """Fields and their parts, before the images: the package makes Python objects of each."""
@@ -225,17 +213,14 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
     with refusing(f"{name} is a damaged ANSI/NIST-ITL transaction; copy it again."):
         message.parse(data)
         records = list(message)
-    prints = tuple(
-        _print(record, f"Type-14 record {place} of {name}")
+    named = [
+        (record, f"Type-14 record {place} of {name}")
         for place, record in enumerate((record for record in records if record.type == 14), start=1)
-    )
-    require(len(prints) > 0, f"{name} holds no print (no Type-14 record).")
-    return Transaction(prints, _facts(records[0], name))
-
-
-def read_transaction(path: str | os.PathLike[str]) -> Transaction:
-    """Read a transaction's file; see :func:`decode_transaction`."""
-    return decode_transaction(read_bytes(path, _MAX_BYTES), os.fspath(path))
+    ]
+    require(len(named) > 0, f"{name} holds no print (no Type-14 record).")
+    pixels = sum(_number(record, "VLL", words) * _number(record, "HLL", words) for record, words in named)
+    require(pixels <= MAX_PIXELS, f"{name} claims {pixels} pixels, more than the {MAX_PIXELS} that are read; split it.")
+    return Transaction(tuple(_print(record, words) for record, words in named), _facts(records[0], name))
 
 
 def _check_frame(data: bytes, name: str) -> None:
@@ -272,18 +257,17 @@ def _check_frame(data: bytes, name: str) -> None:
     require(count > 0, f"{name} is empty; an ANSI/NIST-ITL transaction is expected.")
 
 
-def _facts(record: Any, name: str) -> _TransactionFacts:
+def _facts(record: Any, name: str) -> TransactionFacts:
     texts = {key: _text(record, key, f"the Type-1 record of {name}") for key in ("TOT", "DAT", "DAI", "ORI", "TCN")}
     try:
         date = datetime.datetime.strptime(texts["DAT"], "%Y%m%d").date()
-        return _TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
+        return TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
     except ValueError as error:  # BadInput is one
         raise BadInput(f"{name} has a Type-1 record that cannot be read: {_short(error)}") from error
 
 
-def _print(record: Any, name: str) -> _TransactionPrint:
+def _print(record: Any, name: str) -> TransactionPrint:
     rows, columns = _number(record, "VLL", name), _number(record, "HLL", name)
-    require(rows * columns <= _MAX_PIXELS, f"{name} claims {rows} x {columns} pixels; no print is that large.")
     compression = _text(record, "CGA", name)
     names = {code: word for word, code in COMPRESSIONS.items()}
     require(
@@ -295,7 +279,7 @@ def _print(record: Any, name: str) -> _TransactionPrint:
     require(isinstance(data, bytes) and len(data) > 0, f"{name} holds no image (field 14.999).")
     ppi = _resolution(record, name)
     try:
-        return _TransactionPrint(
+        return TransactionPrint(
             _pixels(data, names[compression], (rows, columns), name),
             name_of(_number(record, "FGP", name), FINGER_CODES, "finger position"),
             name_of(_number(record, "IMP", name), ITL_IMPRESSIONS, "impression type"),

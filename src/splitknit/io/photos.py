@@ -26,7 +26,7 @@ SRGB_SUFFIXES = frozenset({".jpg", ".jpeg", ".webp", ".heic", ".heif"})
 """What cameras and telephones write with a tone curve."""
 SUFFIXES = RAW_SUFFIXES | SRGB_SUFFIXES | {".png", ".tif", ".tiff", ".bmp"}
 FORMATS = "JPEG, PNG, TIFF, WEBP, BMP, HEIC and camera RAW"
-_JPEG, _BMP = b"\xff\xd8\xff", b"BM"
+JPEG_SIGNATURE, BMP_SIGNATURE = b"\xff\xd8\xff", b"BM"
 _EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG or TIFF."
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}
@@ -70,19 +70,21 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
 
 
 def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
-    """Decode the bytes of a photograph, as :func:`read_photo`; the suffix of `name` shows camera RAW."""
-    suffix = Path(name).suffix.lower()
-    if suffix in RAW_SUFFIXES:
+    """Decode the bytes of a photograph, as :func:`read_photo`.
+
+    `name` is for messages, and its suffix shows camera RAW.
+    """
+    if Path(name).suffix.lower() in RAW_SUFFIXES:
         pixels, orientation = _raw(data, name, room)
     elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         pixels, orientation = _webp(data, name, room)
     elif data[4:8] == b"ftyp":
         pixels, orientation = _heic(data, name, room), 1  # its turns are part of the picture, and undone with it
-    elif data.startswith(_BMP):
+    elif data.startswith(BMP_SIGNATURE):
         pixels, orientation = _bmp(data, name, room), 1
     elif data.startswith(tiff.SIGNATURES):
         pixels, orientation = _tiff(data, name, room)
-    elif data.startswith((png.SIGNATURE[:4], _JPEG)):
+    elif data.startswith((png.SIGNATURE[:4], JPEG_SIGNATURE)):
         pixels = decode_image(data, name)
         _check_room(pixels.nbytes, name, room)
         orientation = _exif_orientation(data, name)
@@ -122,9 +124,14 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def _exif_orientation(data: bytes, name: str) -> int:
-    """Of a JPEG file (segment APP1) or a PNG file (chunk eXIf), both known to be sound; 1 where there is none."""
+    """Of a JPEG or PNG file that is known to be sound; 1 where there is none."""
+    return tiff.exif_orientation(exif_data(data), name)
+
+
+def exif_data(data: bytes) -> bytes:
+    """EXIF data of a sound JPEG file (segment APP1) or PNG file (chunk eXIf); empty where there are none."""
     exif = b""
-    if data.startswith(_JPEG):
+    if data.startswith(JPEG_SIGNATURE):
         found = (_after(data[start + 4 : end]) for marker, start, end in jpeg_segments(data) if marker == APP1)
         exif = next(filter(None, found), b"")
     else:
@@ -134,7 +141,7 @@ def _exif_orientation(data: bytes, name: str) -> int:
             if data[place + 4 : place + 8] == b"eXIf":
                 exif = data[place + 8 : place + 8 + length]
             place += 12 + length
-    return tiff.exif_orientation(exif, name)
+    return exif
 
 
 def _after(data: bytes) -> bytes:

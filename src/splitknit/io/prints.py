@@ -1,4 +1,4 @@
-"""Prints as 8-bit grey PNG with their resolution and provenance inside.
+"""Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and TIFF written.
 
 References
 ----------
@@ -22,20 +22,22 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import DEFAULTS, ImageSettings, decode_image, encode_image
+from splitknit.io.images import DEFAULTS, encode_image, jpeg_segments
+from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
+from splitknit.io.png import SIGNATURE as PNG
 from splitknit.io.png import decode_png
 from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import (
-    RESOLUTION_UNIT,
-    SIGNATURES,
-    X_RESOLUTION,
-    Y_RESOLUTION,
-    TiffPage,
-    quiet_tifffile,
-    tiff_page,
-)
+from splitknit.io.tiff import SIGNATURES as TIFFS
+from splitknit.io.tiff import TiffPage, quiet_tifffile, stated_ppi, tiff_page
 
-_METRES_PER_INCH = 0.0254
+SIGNATURES = (PNG[:4], JPEG_SIGNATURE, *TIFFS, BMP_SIGNATURE)
+"""First bytes of the files that :func:`decode_print_image` reads."""
+KINDS = "PNG, TIFF, JPEG and BMP"
+_METRES_PER_INCH, _CM_PER_INCH = 0.0254, 2.54
+_APP0 = 0xE0
+_COLOUR_LEVELS, _COLOURED = 12, 0.01
+"""By how many grey levels the channels of grey stored as RGB may differ (JPEG rounds them), and the fraction of pixels
+that may differ more."""
 _AFTER_HEADER = 33
 
 
@@ -48,6 +50,10 @@ class PrintFile:
     resolution_ppi: float | None
     """Pixels per inch, as near as the file's whole pixels per metre can represent."""
     text: dict[str, str]
+    finger: str = "unknown"
+    """``right_thumb`` to ``left_little``, or ``unknown``."""
+    impression: str = "unknown"
+    """One of :data:`splitknit.io.minutiae_record.IMPRESSIONS`."""
 
 
 def write_print_png(
@@ -96,6 +102,62 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     pixels = decode_png(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), *_png_facts(data))
+
+
+def decode_print_image(data: bytes, name: str) -> PrintFile:
+    """Read a PNG, TIFF, JPEG or BMP file as a print, turned upright as its EXIF data say.
+
+    Parameters
+    ----------
+    data : the whole file
+        Of 8 or 16 bits, grey or grey stored as RGB.
+    name : of the file, for messages
+
+    Returns
+    -------
+    PrintFile
+        Its resolution is that of pHYs, of the JFIF header or the EXIF data, of the TIFF tags, or of the BMP header;
+        None where it is stated nowhere.
+
+    Raises
+    ------
+    BadInput
+        If the file is damaged, too large, of colour or of another kind, or its pixels are not square.
+    """
+    require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
+    pixels = decode_photo(data, name).pixels
+    text: dict[str, str] = {}
+    if data.startswith(PNG):
+        ppi, text = _png_facts(data)
+    elif data.startswith(BMP_SIGNATURE):
+        ppi = _equal(struct.unpack_from("<ii", data, 38), _METRES_PER_INCH, name)
+    elif data.startswith(JPEG_SIGNATURE):
+        ppi = _jfif_ppi(data, name) or stated_ppi(exif_data(data), name)
+    else:
+        ppi, text = stated_ppi(data, name), _texts(tiff_page(data, name))
+    return PrintFile(_grey(pixels, name), ppi, text)
+
+
+def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
+    """(H, W) of (H, W, 1 or 3)."""
+    require(pixels.dtype in (np.uint8, np.uint16), f"{name} holds {pixels.dtype}; save the print with 8 bits.")
+    if pixels.shape[2] == 3:
+        spread = pixels.max(axis=2) - pixels.min(axis=2)
+        limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
+        coloured = float((spread > limit).mean())
+        require(
+            coloured <= _COLOURED,
+            f"{name} is a colour image ({100 * coloured:.0f} % of it is no grey), not an 8-bit grey image; save the "
+            "print as one.",
+        )
+        pixels = pixels[..., 1:2]
+    grey = pixels[..., 0]
+    return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey.astype(np.uint32) + 128) // 257, np.uint8)
+
+
+def _png_facts(data: bytes) -> tuple[float | None, dict[str, str]]:
+    """Resolution and texts of a sound PNG file."""
     resolution, text = None, {}
     position = 8
     while position < len(data):
@@ -110,7 +172,25 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
             keyword, _, rest = body.partition(b"\0")
             text[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[-1].decode("utf-8", "replace")
         position += 12 + length
-    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), resolution, text)
+    return resolution, text
+
+
+def _jfif_ppi(data: bytes, name: str) -> float | None:
+    """Density of a sound JPEG file's first segment APP0 (JFIF 1.02: unit 1 is the inch, 2 the centimetre)."""
+    for marker, start, _ in jpeg_segments(data):
+        if marker == _APP0 and data[start + 4 : start + 9] == b"JFIF\0":
+            unit, x, y = struct.unpack_from(">BHH", data[start + 11 : start + 16].ljust(5, b"\0"))
+            return _equal((x, y), {1: 1.0, 2: _CM_PER_INCH}.get(unit, 0.0), name)
+    return None
+
+
+def _equal(density: tuple[int, int], scale: float, name: str) -> float | None:
+    """`density` along columns and rows times `scale`; None where it states nothing."""
+    x, y = density
+    if min(x, y) <= 0 or scale <= 0:
+        return None
+    require(abs(x - y) <= 0.01 * x, f"{name} has {x:g} pixels along and {y:g} across; square pixels are expected.")
+    return x * scale
 
 
 def _text_chunk(keyword: str, value: str) -> bytes:
@@ -134,23 +214,13 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 
 # Prints as 8-bit grey TIFF with their resolution in the tags and their texts in the description.
-#
-# Source: TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
 
 
-_INCH, _CENTIMETRE = 2, 3
-_CM_PER_INCH = 2.54
-_PRINT = ImageSettings(max_pixels=64_000_000, max_bytes=500_000_000)
-
-
-def write_print_tiff(
-    path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
-) -> None:
-    """Write a print as an uncompressed TIFF that every reader of prints takes; equal input gives equal bytes.
+def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
+    """Bytes of an uncompressed TIFF that every reader of prints takes; equal input gives equal bytes.
 
     `image`: (H, W) uint8, ridges dark; `ppi`: pixels per inch, such as 500 or 1000; `text`: keyword to text, such as
-    the provenance; kept in the description as JSON. Raises BadInput if the image or the resolution is of another kind,
-    or the file cannot be written.
+    the provenance; kept in the description as JSON. Raises BadInput if the image or the resolution is of another kind.
     """
     array = np.ascontiguousarray(image)
     require(
@@ -169,31 +239,7 @@ def write_print_tiff(
         resolution=(float(ppi), float(ppi)),
         resolutionunit="INCH",
     )
-    with atomic_file(path) as file:
-        file.write(stream.getbuffer())
-
-
-def read_print_tiff(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a grey TIFF with its resolution (None where the tags do not say) and, if it is written by this package,
-    its texts. Raises BadInput if the file is missing, damaged, not 8-bit grey, or its pixels are not square.
-    """
-    data, name = read_bytes(path, _PRINT.max_bytes), os.fspath(path)
-    require(data.startswith(SIGNATURES), f"{name} is not a TIFF file; name another one.")
-    pixels = decode_image(data, name, settings=_PRINT)
-    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
-    page = tiff_page(data, name)
-    x, y = (_ratio(page, tag) for tag in (X_RESOLUTION, Y_RESOLUTION))
-    unit = int(page.tags[RESOLUTION_UNIT][0]) if RESOLUTION_UNIT in page.tags else _INCH
-    resolution = None
-    if x and y and unit in (_INCH, _CENTIMETRE):
-        require(abs(x - y) <= 0.01 * x, f"{name} has {x:g} pixels along and {y:g} across; square pixels are expected.")
-        resolution = x if unit == _INCH else x * _CM_PER_INCH
-    return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), resolution, _texts(page))
-
-
-def _ratio(page: TiffPage, tag: int) -> float | None:
-    fraction = page.tags.get(tag, np.zeros(0)).tolist()
-    return fraction[0] / fraction[1] if len(fraction) == 2 and all(fraction) else None
+    return stream.getvalue()
 
 
 def _texts(page: TiffPage) -> dict[str, str]:

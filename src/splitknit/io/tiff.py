@@ -54,6 +54,7 @@ _MAX_TAGS = 4096
 _LONGEST_TEXT = 1_000_000
 _MIN_TILE = 16
 _ORIENTATION, _SHORT = 274, 3
+_INCH, _CENTIMETRE, _CM_PER_INCH = 2, 3, 2.54
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,6 +256,37 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
             (where,) = struct.unpack(long, inline)
         tags[tag] = np.frombuffer(data, dtype, number * parts, where)
     return order, tags
+
+
+def stated_ppi(data: bytes, name: str) -> float | None:
+    """Resolution by the first directory of a TIFF file or of EXIF data; None where there is none, or it is damaged.
+
+    Raises
+    ------
+    BadInput
+        If it is not the same both ways.
+
+    References
+    ----------
+    TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
+    """
+    damaged = f"{name} has damaged tags; export it again."
+    try:
+        with refusing(damaged):
+            _, tags = _tags(data, damaged)
+    except BadInput:
+        return None
+
+    def ratio(tag: int) -> float | None:
+        fraction = tags.get(tag, np.zeros(0)).tolist()
+        return fraction[0] / fraction[1] if len(fraction) == 2 and all(fraction) else None
+
+    x, y = ratio(X_RESOLUTION), ratio(Y_RESOLUTION)
+    unit = int(tags[RESOLUTION_UNIT][0]) if RESOLUTION_UNIT in tags else _INCH
+    if not x or not y or unit not in (_INCH, _CENTIMETRE):
+        return None
+    require(abs(x - y) <= 0.01 * x, f"{name} has {x:g} pixels along and {y:g} across; square pixels are expected.")
+    return x if unit == _INCH else x * _CM_PER_INCH
 
 
 def exif_orientation(data: bytes, name: str) -> int:

@@ -13,7 +13,6 @@ FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biome
 from __future__ import annotations
 
 import importlib.util
-import os
 import re
 import subprocess
 import sys
@@ -23,8 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io.atomic import atomic_file
+from splitknit.errors import BadInput, require
 from splitknit.io.prints import PrintFile
 
 BIT_RATE = 0.75
@@ -34,7 +32,6 @@ MIN_SIDE_PX = 96
 """Five levels of wavelets need it: images below 81 pixels come back in another brightness, below 65 as garbage."""
 LARGEST_SIDE_PX = 5000
 TIMEOUT_S = 60.0
-_MAX_BYTES = 100_000_000
 _MEMORY_BYTES, _MEMORY_PER_PIXEL = 200_000_000, 30
 """The codec takes 10 bytes a pixel, beside the 13 MB of Python and the file."""
 _CPU_S, _PIXELS_PER_S = 2, 1_000_000
@@ -113,18 +110,6 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
         raise BadInput(f"{name} is damaged: its WSQ image cannot be decoded; copy it again.")
     pixels = np.frombuffer(decoded, dtype=np.uint8, offset=8).reshape(header.rows, header.columns)
     return PrintFile(pixels.copy(), None if header.ppi is None else float(header.ppi), {})
-
-
-def write_print_wsq(path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0) -> None:
-    """Write a print as WSQ; see :func:`encode_wsq`."""
-    data = encode_wsq(image, ppi)
-    with atomic_file(path) as stream:
-        stream.write(data)
-
-
-def read_print_wsq(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a WSQ file; see :func:`decode_wsq`."""
-    return decode_wsq(read_bytes(path, _MAX_BYTES), os.fspath(path))
 
 
 def _run(task: str, pixels: int, data: bytes) -> bytes | None:

@@ -1,28 +1,25 @@
-"""What is matched, as it comes: captures, results, templates and prints."""
+"""What is matched, as it comes: captures, results, templates, prints, and minutiae of other systems."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import naming, require
+from splitknit.errors import naming, open_file, require
 from splitknit.io.capture import photographs_hint, read_capture
-from splitknit.io.images import read_image
-from splitknit.io.prints import read_print_png
+from splitknit.io.minutiae_record import FingerView
 from splitknit.io.results import read_fields
-from splitknit.io.templates import read_template
+from splitknit.io.templates import HEADER_BYTES, MAGIC, read_template
 from splitknit.matching.minutiae import extract, installed
+from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.template import VERSION, Template, make_template, unpack
+from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
-
-_IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-_PPI = 500.0
+from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,20 +28,38 @@ class Side:
 
     path: Path
     kind: str
-    """``capture``, ``result``, ``template`` or ``print``."""
+    """``capture``, ``result``, ``template``, ``print`` or ``minutiae``."""
     surface: Surface | None = None
     template: Template | None = None
+    """Of its ridges; None where only minutiae are known."""
+    picture: NDArray[np.uint8] | None = None
+    """(H, W) of a print, at 500 ppi."""
+    minutiae: Minutiae | None = None
+    """Of a record, or of a template that holds minutiae."""
+
+    @property
+    def payload(self) -> bytes:
+        """Of its template file."""
+        return pack_minutiae(self.minutiae) if self.template is None and self.minutiae is not None else self._ridges()
+
+    def _ridges(self) -> bytes:
+        assert self.template is not None
+        return pack(self.template)
 
 
-def read_side(
-    given: Path | Reconstruction | Capture, preset: str, settings: MatchingSettings, progress: Progress = no_progress
+def read_side(  # noqa: PLR0911 - one for each kind
+    given: Path | Reconstruction | Capture,
+    preset: str,
+    settings: MatchingSettings,
+    progress: Progress = no_progress,
+    input_ppi: float | None = None,
 ) -> Side:
-    """Read one side, whatever it is, and make its template.
+    """Read one side, whatever it is, and make its template; `input_ppi` as for prints in ``prints.from_file``.
 
     Raises
     ------
     BadInput
-        If it is none of the four, or cannot be read.
+        If it is none of the five, or cannot be read.
     """
     if isinstance(given, Reconstruction | Capture):
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
@@ -56,7 +71,11 @@ def read_side(
         found = path.exists()
     except (OSError, ValueError):
         found = False
-    require(found, f"there is no '{path}'; name a capture folder, a result folder, a template (.skt) or a print.")
+    require(
+        found,
+        f"there is no '{path}'; name a capture folder, a result folder, a template (.skt), a print "
+        "or a record of minutiae.",
+    )
     if path.is_dir():
         kind = "result" if (path / "height.npz").is_file() else "capture"
         known = kind == "result" or (path / "capture.json").is_file()
@@ -74,14 +93,29 @@ def read_side(
     if path.suffix.lower() == ".npz":
         surface = read_surface(path)
         return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
-    if path.suffix.lower() in _IMAGES:
-        image, ppi = read_print(path)
-        return naming(path, lambda: Side(path, "print", None, print_template(image, ppi, settings)))
-    payload = read_template(path, VERSION)
-    return naming(path, lambda: Side(path, "template", None, unpack(payload)))
+    if path.suffix.lower() == ".skt":
+        payload = read_template(path, VERSION)
+        if holds_minutiae(payload):
+            return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
+        return naming(path, lambda: Side(path, "template", None, unpack(payload)))
+    finger = read_one_finger(path, input_ppi)
+    if isinstance(finger, FingerView):
+        return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
+    printed = naming(path, lambda: resampled(finger))
+    template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
+    return naming(path, lambda: Side(path, "print", None, template, printed.image))
 
 
-def print_template(image: NDArray[np.uint8], ppi: float = _PPI, settings: MatchingSettings | None = None) -> Template:
+def is_of_minutiae(path: Path) -> bool:
+    """Whether a source is a record of minutiae, or a template that holds minutiae."""
+    if not path.is_file():
+        return False
+    with open_file(path, 1 << 50) as (stream, _):
+        first = stream.read(HEADER_BYTES + 4)
+    return first[:4] == b"FMR\0" or (first.startswith(MAGIC) and holds_minutiae(first[HEADER_BYTES:]))
+
+
+def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: MatchingSettings | None = None) -> Template:
     """Template of a print (H, W), ridges dark, with its minutiae where `nbis-py` is installed.
 
     Raises
@@ -110,29 +144,3 @@ def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconst
     from splitknit.pipeline import reconstruct  # noqa: PLC0415 - a template needs none of it
 
     return reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction))
-
-
-def read_print(path: Path) -> tuple[NDArray[np.uint8], float]:
-    """Read a print (H, W) and its resolution in pixels per inch.
-
-    Raises
-    ------
-    BadInput
-        If it is no 8-bit grey image of about 500 ppi.
-    """
-    ppi: float | None = None
-    image: NDArray[Any]
-    if path.suffix.lower() == ".png":
-        file = read_print_png(path)
-        image, ppi = file.image, file.resolution_ppi
-    else:
-        pixels = read_image(path)
-        grey = pixels.ndim == 2 or pixels.shape[-1] == 1
-        require(grey and pixels.dtype == np.uint8, f"{path} is not an 8-bit grey image; save the print as one.")
-        image = pixels.reshape(pixels.shape[:2])
-    ppi = _PPI if ppi is None else ppi
-    require(
-        abs(ppi / _PPI - 1.0) < 0.05,
-        f"{path} states that it has {ppi:.0f} pixels per inch; resample the print to {_PPI:.0f}.",
-    )
-    return np.asarray(image), ppi

@@ -17,7 +17,7 @@ from splitknit.io.capture import read_capture
 from splitknit.io.targets import check_file
 from splitknit.io.templates import MAGIC, write_template
 from splitknit.matching.fusion import can_fuse, fused_match, fused_similarity
-from splitknit.matching.inputs import Side, read_print, read_side
+from splitknit.matching.inputs import Side, read_side
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, installed, minutiae_match, nfiq2
 from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
@@ -27,7 +27,7 @@ from splitknit.matching.score import FmrTable
 from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings, surface_images
 from splitknit.matching.surface_code import surface_code_match
-from splitknit.matching.template import VERSION, Template, pack
+from splitknit.matching.template import VERSION, Template
 from splitknit.matching.thesis import thesis_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
 from splitknit.prints.ridges import surface_print
@@ -51,22 +51,26 @@ def match_files(
     preset: str = "metric",
     settings: MatchingSettings | dict[str, Any] | None = None,
     progress: Progress = no_progress,
+    input_ppi: float | None = None,
 ) -> dict[str, Any]:
     """Compare two fingers' files, or make the template of one; return facts for ``--json``.
 
     Parameters
     ----------
     a, b
-        Capture folder, result folder, template (``.skt``), 500-ppi print, or an object. Without `b` only the template
-        is made.
+        Capture folder, result folder, template (``.skt``), print, record of minutiae, or an object. Without `b` only
+        the template is made.
     method
         ``ridge``, ``fusion`` (of ridges and minutiae; of two prints), ``thesis``, ``minutiae``, ``voted``,
-        ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``fusion`` where both sides have minutiae of a
-        print and `nbis-py` is installed, else ``ridge``. The facts name the method that was used.
+        ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``minutiae`` where one is a record of minutiae,
+        ``fusion`` where both sides have minutiae of a print and `nbis-py` is installed, else ``ridge``. The facts name
+        the method that was used.
     template
         File to write the template of `a` into.
     preset
         By which captures are reconstructed.
+    input_ppi
+        Resolution of prints whose files do not state it.
 
     Raises
     ------
@@ -82,13 +86,13 @@ def match_files(
         require(
             template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file."
         )
-    first = read_side(a, preset, chosen, progress)
+    first = read_side(a, preset, chosen, progress, input_ppi)
+    second = None if b is None else read_side(b, preset, chosen, progress, input_ppi)
     facts: dict[str, Any] = {"method": method, "a": _facts(first)}
-    if b is not None:
-        second = read_side(b, preset, chosen, progress)
+    if second is not None:
         facts["b"] = _facts(second)
         if method == "auto":
-            method = facts["method"] = "fusion" if can_fuse(_template(first), _template(second)) else "ridge"
+            method = facts["method"] = _usual_method(first, second)
             if first.kind == second.kind == "print" and not installed():
                 facts["fusion_missing"] = "nbis-py is not installed"
         progress("comparing", 0.9)
@@ -105,11 +109,17 @@ def match_files(
             facts[name] |= side
         facts |= found
     if template is not None:
-        payload = pack(_template(first))
+        payload = first.payload
         write_template(template, payload, VERSION)
         facts["template"] = {"file": str(template), "bytes": template.stat().st_size, "version": VERSION}
     progress("done", 1.0)
     return facts
+
+
+def _usual_method(a: Side, b: Side) -> str:
+    if a.template is None or b.template is None:
+        return "minutiae"
+    return "fusion" if can_fuse(a.template, b.template) else "ridge"
 
 
 def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
@@ -129,7 +139,7 @@ def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
         minutiae = _template(side).minutiae
         if minutiae is None:
             if side.kind == "print":
-                extract(*read_print(side.path), enhance=True)  # refused where nbis-py is not installed
+                side_minutiae(side)  # refused where nbis-py is not installed
             raise BadInput(
                 f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
                 "one, or a template (.skt) that was made of one."
@@ -214,11 +224,14 @@ def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
 
 
 def _template(side: Side) -> Template:
-    assert side.template is not None
+    if side.template is None:
+        raise BadInput(f"{side.path} holds minutiae, no ridges; compare by the method minutiae.")
     return side.template
 
 
 def _facts(side: Side) -> dict[str, Any]:
+    if side.minutiae is not None:
+        return {"path": str(side.path), "kind": side.kind, "area_mm2": 0.0, "acquired": side.minutiae.acquired}
     template = _template(side)
     return {"path": str(side.path), "kind": side.kind, "area_mm2": template.area_mm2, "acquired": not template.empty}
 
@@ -232,18 +245,15 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
     Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
     side is a template of ridges, or nbis-py is not installed.
     """
-    found, facts = [], []
-    for side in (a, b):
-        image, ppi, pressed = _print_of(side)
-        minutiae = naming(side.path, lambda: extract(image, ppi, enhance=pressed))  # noqa: B023
-        quality = nfiq2(image, ppi)
-        found.append(minutiae)
+    found, facts = [side_minutiae(side) for side in (a, b)], []
+    for side, minutiae in zip((a, b), found, strict=True):
+        quality = NFIQ2_FAILED if side.minutiae is not None else nfiq2(_print_of(side)[0], _PPI)
         facts.append(
             {
                 "minutiae": minutiae.count,
                 "nfiq2": None if quality == NFIQ2_FAILED else quality,
                 "acquired": minutiae.acquired,
-                "enhanced": pressed,
+                "enhanced": side.picture is not None,
             }
         )
     compared = all(one.acquired for one in found)
@@ -257,6 +267,20 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
         "compared": compared,
         "sides": facts,
     }
+
+
+def side_minutiae(side: Side) -> Minutiae:
+    """Minutiae of a side: those of its record, or found in its print; that of a surface is its relief.
+
+    Raises
+    ------
+    BadInput
+        If it is a template of ridges, or nbis-py is not installed.
+    """
+    if side.minutiae is not None:
+        return side.minutiae
+    image, pressed = _print_of(side)
+    return naming(side.path, lambda: extract(image, _PPI, enhance=pressed))
 
 
 def _minutiae_false_match_rate(similarity: float) -> float | None:
@@ -283,15 +307,15 @@ def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | 
     return rate, None if rate is not None else "no rates were measured"
 
 
-def _print_of(side: Side) -> tuple[NDArray[np.uint8], float, bool]:
-    """The print of a side, its resolution, and whether it comes from a file."""
+def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
+    """The print of a side at 500 ppi, and whether it comes from a file."""
     if side.surface is not None:
-        return naming(side.path, partial(surface_print, side.surface, _PPI)), _PPI, False
-    if side.kind != "print":
+        return naming(side.path, partial(surface_print, side.surface, _PPI)), False
+    if side.picture is None:
         raise BadInput(
             f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."
         )
-    return (*read_print(side.path), True)
+    return side.picture, True
 
 
 def _in_space(method: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:

@@ -232,7 +232,7 @@ def extract(
     ----------
     C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
     """
-    image = _at_500_ppi(print_image, ppi)
+    image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
         return no_minutiae((image.shape[0], image.shape[1]))
     if enhance:
@@ -284,7 +284,7 @@ def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
     ----------
     ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
     """
-    image = _at_500_ppi(print_image, ppi)
+    image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
         return NFIQ2_FAILED
     with _LOCK:
@@ -316,7 +316,14 @@ def _exchanged(minutiae: Minutiae) -> bytes:
     return head + body
 
 
-def _at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
+def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
+    """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
+
+    Raises
+    ------
+    BadInput
+        If the image or the resolution is of another kind, or the print were larger than 8192 pixels.
+    """
     image = np.asarray(print_image)
     require(
         image.ndim == 2 and image.size > 0 and image.dtype == np.uint8,

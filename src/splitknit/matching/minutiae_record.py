@@ -181,6 +181,11 @@ def pack_minutiae(minutiae: Minutiae) -> bytes:
     return _PACKING.pack((*minutiae.size, minutiae.count), body)
 
 
+def holds_minutiae(data: bytes) -> bool:
+    """Whether a template's payload is of minutiae, not of ridges."""
+    return data[:4] == _PACKING.magic
+
+
 def unpack_minutiae(data: bytes) -> Minutiae:
     """Read what :func:`pack_minutiae` wrote.
 

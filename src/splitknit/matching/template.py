@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.minutiae_record import Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import RidgeBand
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -138,6 +138,7 @@ def unpack(payload: bytes) -> Template:
     """
     if not payload:
         return _failed_template()
+    require(not holds_minutiae(payload), "the template holds minutiae, no ridges; compare it by the method minutiae.")
     wrong = "the template's content contradicts itself; enroll the finger again."
     require(len(payload) >= _HEAD.size, wrong)
     height, width, count, pitch_um = _HEAD.unpack_from(payload)

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, naming, require
 from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
@@ -21,14 +21,15 @@ from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
 from splitknit.io.minutiae_record import FINGER_CODES, FingerView, MinutiaeRecord, pixels_per_cm
 from splitknit.io.npz import write_npz
 from splitknit.io.pictures import ColourArray, colour, on_paper
-from splitknit.io.prints import write_print_png
-from splitknit.io.provenance import JsonValue, canonical_json, provenance
+from splitknit.io.prints import PrintFile, write_print_png
+from splitknit.io.provenance import JsonValue, canonical_json, file_hash, provenance
 from splitknit.io.targets import check_target
-from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.minutiae_record import PPI
 from splitknit.matching.space_features import in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin
+from splitknit.prints.from_file import pressed_print, read_one_finger
 from splitknit.prints.make import (
     Print,
     PrintingSettings,
@@ -37,8 +38,8 @@ from splitknit.prints.make import (
     make_print,
     make_rolled_print,
     measured,
+    minutiae_by_phase,
 )
-from splitknit.prints.phase_minutiae import phase_minutiae
 from splitknit.prints.print_map import NOWHERE, PrintMap
 from splitknit.prints.print_quality import PrintQuality
 from splitknit.prints.rolled import read_rolled, write_rolled
@@ -53,7 +54,7 @@ def print_to_folder(
     path: Path,
     out: Path,
     *,
-    method: str = "unroll",
+    method: str | None = None,
     surface: str | None = None,
     ppi: float = 500.0,
     preset: str = "metric",
@@ -61,10 +62,13 @@ def print_to_folder(
     progress: Progress = no_progress,
     px_per_mm: float | None = None,
     ridge_period_mm: float | None = None,
+    input_ppi: float | None = None,
 ) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
-    Where the scale is unknown, `px_per_mm` gives it, or `ridge_period_mm`, the distance of the ridges.
+    A print that is a file already is brought to 500 ppi and enhanced (`input_ppi`: its resolution, if not stated
+    there). Where the scale of a surface is unknown, `px_per_mm` gives it, or `ridge_period_mm`, the distance of the
+    ridges. Surfaces are printed by the method ``unroll`` unless another is named.
 
     Raises
     ------
@@ -73,16 +77,17 @@ def print_to_folder(
     """
     started = time.perf_counter()
     settings = override(PrintingSettings(), dict(changes or {}))
-    place = checked_surface(method, surface, settings)
+    scale = (px_per_mm, ridge_period_mm, input_ppi)
+    method, place = _how(path, method, surface, (*scale[:2], None if ppi == PPI else ppi), settings)
     require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
     check_target(out, "map.npz", "an earlier print", keep=path)
     with atomic_folder(out) as target:
-        source, around = _read(path, method, place, preset, settings, progress, (px_per_mm, ridge_period_mm))
+        source, around, given = _read(path, method, place, preset, settings, progress, scale)
         timings = {"reading": time.perf_counter() - started}
         progress("printing", 0.75)
         try:
             clock = time.perf_counter()
-            made = (
+            made = given or (
                 make_print(source, method, place, ppi, settings)
                 if around is None
                 else make_rolled_print(around, source, place, ppi, settings)
@@ -126,10 +131,10 @@ def print_to_folder(
         quality = measured(made, enhanced, ppi, settings)
         timings["quality"] = time.perf_counter() - clock
         nfiq2 = _nfiq2_of(pictures, ppi)
-        facts["quality"] = _quality_facts(quality, nfiq2)
+        facts["quality"] = _quality_facts(quality, nfiq2, advised=method != "file")  # nobody captures that again
         sought = settings.minutiae
         facts["minutiae"] = write_minutiae(
-            target, pictures, enhanced, sought, made.map, source, origin, round(quality.score)
+            target, made, pictures, enhanced, sought, source, origin, round(quality.score)
         )
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
@@ -141,21 +146,52 @@ def print_to_folder(
     return {**facts, "out": str(out)}
 
 
+def _how(
+    path: Path, method: str | None, surface: str | None, sizes: tuple[float | None, ...], settings: PrintingSettings
+) -> tuple[str, str]:
+    """Method, and where it is printed; ``file`` and ``paper`` for a print that is there already."""
+    if not path.is_file() or path.suffix.lower() == ".npz":
+        method = method or "unroll"
+        return method, checked_surface(method, surface, settings)
+    require(
+        all(one is None for one in (method, surface, *sizes)),
+        f"'{path}' is a print already, to be made one of 500 ppi; leave out --method, --surface, --ppi and scales.",
+    )
+    return "file", "paper"
+
+
+def _of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
+    """A print from a file."""
+    item = read_one_finger(path, input_ppi)
+    if not isinstance(item, PrintFile):
+        raise BadInput(f"'{path}' holds minutiae and no picture to print; name a print, a result or a capture.")
+    made = naming(path, lambda: pressed_print(item))
+    ppi = item.resolution_ppi or PPI
+    source = Source(
+        "print", np.ones(item.image.shape, dtype=np.bool_), 25.4 / ppi, np.eye(3), item.image.shape,
+        hashes={path.name: file_hash(path)}, subject={"finger": item.finger},
+    )  # fmt: skip
+    return source, made
+
+
 def _read(  # noqa: PLR0917
     path: Path, method: str, place: str, preset: str, settings: PrintingSettings, progress: Progress,
-    scale: tuple[float | None, float | None],
-) -> tuple[Source, Rolled | None]:  # fmt: skip
-    """What the print is made from, and the finger around its front where the print is rolled."""
+    scale: tuple[float | None, float | None, float | None],
+) -> tuple[Source, Rolled | None, Print | None]:  # fmt: skip
+    """What the print is made from, the finger around its front where the print is rolled, and a print from a file."""
+    if method == "file":
+        source, given = _of_file(path, scale[2])
+        return source, None, given
     if method == "rolled":
-        require(scale == (None, None), "a rig with mirrors has a scale; leave out --px-per-mm and --ridge-period.")
-        return read_rolled(path, preset, settings.rolled, progress)
+        require(scale[:2] == (None, None), "a rig with mirrors has a scale; leave out --px-per-mm and --ridge-period.")
+        return *read_rolled(path, preset, settings.rolled, progress), None
     photo = method == "photo"
     surface = not photo or place != "plane"
     source = read_source(
         path, photo=photo, surface=surface, preset=preset, progress=progress, px_per_mm=scale[0],
         ridge_period_mm=scale[1],
     )  # fmt: skip
-    return source, None
+    return source, None, None
 
 
 def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:
@@ -203,7 +239,7 @@ def _nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str
     return {name: None if value == NFIQ2_FAILED else value for name, value in found.items()}
 
 
-def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> dict[str, Any]:
+def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None, *, advised: bool = True) -> dict[str, Any]:
     """What ``report.json`` holds under ``quality``: plain numbers and sentences."""
 
     def rounded(values: Mapping[str, float | None]) -> dict[str, float | None]:
@@ -214,7 +250,7 @@ def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None) -> 
         "ours": round(found.score, 1),
         "figures": rounded(asdict(found.figures)),
         "worth": rounded(found.worth),
-        "advice": list(advice(found)),
+        "advice": list(advice(found)) if advised else [],
     }
 
 
@@ -276,22 +312,12 @@ AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
 """Ends of the colour bars of the distortion picture."""
 
 
-def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:
-    """Minutiae of a print by the phase of its ridges, on the grid of 500 ppi as mindtct's."""
-    found = phase_minutiae(image, enhanced, ppi)
-    scale = 500.0 / ppi
-    place = np.rint((found.place_px + 0.5) * scale - 0.5).astype(np.int32)
-    size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
-    column, row = (np.clip(place[:, k], 0, size[1 - k] - 1) for k in (0, 1))
-    return Minutiae(column, row, found.direction_rad, found.kind, found.quality, size)
-
-
 def write_minutiae(  # noqa: PLR0917
     target: Path,
+    made: Print,
     pictures: Mapping[str, NDArray[np.uint8]],
     enhanced: Enhanced,
     sought_in: str,
-    print_map: PrintMap,
     source: Source,
     origin: dict[str, JsonValue],
     finger_quality: int,
@@ -306,11 +332,13 @@ def write_minutiae(  # noqa: PLR0917
     """
     from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
 
+    print_map = made.map
     try:
         if sought_in == "phase":
-            found, where = by_phase(pictures["print.png"], enhanced, print_map.ppi), "print.png, by the phase"
+            found, where = minutiae_by_phase(made, enhanced, print_map.ppi), "print.png, by the phase"
         else:
-            found, where = extract(pictures[f"{sought_in}.png"], print_map.ppi), f"{sought_in}.png"
+            pressed = made.even is not None and sought_in == "print"
+            found, where = extract(pictures[f"{sought_in}.png"], print_map.ppi, enhance=pressed), f"{sought_in}.png"
     except BadInput as error:
         return {"written": False, "missing": f"{' '.join(str(error).split())} Or find them with --set minutiae=phase."}
     finger = source.subject.get("finger", "unknown")
@@ -324,6 +352,7 @@ def write_minutiae(  # noqa: PLR0917
         size=found.size,
         finger_quality=finger_quality,
         finger=finger,
+        impression="contactless" if made.even is None else "live_plain",
         resolution_ppcm=pixels_per_cm(500.0),
     )
     write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.matching.minutiae_record import Minutiae
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.model import FloatArray
 from splitknit.prints.curvature import CurvatureSettings, curvature
 from splitknit.prints.enhance import Enhanced, gabor_enhance, stft_enhance
+from splitknit.prints.phase_minutiae import by_phase
 from splitknit.prints.print_map import PrintMap, plane_map, resample, unrolled_map
 from splitknit.prints.print_quality import PrintQuality, PrintQualitySettings, print_quality
 from splitknit.prints.ridges import PrintSettings, ink
@@ -58,6 +60,8 @@ class Print:
     in_mm: bool
     """Whether it is the relief."""
     unrolled: Unrolled | None = None
+    even: NDArray[np.uint8] | None = None
+    """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae are sought there."""
 
 
 def make_print(
@@ -152,6 +156,8 @@ def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -
     """Enhance a print by the method in the settings."""
     settings = settings or PrintingSettings()
     require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
+    if made.even is not None:
+        return gabor_enhance(made.even, ppi, made.weight > 0.5)  # it is filtered along the ridges already
     if settings.enhance == "stft":
         return stft_enhance(made.image, ppi, made.weight > 0.5)
     return gabor_enhance(made.image, ppi, made.weight > 0.5)
@@ -162,6 +168,11 @@ def measured(made: Print, enhanced: Enhanced, ppi: float, settings: PrintingSett
     values = (np.float32(1000.0) * made.values).astype(np.float32) if made.in_mm else made.values
     chosen = (settings or PrintingSettings()).quality
     return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm, settings=chosen)
+
+
+def minutiae_by_phase(made: Print, enhanced: Enhanced, ppi: float) -> Minutiae:
+    """Minutiae of a print; `enhanced` is what :func:`enhance` made of it."""
+    return by_phase(made.image if made.even is None else made.even, enhanced, ppi)
 
 
 def _needed(values: FloatArray | None) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.matching.minutiae_record import Minutiae
 from splitknit.model import FloatArray
 from splitknit.prints.enhance import Enhanced
 from splitknit.settings import Checked, Limits
@@ -100,6 +101,16 @@ def phase_minutiae(
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
     return PhaseMinutiae(place, np.asarray(towards % (2 * np.pi)), kind, quality)
+
+
+def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:
+    """Minutiae of a print by :func:`phase_minutiae`, on the grid of 500 ppi as mindtct's."""
+    found = phase_minutiae(image, enhanced, ppi)
+    scale = 500.0 / ppi
+    place = np.rint((found.place_px + 0.5) * scale - 0.5).astype(np.int32)
+    size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
+    column, row = (np.clip(place[:, k], 0, size[1 - k] - 1) for k in (0, 1))
+    return Minutiae(column, row, found.direction_rad, found.kind, found.quality, size)
 
 
 def _field(enhanced: Enhanced) -> tuple[Array, Array]:

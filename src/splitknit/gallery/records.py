@@ -1,0 +1,387 @@
+"""Fingers for other systems, and from them: captures, results, prints, templates and galleries as records and images.
+
+One table of formats (:mod:`splitknit.io.print_formats`) says what can be read and written.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import cv2
+import numpy as np
+
+from splitknit.errors import BadInput, naming, open_file, require
+from splitknit.gallery.entry import Entry
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
+from splitknit.io.atomic import atomic_folder
+from splitknit.io.capture import photographs_hint
+from splitknit.io.iso19794 import read_iso19794
+from splitknit.io.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView, pixels_per_cm
+from splitknit.io.print_formats import FORMATS, WRITTEN, WSQ_PPI, PrintFormat, Writing
+from splitknit.io.prints import PrintFile, provenance_texts, read_print_png
+from splitknit.io.provenance import file_hash, provenance
+from splitknit.io.targets import check_target
+from splitknit.io.templates import read_template
+from splitknit.matching.minutiae import extract
+from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, no_minutiae, unpack_minutiae
+from splitknit.matching.ridge_band import blur
+from splitknit.matching.template import VERSION, Template, unpack
+from splitknit.model import Progress, no_progress
+from splitknit.prints.from_file import pressed_print, read_print_file, resampled
+from splitknit.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
+from splitknit.prints.sources import read_source
+
+FACTS_FILE = "export.json"
+_FORMAT = "splitknit-export"
+_SQLITE = b"SQLite format 3\0"
+_KEPT_PPI = (500, 1000)
+"""Resolutions that records have; prints of others are resampled to 500."""
+_INK = 70.0
+"""Grey levels for one standard deviation of a template's ridges."""
+_WINDOW_MM, _LEAST_SPREAD = 0.3, 0.3
+"""Skin of a template whose levels differ less within a sigma of 0.3 mm has no ridges (ridges: about 1)."""
+_CLOSED_MM = 1.5
+"""Gaps in a template that are narrower than twice this are grey, and beside them no ridge ends."""
+
+Extractor = Literal["phase", "mindtct"]
+
+
+@dataclass(frozen=True, slots=True)
+class Exporting:
+    """How fingers become records."""
+
+    to: str | None = None
+    """A name of :data:`splitknit.io.print_formats.FORMATS`; None: PNG for pictures, ISO/IEC 19794-2 for minutiae."""
+    finger: str | None = None
+    """``right_thumb`` to ``left_little``, or ``unknown``; None: as the source states."""
+    impression: str | None = None
+    """None: as the source states, else contactless for surfaces and live-scan plain for prints."""
+    compression: str = "none"
+    """``none``, ``png`` or ``wsq``, of finger image records and transactions."""
+    date: datetime.date | None = None
+    """Of the captures; ANSI/NIST-ITL needs it."""
+    minutiae: Extractor = "phase"
+    """How they are found: by the phase of the ridges, or by NIST's mindtct (extra ``minutiae``)."""
+    input_ppi: float | None = None
+    """Resolution of prints whose files do not state it."""
+    preset: str = "metric"
+    """By which captures are reconstructed."""
+
+    def __post_init__(self) -> None:
+        require(
+            self.to is None or self.to in WRITTEN,
+            f"'{self.to}' is no format to write; choose one of {', '.join(WRITTEN)}.",
+        )
+        fingers = f"choose one of {', '.join(FINGER_CODES)}."
+        require(self.finger is None or self.finger in FINGER_CODES, f"'{self.finger}' is no finger; {fingers}")
+        require(
+            self.impression is None or self.impression in IMPRESSIONS,
+            f"'{self.impression}' is no impression type; choose one of {', '.join(IMPRESSIONS)}.",
+        )
+        require(
+            self.to != "ansi-nist-itl" or self.date is not None,
+            "an ANSI/NIST-ITL transaction states the date of the capture; give it: --date 2026-01-31.",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Item:
+    """One finger on its way."""
+
+    name: str
+    """Of the file to write, without suffix."""
+    kind: str
+    """``capture``, ``result``, ``print``, ``minutiae`` or ``template``."""
+    picture: PrintFile | None = None
+    view: FingerView | None = None
+    """Its minutiae, where the source holds them."""
+    made: Print | None = None
+    """The picture as it was made of a surface or a template."""
+    names: tuple[str, str] | None = None
+    """Person and session, of a gallery."""
+
+
+def export_records(
+    sources: Sequence[Path], out: Path, settings: Exporting, *, key: Key | None = None, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Write fingers in a format of other systems, one file each, all or none; return the facts of ``export.json``.
+
+    Parameters
+    ----------
+    sources : captures, results, prints, records, templates and galleries
+    out : folder to write
+    settings : the format, and what the sources do not state
+    key : of an encrypted gallery
+
+    Raises
+    ------
+    BadInput
+        Naming the source at fault: it cannot be read, holds no picture where one is needed, or nothing at all.
+
+    Examples
+    --------
+    >>> export_records([Path("scan.png")], Path("records"), Exporting("iso-19794-2"))  # doctest: +SKIP
+    """
+    require(len(sources) > 0, "name what is to be exported: captures, results, prints, records or galleries.")
+    for source in sources:
+        check_target(out, FACTS_FILE, "an earlier export", keep=source)
+    hashes: dict[str, str] = {}
+    rows: list[dict[str, Any]] = []
+    taken: set[str] = set()
+    with atomic_folder(out) as folder:
+        for number, source in enumerate(sources):
+            progress(source.name, number / len(sources))
+            own: dict[str, str] = {}
+            for item in _items(source, settings, key, own):
+                form = _format(item, settings)
+                file = _free(item.name, form.suffix, taken)
+                data, facts = naming(source, lambda: _written(item, form, settings, own))  # noqa: B023
+                (folder / file).write_bytes(data)
+                hashes |= own
+                rows.append({"file": file, "source": str(source), "kind": item.kind, **facts})
+        require(len(rows) > 0, f"'{sources[0]}' holds no finger to export.")
+        facts = {
+            "format": _FORMAT,
+            "to": settings.to,
+            "files": rows,
+            "failures_to_acquire": [one["file"] for one in rows if one.get("minutiae") == 0],
+            "provenance": provenance(_parameters(settings), hashes),
+        }
+        (folder / FACTS_FILE).write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    progress("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def import_records(
+    files: Sequence[Path], out: Path, settings: Exporting, *, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2; as :func:`export_records`.
+
+    Raises
+    ------
+    BadInput
+        Naming the file at fault.
+    """
+    for file in files:
+        require(
+            not file.is_dir(),
+            f"'{file}' is a folder; photographs of a folder are imported by --images {file} --lights FILE.",
+        )
+    return export_records(files, out, settings, progress=progress)
+
+
+def _parameters(settings: Exporting) -> dict[str, Any]:
+    date = None if settings.date is None else settings.date.isoformat()
+    return {**dataclasses.asdict(settings), "date": date}
+
+
+def _format(item: _Item, settings: Exporting) -> PrintFormat:
+    own = "iso-19794-2" if item.picture is None else "png"
+    return FORMATS[settings.to or own]
+
+
+# What a source holds.
+
+
+def _items(source: Path, settings: Exporting, key: Key | None, hashes: dict[str, str]) -> Iterator[_Item]:
+    try:
+        found, folder = source.exists(), source.is_dir()
+    except (OSError, ValueError):
+        found, folder = False, False
+    require(found, f"there is no '{source}'; name a capture, a result, a print, a record or a gallery.")
+    name = _safe(source.resolve().name if folder else source.stem)
+    if folder and (source / "print.png").is_file() and (source / "map.npz").is_file():
+        yield _of_print_folder(source, name, hashes)
+    elif folder or source.suffix.lower() == ".npz":
+        yield _of_surface(source, name, settings, hashes)
+    else:
+        hashes[source.name] = file_hash(source)
+        with open_file(source, 1 << 50) as (stream, _):
+            first = stream.read(len(_SQLITE))
+        if first == _SQLITE:
+            yield from _of_gallery(source, key)
+        elif source.suffix.lower() == ".skt":
+            payload = read_template(source, VERSION)
+            require(len(payload) > 0, f"'{source}' is a failure to acquire: it holds no finger.")
+            yield naming(source, lambda: _of_payload(name, payload))
+        else:
+            prints = read_print_file(source, settings.input_ppi)
+            for number, held in enumerate(prints, start=1):
+                one = name if len(prints) == 1 else f"{name}-{number}"
+                if isinstance(held, PrintFile):
+                    yield _Item(one, "print", held)
+                else:
+                    yield _Item(one, "minutiae", view=held)
+
+
+def _of_surface(source: Path, name: str, settings: Exporting, hashes: dict[str, str]) -> _Item:
+    """Print of a capture or a result, as ``splitknit print`` makes it."""
+    known = not source.is_dir() or any((source / one).is_file() for one in ("capture.json", "height.npz"))
+    require(
+        known,
+        f"'{source}' is no capture (capture.json), result (height.npz) or print (print.png); name one "
+        f"{photographs_hint(source)}.",
+    )
+    taken = read_source(source, photo=False, surface=True, preset=settings.preset)
+    hashes.update(taken.hashes)
+    made = naming(source, lambda: make_print(taken, "unroll", None, PPI))
+    finger = taken.subject.get("finger", "unknown")
+    finger = finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
+    return _Item(name, taken.kind, PrintFile(made.image, PPI, {}, finger, "contactless"), made=made)
+
+
+def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Item:
+    """What ``splitknit print`` wrote."""
+    picture, record = read_print_png(source / "print.png"), source / "minutiae.iso"
+    view: FingerView | None = None
+    require(picture.resolution_ppi is not None, f"'{source}' states no resolution; make the print again.")
+    if record.is_file():
+        view = dataclasses.replace(read_iso19794(record).views[0], impression="contactless")
+        hashes[f"{source.name}/minutiae.iso"] = file_hash(record)
+    hashes[f"{source.name}/print.png"] = file_hash(source / "print.png")
+    finger = "unknown" if view is None else view.finger
+    return _Item(name, "print", dataclasses.replace(picture, finger=finger, impression="contactless"), view)
+
+
+def _of_gallery(source: Path, key: Key | None) -> Iterator[_Item]:
+    with Gallery.open(source, key) as opened:
+        rows = opened.entries()
+        templates = opened.templates()
+    for one in rows:
+        payload = templates.get(one.row, b"")
+        if payload:  # the others are failures to acquire
+            stem = _safe(f"{one.entry.person}_{one.entry.finger}_{one.entry.session}")
+            yield naming(f"row {one.row} of '{source}'", lambda: _of_payload(stem, payload, one.entry))  # noqa: B023
+
+
+def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:
+    """A template: the minutiae that it holds, or a print of its ridges."""
+    finger = entry.finger if entry is not None and entry.finger in FINGER_CODES else "unknown"
+    impression = "live_plain" if entry is not None and entry.kind in ("print", "minutiae") else "contactless"
+    names = None if entry is None else (entry.person, entry.session)
+    if holds_minutiae(payload):
+        view = _view(unpack_minutiae(payload), 0, finger, impression)
+        return _Item(name, "template", view=view, names=names)
+    made = template_print(unpack(payload))
+    return _Item(name, "template", PrintFile(made.image, PPI, {}, finger, impression), made=made, names=names)
+
+
+def template_print(template: Template) -> Print:
+    """Print of 500 ppi that a template's ridges make: dark, mirrored, four grey levels made smooth, paper elsewhere.
+
+    Raises
+    ------
+    BadInput
+        If the template is empty, or has no ridges.
+    """
+    require(not template.empty, "the template is a failure to acquire: it holds no ridges.")
+    scale, sigma = PPI * template.pitch_mm / 25.4, _WINDOW_MM / template.pitch_mm
+    value = template.value()
+    spread = np.sqrt(np.maximum(blur(value * value, sigma) - blur(value, sigma) ** 2, np.float32(0)))
+    there = (template.valid & (spread > _LEAST_SPREAD)).astype(np.uint8)  # rims are of one level, and no ridges
+    radius = round(_CLOSED_MM / template.pitch_mm)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    closed = cv2.morphologyEx(np.pad(there, radius), cv2.MORPH_CLOSE, disc)[radius:-radius, radius:-radius]
+    ridges, weight = (
+        np.asarray(
+            cv2.resize(np.ascontiguousarray(one[:, ::-1]), None, fx=scale, fy=scale, interpolation=how), np.float32
+        )
+        for one, how in ((value * there, cv2.INTER_CUBIC), (closed.astype(np.float32), cv2.INTER_LINEAR))
+    )
+    inside = weight > 0.5
+    image = np.where(inside, np.clip(127.5 - _INK * ridges, 0, 255), 255.0).astype(np.uint8)
+    return pressed_print(PrintFile(image, PPI, {}), inside)
+
+
+def _free(stem: str, suffix: str, taken: set[str]) -> str:
+    """A file name that is not taken yet, on no system."""
+    names = (f"{stem}{end}{suffix}" for end in ("", *(f"-{number}" for number in range(2, len(taken) + 3))))
+    name = next(name for name in names if name.casefold() not in taken)
+    taken.add(name.casefold())
+    return name
+
+
+def _safe(name: str) -> str:
+    """Name of a file on every system."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name).strip(".")[:100] or "finger"
+
+
+# A finger in the format that was asked for.
+
+
+def _written(
+    item: _Item, form: PrintFormat, settings: Exporting, hashes: dict[str, str]
+) -> tuple[bytes, dict[str, Any]]:
+    """Bytes of the file, and the facts of it."""
+    stated = item.view or item.picture
+    assert stated is not None
+    finger = settings.finger or stated.finger
+    touched = stated.impression == "unknown" and item.kind == "print"
+    impression = settings.impression or ("live_plain" if touched else stated.impression)
+    facts: dict[str, Any] = {"finger": finger, "impression": impression}
+    if item.names is not None:
+        facts |= {"person": item.names[0], "session": item.names[1]}
+    how = Writing(settings.compression, settings.date, text=provenance_texts(provenance({"to": form.name}, hashes)))
+    if form.holds == "image":
+        if item.picture is None:
+            raise BadInput(
+                f"it holds minutiae and no picture, but {form.words} is for pictures; write iso-19794-2 or ansi-378."
+            )
+        picture = _fitting(dataclasses.replace(item.picture, finger=finger, impression=impression), form)
+        facts |= {"size": list(picture.image.shape), "ppi": round(picture.resolution_ppi or 0.0, 2)}
+        number = hashlib.sha256(picture.image.tobytes()).hexdigest()[:16]
+        return cast(Any, form.encode)(picture, dataclasses.replace(how, control_number=number)), facts
+    view = dataclasses.replace(
+        _found(item, settings.minutiae) if item.view is None else item.view, finger=finger, impression=impression
+    )
+    facts |= {"size": list(view.size), "minutiae": view.count, "quality": view.finger_quality}
+    return cast(Any, form.encode)(view, how), facts
+
+
+def _fitting(held: PrintFile, form: PrintFormat) -> PrintFile:
+    """A print of a resolution that the format has."""
+    ppi = held.resolution_ppi or PPI
+    near = next((float(usual) for usual in _KEPT_PPI if abs(ppi / usual - 1) < 0.005), None)
+    if form.name in ("png", "tiff"):
+        return held
+    if near is None or (form.name == "wsq" and near != WSQ_PPI):
+        return resampled(held)
+    return dataclasses.replace(held, resolution_ppi=near)
+
+
+def _found(item: _Item, how: Extractor) -> FingerView:
+    """Minutiae and quality of a print; none where it has no ridges (failure to acquire)."""
+    assert item.picture is not None
+    try:
+        made = item.made or pressed_print(item.picture)
+        enhanced = enhance(made, PPI)
+    except BadInput:
+        size = resampled(item.picture).image.shape
+        return _view(no_minutiae((size[0], size[1])), 0)
+    pressed = made.even is not None
+    found = extract(made.image, PPI, enhance=pressed) if how == "mindtct" else minutiae_by_phase(made, enhanced, PPI)
+    return _view(found, round(measured(made, enhanced, PPI).score))
+
+
+def _view(found: Minutiae, quality: int, finger: str = "unknown", impression: str = "unknown") -> FingerView:
+    return FingerView(
+        x_px=found.x_px,
+        y_px=found.y_px,
+        direction_rad=found.direction_rad,
+        type=found.type,
+        quality=found.quality,
+        size=found.size,
+        finger_quality=quality,
+        finger=finger,
+        impression=impression,
+        resolution_ppcm=pixels_per_cm(PPI),
+    )

@@ -1,0 +1,260 @@
+"""Finger image records: ISO/IEC 19794-4:2005 read and written; ISO/IEC 19794-4:2011 and ANSI/INCITS 381-2004 read.
+
+All numbers are big-endian. The record of 2005::
+
+    header, 32 bytes                              each view, 14 bytes and its image
+     0  "FIR" NUL                                  0  length of the view, with these 14 bytes (4 bytes)
+     4  "010" NUL                                  4  finger position, 0 to 10
+     8  length of the record (6 bytes)             5  views of this finger
+    14  capture device                             6  number of this view, from 1
+    16  acquisition level: 31, 41 (500, 1000 ppi)  7  quality, 254: not computed
+    18  number of fingers                          8  impression type
+    19  scale units: 1 inch, 2 cm                  9  columns, 11 rows of the image
+    20  scanned, 24 stored pixels per unit (4 x 2) 13  0
+    28  bits a pixel, 29 compression
+    30  0 (2 bytes)
+
+ANSI/INCITS 381-2004 has the same version and four bytes more, the product's, behind the length. The record of 2011
+("020") has 16 bytes of header, and resolution, depth and compression in each representation.
+
+References
+----------
+ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8; ANSI/INCITS 381-2004.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
+from splitknit.io.fmr_bytes import Cursor
+from splitknit.io.images import ImageSettings, decode_image
+from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
+from splitknit.io.prints import PrintFile, encode_print_png
+from splitknit.io.wsq_image import decode_wsq, encode_wsq
+
+MAGIC = b"FIR\0"
+MAX_PIXELS = 64_000_000
+"""Of all images of a file together."""
+_V2005, _V2011 = b"010\0", b"020\0"
+_PARAMETERS = struct.Struct(">HHBBHHHHBBH")
+"""Of the header of 2005, from the capture device on."""
+_VIEW = struct.Struct(">IBBBBBHHB")
+_HEADER_BYTES = 14 + _PARAMETERS.size
+_CODES = {"none": 0, "wsq": 2, "jpeg": 3, "png": 5}
+_CODES_2011 = {"none": 0, "wsq": 2, "jpeg": 3, "png": 6}
+_LEVELS = {500: 31, 1000: 41}
+"""Acquisition levels of 8 bits, by pixels per inch."""
+_NO_QUALITY = 254
+_CM_PER_INCH = 2.54
+_MAX_VIEWS = 1000
+_IMPRESSIONS = {**ANSI_2004_IMPRESSIONS, "unknown": 29}
+_NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other": "live_plain"}
+"""Impression types without a code, and what is written for them."""
+
+
+def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none") -> bytes:
+    """Bytes of a record of ISO/IEC 19794-4:2005.
+
+    Parameters
+    ----------
+    prints : at least one, all of 500 or all of 1000 ppi
+    compression : ``none``, ``png`` or ``wsq`` (which loses a little, and is for 500 ppi alone)
+
+    Raises
+    ------
+    BadInput
+        If there are none, or the standard has no way to state what they are.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> len(encode_finger_images([PrintFile(np.zeros((20, 10), np.uint8), 500.0, {})]))
+    246
+    """
+    require(1 <= len(prints) <= 255, f"a finger image record holds 1 to 255 images, not {len(prints)}.")
+    require(compression in ("none", "png", "wsq"), f"'{compression}' is no compression; choose none, png or wsq.")
+    ppi = round(prints[0].resolution_ppi or 0)
+    same = all(one.resolution_ppi is not None and abs(one.resolution_ppi / ppi - 1) < 0.01 for one in prints)
+    require(
+        ppi in _LEVELS and same,
+        "the images of a finger image record have 500 ppi, or all of them 1000; resample the prints.",
+    )
+    codes = [code_of(one.finger, FINGER_CODES, "finger") for one in prints]
+    of_finger, number, views = Counter(codes), Counter[int](), []
+    for one, code in zip(prints, codes, strict=True):
+        number[code] += 1
+        rows, columns = one.image.shape
+        require(
+            one.image.dtype == np.uint8 and 0 < rows <= 65535 and 0 < columns <= 65535,
+            f"a print must be (H, W) uint8, at most 65535 pixels each way, not {one.image.shape} {one.image.dtype}.",
+        )
+        impression = _NEAREST.get(one.impression, one.impression)
+        kind = code_of(impression, ANSI_2004_IMPRESSIONS, "impression type")
+        data = _stored(one.image, float(ppi), compression)
+        head = (_VIEW.size + len(data), code, of_finger[code], number[code], _NO_QUALITY, kind, columns, rows, 0)
+        views.append(_VIEW.pack(*head) + data)
+    body = b"".join(views)
+    facts = (0, _LEVELS[ppi], len(of_finger), 1, ppi, ppi, ppi, ppi, 8, _CODES[compression], 0)
+    length = (_HEADER_BYTES + len(body)).to_bytes(6, "big")
+    return MAGIC + _V2005 + length + _PARAMETERS.pack(*facts) + body
+
+
+def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
+    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
+
+    Parameters
+    ----------
+    data : the whole file
+    name : of the file, for messages
+
+    Raises
+    ------
+    BadInput
+        If it is no such record, truncated or damaged, claims more than 64 million pixels, or an image is not 8-bit
+        grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG or PNG.
+    """
+    require(data[:4] == MAGIC, f"{name} is no finger image record (it does not begin with 'FIR'); name another file.")
+    if data[4:8] == _V2011:
+        return _read_2011(Cursor(data, name, 8))
+    require(
+        data[4:8] == _V2005,
+        f"{name} is a finger image record of an unknown version {data[4:8]!r}; 010 and 020 are read.",
+    )
+    return _read_2005(data, name)
+
+
+def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    cursor = Cursor(data, name, 8)
+    length = int.from_bytes(cursor.take(6, "its header"), "big")
+    _check_length(data, length, name)
+    start = next((start for start in (_HEADER_BYTES, _HEADER_BYTES + 4) if _fits(data, start)), 0)
+    require(start > 0, f"{name} is damaged: the lengths of its images do not add up to that of the record.")
+    cursor.place = start - _PARAMETERS.size
+    _, _, _, unit, _, _, x, y, bits, code, _ = cursor.unpack(_PARAMETERS, "its header")
+    ppi = _resolution(unit, x, y, name)
+    compression = _compression(code, _CODES, bits, name)
+    found: list[PrintFile] = []
+    pixels = 0
+    while cursor.place < len(data):
+        what = f"image {len(found) + 1}"
+        length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
+        pixels = _more(pixels, rows, columns, name)
+        stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
+        image = _pixels(stored, compression, (rows, columns), f"{what} of {name}")
+        found.append(_print(image, ppi, finger, _IMPRESSIONS, impression, f"{what} of {name}"))
+    return tuple(found)
+
+
+_GENERAL_2011 = struct.Struct(">IHBB")
+_BEGIN_2011 = struct.Struct(">I9sBHHB")
+_REST_2011 = struct.Struct(">BBBHHHHBBBHHI")
+
+
+def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
+    data, name = cursor.data, cursor.name
+    length, count, certified, _ = cursor.unpack(_GENERAL_2011, "its header")
+    _check_length(data, length, name)
+    require(certified <= 1, f"{name} is damaged: the flag of its certificates is {certified}; copy it again.")
+    require(1 <= count <= _MAX_VIEWS, f"{name} holds {count} images; 1 to {_MAX_VIEWS} are read.")
+    found: list[PrintFile] = []
+    pixels = 0
+    for number in range(1, count + 1):
+        what, start = f"image {number}", cursor.place
+        length, *_, qualities = cursor.unpack(_BEGIN_2011, f"the header of {what}")
+        cursor.take(5 * qualities, f"the qualities of {what}")
+        if certified:
+            cursor.take(3 * cursor.take(1, f"the certificates of {what}")[0], f"the certificates of {what}")
+        head = cursor.unpack(_REST_2011, f"the header of {what}")
+        finger, _, unit, _, _, x, y, bits, code, impression, columns, rows, size = head
+        pixels = _more(pixels, rows, columns, name)
+        compression = _compression(code, _CODES_2011, bits, name)
+        ppi = _resolution(unit, x, y, name)
+        stored = cursor.take(size, f"the pixels of {what}")
+        require(
+            start + length >= cursor.place,
+            f"{name} is damaged: {what} is longer than its header states; copy it again.",
+        )
+        cursor.take(start + length - cursor.place, f"the extended data of {what}")
+        image = _pixels(stored, compression, (rows, columns), f"{what} of {name}")
+        found.append(_print(image, ppi, finger, ITL_IMPRESSIONS, impression, f"{what} of {name}"))
+    require(
+        cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
+    )
+    return tuple(found)
+
+
+def _check_length(data: bytes, stated: int, name: str) -> None:
+    require(
+        stated <= len(data),
+        f"{name} is truncated: its header states {stated} bytes, but it has {len(data)}; copy it again.",
+    )
+    require(stated == len(data), f"{name} has {len(data)} bytes, but its header states {stated}; it is damaged.")
+
+
+def _fits(data: bytes, place: int) -> bool:
+    """Whether the lengths of the views, from `place` on, lead to the end."""
+    count = 0
+    while place + _VIEW.size <= len(data) and count < _MAX_VIEWS:
+        length = int.from_bytes(data[place : place + 4], "big")
+        if length < _VIEW.size:
+            return False
+        place, count = place + length, count + 1
+    return count > 0 and place == len(data)
+
+
+def _resolution(unit: int, x: int, y: int, name: str) -> float:
+    require(unit in (1, 2) and x > 0, f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
+    require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
+    ppi = float(x) if unit == 1 else x * _CM_PER_INCH
+    return next((float(usual) for usual in _LEVELS if round(usual / _CM_PER_INCH) == round(ppi / _CM_PER_INCH)), ppi)
+
+
+def _compression(code: int, codes: dict[str, int], bits: int, name: str) -> str:
+    require(bits == 8, f"{name} has {bits} bits a pixel; 8-bit grey is read.")
+    words = next((words for words, known in codes.items() if known == code), None)
+    if words is None:
+        raise BadInput(f"{name} is compressed by code {code} (JPEG 2000?); none, WSQ, JPEG and PNG are read.")
+    return words
+
+
+def _more(pixels: int, rows: int, columns: int, name: str) -> int:
+    total = pixels + rows * columns
+    require(rows > 0 and columns > 0, f"{name} is damaged: an image has no pixels; copy it again.")
+    require(total <= MAX_PIXELS, f"{name} claims {total} pixels, more than the {MAX_PIXELS} that are read.")
+    return total
+
+
+def _pixels(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
+    rows, columns = size
+    expected = f"but its record states {rows} x {columns}"
+    if compression == "none":
+        require(len(stored) == rows * columns, f"{name} holds {len(stored)} pixels, {expected}.")
+        return np.frombuffer(stored, dtype=np.uint8).reshape(size).copy()
+    if compression == "wsq":
+        image = decode_wsq(stored, name).image
+    else:
+        pixels = decode_image(stored, name, settings=ImageSettings(max_pixels=rows * columns))
+        require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
+        image = np.asarray(pixels[..., 0], dtype=np.uint8)
+    require(image.shape == size, f"{name} holds {image.shape[0]} x {image.shape[1]} pixels, {expected}.")
+    return image
+
+
+def _print(  # noqa: PLR0917
+    image: NDArray[np.uint8], ppi: float, finger: int, codes: dict[str, int], impression: int, name: str
+) -> PrintFile:
+    position = name_of(finger, FINGER_CODES, f"finger position of {name}")
+    known = next((words for words, code in codes.items() if code == impression), "unknown")  # latent ones, for example
+    return PrintFile(image, ppi, {}, position, known)
+
+
+def _stored(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
+    if compression == "wsq":
+        return encode_wsq(image, ppi)
+    return encode_print_png(image, ppi) if compression == "png" else np.ascontiguousarray(image).tobytes()

@@ -1,0 +1,199 @@
+"""The formats of prints and minutiae, in one table: name, suffix, how each is known, read and written."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from splitknit.errors import BadInput, open_file, require
+from splitknit.io import finger_image, photos, prints, tiff, wsq_image
+from splitknit.io.fmr_bytes import what_bytes_are
+from splitknit.io.iso19794 import encode_iso19794
+from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, decode_transaction, encode_transaction
+from splitknit.io.minutiae_files import decode_minutiae_record, encode_ansi378, encode_ansi378_2009
+from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
+from splitknit.io.png import SIGNATURE as PNG
+from splitknit.io.prints import PrintFile
+
+WSQ_PPI = 500.0
+"""WSQ is defined for no other; files without a comment have it, too."""
+_FIRST_BYTES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Writing:
+    """What formats need beside the print itself."""
+
+    compression: str = "none"
+    """``none``, ``png`` or ``wsq``, of finger image records and transactions."""
+    date: datetime.date | None = None
+    """Of the capture; transactions need it."""
+    control_number: str = "1"
+    """Of a transaction."""
+    text: Mapping[str, str] = field(default_factory=dict)
+    """Provenance, kept by PNG and TIFF."""
+
+
+@dataclass(frozen=True, slots=True)
+class PrintFormat:
+    """One format."""
+
+    name: str
+    """By which ``--to`` names it."""
+    suffix: str
+    holds: Literal["image", "minutiae"]
+    words: str
+    starts: tuple[bytes, ...]
+    """First bytes."""
+    decode: Callable[[bytes, str], tuple[PrintFile | FingerView, ...]]
+    encode: Callable[[PrintFile, Writing], bytes] | Callable[[FingerView, Writing], bytes] | None = None
+    """Bytes of one print, or of the minutiae of one; None where it is only read."""
+    max_bytes: int = 600_000_000
+    """A longer file is refused before it is read."""
+
+
+def read_prints(path: str | os.PathLike[str]) -> tuple[PrintFile | FingerView, ...]:
+    """Read what a file of any of the formats holds: prints, or minutiae. Its bytes show the format, not its name.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, of no such format, truncated, damaged or too large.
+
+    Examples
+    --------
+    >>> read_prints("finger.fir")[0].image.shape  # doctest: +SKIP
+    (500, 400)
+    """
+    name = os.fspath(path)
+    with open_file(path, max(one.max_bytes for one in FORMATS.values())) as (stream, size):
+        first = stream.read(_FIRST_BYTES)
+        found = next((one for one in FORMATS.values() if first.startswith(one.starts)), None)
+        if found is None:
+            raise BadInput(
+                f"{name} is {what_bytes_are(first, 'of another kind')}; prints and minutiae are read from {READ}."
+            )
+        require(
+            size <= found.max_bytes,
+            f"{name} is too large: {size} bytes, at most {found.max_bytes} are read of its kind.",
+        )
+        data = first + stream.read(found.max_bytes + 1 - len(first))
+    require(len(data) <= found.max_bytes, f"{name} is too large; at most {found.max_bytes} bytes are read.")
+    return found.decode(data, name)
+
+
+def is_print_file(path: str | os.PathLike[str]) -> bool:
+    """Whether the first bytes of a file are those of one of the formats.
+
+    Raises
+    ------
+    BadInput
+        If it cannot be read.
+    """
+    with open_file(path, 1 << 50) as (stream, _):
+        first = stream.read(_FIRST_BYTES)
+    return any(first.startswith(one.starts) for one in FORMATS.values())
+
+
+def _image(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    return (prints.decode_print_image(data, name),)
+
+
+def _wsq(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    found = wsq_image.decode_wsq(data, name)
+    return (dataclasses.replace(found, resolution_ppi=found.resolution_ppi or WSQ_PPI),)
+
+
+def _transaction(data: bytes, name: str) -> tuple[PrintFile, ...]:
+    found = decode_transaction(data, name).prints
+    return tuple(PrintFile(one.image, one.ppi, {}, one.finger, one.impression) for one in found)
+
+
+def _minutiae(data: bytes, name: str) -> tuple[FingerView, ...]:
+    return decode_minutiae_record(data, name).views
+
+
+def _ppi(item: PrintFile) -> float:
+    require(item.resolution_ppi is not None, "a print to be written must have a resolution.")
+    return float(item.resolution_ppi or 0.0)
+
+
+def _to_png(item: PrintFile, how: Writing) -> bytes:
+    return prints.encode_print_png(item.image, _ppi(item), how.text)
+
+
+def _to_tiff(item: PrintFile, how: Writing) -> bytes:
+    return prints.encode_print_tiff(item.image, _ppi(item), how.text)
+
+
+def _to_wsq(item: PrintFile, how: Writing) -> bytes:
+    return wsq_image.encode_wsq(item.image, _ppi(item))
+
+
+def _to_finger_image(item: PrintFile, how: Writing) -> bytes:
+    return finger_image.encode_finger_images([item], how.compression)
+
+
+def _to_transaction(item: PrintFile, how: Writing) -> bytes:
+    if how.date is None:
+        raise BadInput("an ANSI/NIST-ITL transaction states the date of the capture; give it: --date 2026-01-31.")
+    one = TransactionPrint(item.image, item.finger, item.impression, _ppi(item), how.compression)
+    return encode_transaction([one], TransactionFacts(how.date, how.control_number))
+
+
+def _record(view: FingerView, max_quality: int = 100) -> MinutiaeRecord:
+    """One view, without what only the standard it came from understands."""
+    kept = view.quality if max_quality > 100 else np.where(view.quality <= 100, view.quality, 0).astype(np.uint8)
+    quality = view.finger_quality if view.finger_quality <= max_quality else 0
+    return MinutiaeRecord((dataclasses.replace(view.best(), quality=kept, finger_quality=quality, extended=b""),))
+
+
+def _to_iso(view: FingerView, how: Writing) -> bytes:
+    return encode_iso19794(_record(view))
+
+
+def _to_ansi(view: FingerView, how: Writing) -> bytes:
+    return encode_ansi378(_record(view))
+
+
+def _to_ansi_2009(view: FingerView, how: Writing) -> bytes:
+    return encode_ansi378_2009(_record(view, 255))
+
+
+_FMR, _MAX_FMR = (b"FMR\0",), 20_000_000
+_MAX_ITL = 200_000_000
+
+FORMATS: dict[str, PrintFormat] = {
+    one.name: one
+    for one in (
+        PrintFormat("png", ".png", "image", "PNG", (PNG[:4],), _image, _to_png),
+        PrintFormat("tiff", ".tiff", "image", "TIFF", tiff.SIGNATURES, _image, _to_tiff),
+        PrintFormat("jpeg", ".jpg", "image", "JPEG", (photos.JPEG_SIGNATURE,), _image),
+        PrintFormat("bmp", ".bmp", "image", "BMP", (photos.BMP_SIGNATURE,), _image),
+        PrintFormat("wsq", ".wsq", "image", "WSQ", (wsq_image.SIGNATURE,), _wsq, _to_wsq, 100_000_000),
+        PrintFormat(
+            "iso-19794-4", ".fir", "image", "ISO/IEC 19794-4", (finger_image.MAGIC,), finger_image.decode_finger_images,
+            _to_finger_image, 200_000_000,
+        ),
+        PrintFormat(
+            "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"), _transaction,
+            _to_transaction, _MAX_ITL,
+        ),
+        PrintFormat("iso-19794-2", ".iso", "minutiae", "ISO/IEC 19794-2", _FMR, _minutiae, _to_iso, _MAX_FMR),
+        PrintFormat("ansi-378", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi, _MAX_FMR),
+        PrintFormat(
+            "ansi-378-2009", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi_2009, _MAX_FMR
+        ),
+    )
+}  # fmt: skip
+"""All formats, in the order in which help lists them."""
+READ = ", ".join(dict.fromkeys(one.words for one in FORMATS.values()))
+"""For people: what is read."""
+WRITTEN = tuple(name for name, one in FORMATS.items() if one.encode is not None)
+"""Names that ``--to`` takes."""
