@@ -11,13 +11,13 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base"}
+CONDA = {"opencv-python-headless": "py-opencv", "matplotlib": "matplotlib-base", "isal": "python-isal"}
 """Names that differ there."""
 
 
 def of_conda(requirements: list[str]) -> set[str]:
     """`numpy>=2.0` as conda writes it."""
-    names = [re.fullmatch(r"([\w-]+)(>=[\d.,<]+)", one) for one in requirements]
+    names = [re.fullmatch(r"([\w-]+)(>=[\d.,<]+)(; .*)?", one) for one in requirements]
     assert all(names), requirements
     return {f"{CONDA.get(found[1], found[1])} {found[2]}" for found in names if found}
 

@@ -106,7 +106,7 @@ def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) 
     assert (found["a"]["kind"], found["a"]["acquired"], found["fmr"]) == ("minutiae", True, None)
     assert facts_of(capsys, "match", iso, tmp_path / "iso" / "other.iso")["similarity"] < 40
     assert facts_of(capsys, "match", iso, fir)["similarity"] > 40
-    assert facts_of(capsys, "match", prints / "a.png", fir)["method"] == "ridge"
+    assert facts_of(capsys, "match", prints / "a.png", fir, "--method", "ridge")["method"] == "ridge"
     assert "52 minutiae of another system" in words_of(capsys, "match", iso, ansi)
     assert "no ridges; compare by the method minutiae" in refusal_of(capsys, "match", iso, ansi, "--method", "ridge")
     facts_of(capsys, "match", iso, "--template", tmp_path / "a.skt")

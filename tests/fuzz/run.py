@@ -58,6 +58,8 @@ NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
     "gallery.records.import_records": "writes what prints.from_file.read_print_file reads",
     "capture.pi.open_pi": "opens devices",
+    "capture.streams.open_genicam": "opens a device",
+    "capture.streams.open_uvc": "opens a device",
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.networks.load_torch": "imports a package",

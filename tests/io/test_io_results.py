@@ -19,7 +19,6 @@ import tifffile
 
 import splitknit
 from splitknit.errors import BadInput
-from splitknit.io import deflate
 from splitknit.io.float_tiff import read_height_tiff, write_height_tiff
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.npz import read_npz, write_npz
@@ -166,10 +165,7 @@ ARRAYS: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("engine", [zlib, deflate.engine])
-def test_archives(tmp_path: Path, engine: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With and without isal."""
-    monkeypatch.setattr("splitknit.io.npz.engine", engine)
+def test_archives(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     write_npz(path, ARRAYS)
     with np.load(path) as archive:

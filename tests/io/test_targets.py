@@ -106,7 +106,8 @@ def test_no_option_replaces_a_file_of_another_kind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    out = tmp_path / ("mine.png" if words[-1] in ("--show", "--residuals") else "mine")
+    suffix = ".png" if words[-1] in ("--show", "--residuals") else ".pdf" if "target" in words else ""
+    out = tmp_path / f"mine{suffix}"
     out.write_bytes(content)
     assert main([*words, str(out)]) == 2
     error = capsys.readouterr().err

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-
-from splitknit.cli.main import main
+import signal
+import subprocess
+import sys
 
 SMALL = {"subjects": 3, "sessions": 2, "fingers": "right_index,left_thumb", "scale": 0.2}
 """Enough that every table has a row."""
@@ -18,8 +19,9 @@ def run_chain(options: argparse.Namespace) -> None:
         options.people, options.scales_impostors, options.impostors = SMALL["subjects"], 1.0, 1.0
     for command in commands(options):
         print(" ".join(command), flush=True)
-        code = main(command[1:])  # in this process: who stops it stops the command
-        if code != 0:
+        job = subprocess.Popen([sys.executable, "-m", *command])
+        signal.signal(signal.SIGTERM, lambda *_: job.terminate())  # noqa: B023 - who stops this stops the command
+        if (code := job.wait()) != 0:
             raise SystemExit(code)
 
 

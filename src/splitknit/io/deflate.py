@@ -1,6 +1,7 @@
-"""Deflate by Intel's ISA-L where it is installed: the same format as zlib's, packed and unpacked several times as fast.
+"""Unpack by Intel's ISA-L where it is installed: the same format as zlib's, several times as fast.
 
-Unpacked bytes are the same; packed ones differ from zlib's, and are somewhat longer than those of its level 1.
+It is not used to pack: in one of a hundred runs it packed the same bytes otherwise, and what it packs depends on the
+processor.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ import os
 import re
 import struct
 import zipfile
+import zlib
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import IO, Any, BinaryIO, Literal
@@ -182,9 +183,8 @@ def _write_member(
 
 
 def _deflate(block: memoryview, last: bool) -> bytes:
-    job = engine.compressobj(1, engine.DEFLATED, -15)
-    packed: bytes = job.compress(block) + job.flush(engine.Z_FINISH if last else engine.Z_SYNC_FLUSH)
-    return packed
+    job = zlib.compressobj(1, zlib.DEFLATED, -15)
+    return job.compress(block) + job.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH)
 
 
 def _write_directory(stream: BinaryIO, entries: list[tuple[bytes, bytes, int]]) -> None:

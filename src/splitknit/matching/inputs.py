@@ -19,7 +19,6 @@ from splitknit.matching.ridge_band import print_band
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
-from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +97,12 @@ def read_side(  # noqa: PLR0911 - one for each kind
         if holds_minutiae(payload):
             return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
         return naming(path, lambda: Side(path, "template", None, unpack(payload)))
+    from splitknit.prints.from_file import (  # noqa: PLC0415 - a template needs none of it
+        minutiae_of,
+        read_one_finger,
+        resampled,
+    )
+
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
