@@ -9,7 +9,7 @@ optics of the skin, pixel size and noise are drawn anew.
 
 A value of one is the photograph's exposure level: the 99.9th percentile of its white image. Judged are the pixels on
 the skin. Red, green, blue: the linear photograph. Enhanced: the grey image after CLAHE, as the presets ``pr`` and
-``snk`` have it; *network on the colours, their share* multiplies it by the direct fraction found in the linear colours.
+``snk`` have it; *network on the colours, their fraction* multiplies it by the direct fraction found in the linear colours.
 Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
 
 *Single image* is Nayar's separation from one photograph under the checkerboard, by the same camera, in blocks of two
@@ -128,7 +128,7 @@ def judge(
     }
     rows = [row for method, made in found.items() for row in figures(name, method, made, truth, mask)]
     by_fraction = direct_of_enhanced(image[3:], image[None, :3], network)
-    rows += figures(name, "network on the colours, their share", by_fraction, truth[3:], mask, names=CHANNELS[3:])
+    rows += figures(name, "network on the colours, their fraction", by_fraction, truth[3:], mask, names=CHANNELS[3:])
     box = largest_box(mask)
     inside = np.ones_like(mask[box])
     projected = by_one_image(photograph, name, image, box, data)
