@@ -9,7 +9,8 @@ optics of the skin, pixel size and noise are drawn anew.
 
 A value of one is the photograph's exposure level: the 99.9th percentile of its white image. Judged are the pixels on
 the skin. Red, green, blue: the linear photograph. Enhanced: the grey image after CLAHE, as the presets ``pr`` and
-``snk`` have it; *network on the colours, their fraction* multiplies it by the direct fraction found in the linear colours.
+``snk`` have it; *network on the colours, their fraction* multiplies it by the direct fraction found in the linear
+colours.
 Intervals: 95 %, bootstrap over photographs (one of each palm or finger).
 
 *Single image* is Nayar's separation from one photograph under the checkerboard, by the same camera, in blocks of two
