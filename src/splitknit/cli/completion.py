@@ -4,30 +4,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from splitknit.cli.verb import Outcome, new_verb
 
 
-def add_completion(verbs: Any) -> None:
-    """Add the verb."""
-    verb = new_verb(verbs, "completion", "print a script that completes verbs and options in your shell", _run)
+def add_completion(verbs: Any, program: argparse.ArgumentParser) -> None:
+    """Add the verb, which completes the words of `program`."""
+    what = "print a script that completes verbs and options in your shell"
+    verb = new_verb(verbs, "completion", what, partial(_run, program))
     verb.add_argument("shell", choices=("bash", "zsh", "fish", "powershell"), help="which shell reads it")
 
 
-def _run(options: argparse.Namespace) -> Outcome:
+def _run(program: argparse.ArgumentParser, options: argparse.Namespace) -> Outcome:
     """Make a static script: to complete a word starts no Python."""
     import shtab  # type: ignore[import-untyped,unused-ignore]  # noqa: PLC0415
 
-    from splitknit.cli.main import build_parser  # noqa: PLC0415
-
-    parser = build_parser()
-    for action in _actions(parser):
+    for action in _actions(program):
         if action.type is Path:
             folder = str(action.metavar) in ("DIR", "FOLDER")
             action.complete = shtab.DIRECTORY if folder else shtab.FILE  # type: ignore[attr-defined]
-    script = shtab.complete(parser, options.shell)
+    script = shtab.complete(program, options.shell)
     return {"shell": options.shell, "script": script}, [script]
 
 

@@ -117,7 +117,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_batch(verbs)
     add_view(verbs)
     add_print(verbs)
-    add_completion(verbs)
+    add_completion(verbs, parser)
     return parser
 
 
