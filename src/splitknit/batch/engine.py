@@ -203,6 +203,7 @@ def run_batch(
         stack.enter_context(alone(folder))
         run = _Run(open_store(folder, there, settings), there, settings, jobs, client, progress)
         sweep(folder)
+        stack.callback(sweep, folder)  # an interrupt may come between a file's making and its first byte
         facts = _reconstruct(run) | {"scores": _match(run)}
         written = _export(run, folder / "csv" if csv is None else csv)
     return (
