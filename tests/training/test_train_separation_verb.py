@@ -35,7 +35,8 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
         image = 0.2 + rng.random((90, 80, 3), dtype=np.float32)
         pixels = np.concatenate([image, 0.4 * image, image[..., :1], 0.4 * image[..., :1]], axis=2)
         corners = rng.integers(0, 8, (settings.patches, 2)).astype(np.int32)
-        return [Photograph(pixels.astype(np.float16), corners, {"kind": kind}) for _ in range(settings.views)]
+        facts = {"kind": kind, "skin": settings.skin.draw(rng)}  # which must be storable
+        return [Photograph(pixels.astype(np.float16), corners, facts) for _ in range(settings.views)]
 
     monkeypatch.setattr(separation, "photographs", shoot)
 
