@@ -25,18 +25,18 @@ from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint
 from splitknit.io.iso19794 import read_iso19794
-from splitknit.io.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView, pixels_per_cm
+from splitknit.io.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView
 from splitknit.io.print_formats import FORMATS, WRITTEN, WSQ_PPI, PrintFormat, Writing
 from splitknit.io.prints import PrintFile, provenance_texts, read_print_png
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
-from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, no_minutiae, unpack_minutiae
+from splitknit.matching.minutiae_record import PPI, holds_minutiae, no_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import blur
 from splitknit.matching.template import VERSION, Template, unpack
 from splitknit.model import Progress, no_progress
-from splitknit.prints.from_file import pressed_print, read_print_file, resampled
+from splitknit.prints.from_file import coded_finger, finger_view, pressed_print, read_print_file, resampled
 from splitknit.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
 from splitknit.prints.sources import read_source
 
@@ -234,8 +234,7 @@ def _of_surface(source: Path, name: str, settings: Exporting, hashes: dict[str, 
     taken = read_source(source, photo=False, surface=True, preset=settings.preset)
     hashes.update(taken.hashes)
     made = naming(source, lambda: make_print(taken, "unroll", None, PPI))
-    finger = taken.subject.get("finger", "unknown")
-    finger = finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
+    finger = coded_finger(taken.subject.get("finger"))
     return _Item(name, taken.kind, PrintFile(made.image, PPI, {}, finger, "contactless"), made=made)
 
 
@@ -265,11 +264,11 @@ def _of_gallery(source: Path, key: Key | None) -> Iterator[_Item]:
 
 def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:
     """A template: the minutiae that it holds, or a print of its ridges."""
-    finger = entry.finger if entry is not None and entry.finger in FINGER_CODES else "unknown"
+    finger = coded_finger(None if entry is None else entry.finger)
     impression = "live_plain" if entry is not None and entry.kind in ("print", "minutiae") else "contactless"
     names = None if entry is None else (entry.person, entry.session)
     if holds_minutiae(payload):
-        view = _view(unpack_minutiae(payload), 0, finger, impression)
+        view = finger_view(unpack_minutiae(payload), 0, finger, impression)
         return _Item(name, "template", view=view, names=names)
     made = template_print(unpack(payload))
     return _Item(name, "template", PrintFile(made.image, PPI, {}, finger, impression), made=made, names=names)
@@ -366,22 +365,7 @@ def _found(item: _Item, how: Extractor) -> FingerView:
         enhanced = enhance(made, PPI)
     except BadInput:
         size = resampled(item.picture).image.shape
-        return _view(no_minutiae((size[0], size[1])), 0)
+        return finger_view(no_minutiae((size[0], size[1])), 0)
     pressed = made.even is not None
     found = extract(made.image, PPI, enhance=pressed) if how == "mindtct" else minutiae_by_phase(made, enhanced, PPI)
-    return _view(found, round(measured(made, enhanced, PPI).score))
-
-
-def _view(found: Minutiae, quality: int, finger: str = "unknown", impression: str = "unknown") -> FingerView:
-    return FingerView(
-        x_px=found.x_px,
-        y_px=found.y_px,
-        direction_rad=found.direction_rad,
-        type=found.type,
-        quality=found.quality,
-        size=found.size,
-        finger_quality=quality,
-        finger=finger,
-        impression=impression,
-        resolution_ppcm=pixels_per_cm(PPI),
-    )
+    return finger_view(found, round(measured(made, enhanced, PPI).score))

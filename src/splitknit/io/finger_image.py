@@ -96,7 +96,7 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
         )
         impression = _NEAREST.get(one.impression, one.impression)
         kind = code_of(impression, ANSI_2004_IMPRESSIONS, "impression type")
-        data = _stored(one.image, float(ppi), compression)
+        data = encode_print(one.image, float(ppi), compression)
         head = (_VIEW.size + len(data), code, of_finger[code], number[code], _NO_QUALITY, kind, columns, rows, 0)
         views.append(_VIEW.pack(*head) + data)
     body = b"".join(views)
@@ -146,7 +146,7 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
         length, finger, _, _, _, impression, columns, rows, _ = cursor.unpack(_VIEW, f"the header of {what}")
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
-        image = _pixels(stored, compression, (rows, columns), f"{what} of {name}")
+        image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
         found.append(_print(image, ppi, finger, _IMPRESSIONS, impression, f"{what} of {name}"))
     return tuple(found)
 
@@ -181,7 +181,7 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
             f"{name} is damaged: {what} is longer than its header states; copy it again.",
         )
         cursor.take(start + length - cursor.place, f"the extended data of {what}")
-        image = _pixels(stored, compression, (rows, columns), f"{what} of {name}")
+        image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
         found.append(_print(image, ppi, finger, ITL_IMPRESSIONS, impression, f"{what} of {name}"))
     require(
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
@@ -230,7 +230,14 @@ def _more(pixels: int, rows: int, columns: int, name: str) -> int:
     return total
 
 
-def _pixels(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
+def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
+    """Decode a print as records hold it: ``none``, ``wsq``, or a picture file, of the (rows, columns) that they state.
+
+    Raises
+    ------
+    BadInput
+        If it has another size, is not 8-bit grey, or is damaged.
+    """
     rows, columns = size
     expected = f"but its record states {rows} x {columns}"
     if compression == "none":
@@ -254,7 +261,8 @@ def _print(  # noqa: PLR0917
     return PrintFile(image, ppi, {}, position, known)
 
 
-def _stored(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
+def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:
+    """Encode a print (H, W) for a record: ``none``, ``png`` or ``wsq``. Raises BadInput if WSQ cannot hold it."""
     if compression == "wsq":
         return encode_wsq(image, ppi)
     return encode_print_png(image, ppi) if compression == "png" else np.ascontiguousarray(image).tobytes()

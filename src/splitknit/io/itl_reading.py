@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
-from splitknit.io.finger_image import MAX_PIXELS
+from splitknit.io.finger_image import MAX_PIXELS, decode_print, encode_print
 from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
-from splitknit.io.png import decode_png, png_header
-from splitknit.io.prints import encode_print_png
-from splitknit.io.wsq_image import decode_wsq, encode_wsq
+from splitknit.io.png import png_header
 
 # Transactions of ANSI/NIST-ITL with prints: Type-1, a minimal Type-2, and a Type-14 for every print.
 #
@@ -175,14 +173,8 @@ def _record(nistitl: Any, item: TransactionPrint, number: int, agency: str, date
         ("FGP", FINGER_CODES[item.finger]),
     ):
         setattr(record, name, str(value))
-    record.DATA = _stored_pixels(item)
+    record.DATA = encode_print(item.image, item.ppi, item.compression)
     return record
-
-
-def _stored_pixels(item: TransactionPrint) -> bytes:
-    if item.compression == "wsq":
-        return encode_wsq(item.image, item.ppi)
-    return encode_print_png(item.image, item.ppi) if item.compression == "png" else item.image.tobytes()
 
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
@@ -299,22 +291,14 @@ def _resolution(record: Any, name: str) -> float:
 
 def _pixels(data: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
     """Decode the image, of the (rows, columns) that the record states."""
-    expected = f"but its record states {size[0]} x {size[1]}"
-    if compression == "none":
-        require(len(data) == size[0] * size[1], f"{name} holds {len(data)} pixels, {expected}.")
-        return np.frombuffer(data, dtype=np.uint8).reshape(size).copy()
-    if compression == "wsq":
-        image = decode_wsq(data, name).image
-    else:
+    if compression == "png":
         header = png_header(data, name)
+        found = header.rows, header.columns
         require(
-            (header.rows, header.columns) == size, f"{name} holds {header.rows} x {header.columns} pixels, {expected}."
+            found == size,
+            f"{name} holds {found[0]} x {found[1]} pixels, but its record states {size[0]} x {size[1]}.",
         )
-        pixels = decode_png(data, name)
-        require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
-        image = np.asarray(pixels[..., 0], dtype=np.uint8)
-    require(image.shape == size, f"{name} holds {image.shape[0]} x {image.shape[1]} pixels, {expected}.")
-    return image
+    return decode_print(data, compression, size, name)
 
 
 def _text(record: Any, key: str, name: str) -> str:

@@ -39,11 +39,10 @@ class Side:
     @property
     def payload(self) -> bytes:
         """Of its template file."""
-        return pack_minutiae(self.minutiae) if self.template is None and self.minutiae is not None else self._ridges()
-
-    def _ridges(self) -> bytes:
-        assert self.template is not None
-        return pack(self.template)
+        if self.template is not None:
+            return pack(self.template)
+        assert self.minutiae is not None
+        return pack_minutiae(self.minutiae)
 
 
 def read_side(  # noqa: PLR0911 - one for each kind

@@ -21,7 +21,7 @@ from splitknit.matching.inputs import Side, read_side
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, installed, minutiae_match, nfiq2
 from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
-from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.minutiae_record import PPI, Minutiae
 from splitknit.matching.ridge import RidgeMatch, prepared, ridge_match
 from splitknit.matching.score import FmrTable
 from splitknit.matching.space_features import space_minutiae, surface_code
@@ -236,9 +236,6 @@ def _facts(side: Side) -> dict[str, Any]:
     return {"path": str(side.path), "kind": side.kind, "area_mm2": template.area_mm2, "acquired": not template.empty}
 
 
-_PPI = 500.0
-
-
 def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     """Compare by minutiae: similarity, false match rate, and what each side's print holds.
 
@@ -247,7 +244,7 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
     """
     found, facts = [side_minutiae(side) for side in (a, b)], []
     for side, minutiae in zip((a, b), found, strict=True):
-        quality = NFIQ2_FAILED if side.minutiae is not None else nfiq2(_print_of(side)[0], _PPI)
+        quality = NFIQ2_FAILED if side.minutiae is not None else nfiq2(_print_of(side)[0], PPI)
         facts.append(
             {
                 "minutiae": minutiae.count,
@@ -279,8 +276,10 @@ def side_minutiae(side: Side) -> Minutiae:
     """
     if side.minutiae is not None:
         return side.minutiae
+    if side.picture is not None and side.template is not None and side.template.minutiae is not None:
+        return side.template.minutiae  # found as the template was made
     image, pressed = _print_of(side)
-    return naming(side.path, lambda: extract(image, _PPI, enhance=pressed))
+    return naming(side.path, lambda: extract(image, PPI, enhance=pressed))
 
 
 def _minutiae_false_match_rate(similarity: float) -> float | None:
@@ -310,7 +309,7 @@ def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | 
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
     """The print of a side at 500 ppi, and whether it comes from a file."""
     if side.surface is not None:
-        return naming(side.path, partial(surface_print, side.surface, _PPI)), False
+        return naming(side.path, partial(surface_print, side.surface, PPI)), False
     if side.picture is None:
         raise BadInput(
             f"{side.path} is a {side.kind} of ridges, which keeps no minutiae; name a capture, a result or a print."

@@ -18,7 +18,7 @@ from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
-from splitknit.io.minutiae_record import FINGER_CODES, FingerView, MinutiaeRecord, pixels_per_cm
+from splitknit.io.minutiae_record import MinutiaeRecord
 from splitknit.io.npz import write_npz
 from splitknit.io.pictures import ColourArray, colour, on_paper
 from splitknit.io.prints import PrintFile, write_print_png
@@ -29,7 +29,7 @@ from splitknit.matching.space_features import in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin
-from splitknit.prints.from_file import pressed_print, read_one_finger
+from splitknit.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit.prints.make import (
     Print,
     PrintingSettings,
@@ -341,26 +341,14 @@ def write_minutiae(  # noqa: PLR0917
             found, where = extract(pictures[f"{sought_in}.png"], print_map.ppi, enhance=pressed), f"{sought_in}.png"
     except BadInput as error:
         return {"written": False, "missing": f"{' '.join(str(error).split())} Or find them with --set minutiae=phase."}
-    finger = source.subject.get("finger", "unknown")
-    finger = finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
-    view = FingerView(
-        x_px=found.x_px,
-        y_px=found.y_px,
-        direction_rad=found.direction_rad,
-        type=found.type,
-        quality=found.quality,
-        size=found.size,
-        finger_quality=finger_quality,
-        finger=finger,
-        impression="contactless" if made.even is None else "live_plain",
-        resolution_ppcm=pixels_per_cm(500.0),
-    )
+    impression = "contactless" if made.even is None else "live_plain"
+    view = finger_view(found, finger_quality, source.subject.get("finger"), impression)
     write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))
     facts: dict[str, Any] = {
         "written": True,
         "sought_in": where,
         "count": len(found.x_px),
-        "finger": finger,
+        "finger": view.finger,
     }
     if source.height_mm is not None or source.points_mm is not None:
         scale = print_map.ppi / 500.0
@@ -369,7 +357,7 @@ def write_minutiae(  # noqa: PLR0917
         good = np.isfinite(space).all(axis=1)
         theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
         x, y, z = space[good, :3].T
-        record = Minutiae3D(x, y, z, theta, phi, found.type[good], found.quality[good], finger, origin)
+        record = Minutiae3D(x, y, z, theta, phi, found.type[good], found.quality[good], view.finger, origin)
         write_minutiae3d(target / "minutiae3d.json", record)
         facts["in_space"] = int(good.sum())
     return facts

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.io.minutiae_record import FingerView, pixels_per_cm
+from splitknit.io.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
 from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile
 from splitknit.matching.minutiae import at_500_ppi, enhance_print
@@ -168,6 +168,27 @@ def ridge_period_px(image: NDArray[np.uint8]) -> float | None:
     best = int(np.argmax(energy))
     clear = energy[best] > _CLEAR * float(np.median(energy)) and 2 < best < len(middle) - 3
     return float(1.0 / (middle[best] * shrink)) if clear else None
+
+
+def finger_view(found: Minutiae, quality: int, finger: object = "unknown", impression: str = "unknown") -> FingerView:
+    """Minutiae of 500 ppi as a record has them; a finger that records have no code for is ``unknown``."""
+    return FingerView(
+        x_px=found.x_px,
+        y_px=found.y_px,
+        direction_rad=found.direction_rad,
+        type=found.type,
+        quality=found.quality,
+        size=found.size,
+        finger_quality=quality,
+        finger=coded_finger(finger),
+        impression=impression,
+        resolution_ppcm=pixels_per_cm(PPI),
+    )
+
+
+def coded_finger(finger: object) -> str:
+    """A finger's name, or ``unknown`` where records have no code for it."""
+    return finger if isinstance(finger, str) and finger in FINGER_CODES else "unknown"
 
 
 def minutiae_of(view: FingerView) -> Minutiae:

@@ -12,11 +12,11 @@ from splitknit.io.pictures import normal_colours, on_paper, to_frame, upright_fr
 from splitknit.model import Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report.figures import is_finger, relief_limits
+from splitknit.report.result import PRINT_PPI
 
 PANELS = ("height", "relief", "normals", "print")
 _LONGEST_PX = 1200
 _PANEL_INCHES = (2.5, 4.6)
-_PRINT_PPI = 500.0
 _INK = 250
 """Paper is brighter."""
 
@@ -61,7 +61,7 @@ def _draw(ax: Any, result: Reconstruction, panel: str) -> None:
     frame = upright_frame(result, _LONGEST_PX)
     unit = "mm" if result.scale_known else "px"
     if panel == "print":
-        picture, pitch = surface_print(result, _PRINT_PPI), 25.4 / _PRINT_PPI
+        picture, pitch = surface_print(result, PRINT_PPI), 25.4 / PRINT_PPI
         ax.imshow(picture, cmap="gray", vmin=0, vmax=255, extent=_extent(picture.shape, pitch))
         rows, columns = np.nonzero(picture < _INK)
         if rows.size:

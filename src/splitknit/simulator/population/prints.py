@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.errors import naming, require
+from splitknit.io.provenance import file_hash
 from splitknit.simulator.finger.finger import Finger
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.twin import master_of_print_file
@@ -70,7 +70,7 @@ class RealPrints:
         """Refuse a file that is not what it was when the population was begun."""
         path = self.folder / one.file
         require(
-            path.is_file() and _sha256(path) == one.sha256,
+            path.is_file() and file_hash(path) == one.sha256,
             f"'{path}' is not the print that the population was begun with; name the folder that holds it.",
         )
 
@@ -127,7 +127,7 @@ def choose_prints(
     return RealPrints(
         folder,
         {
-            place: RealPrint(path.name, _sha256(path), mirrored)
+            place: RealPrint(path.name, file_hash(path), mirrored)
             for place, (path, mirrored) in zip(places, identities, strict=False)
         },
     )
@@ -142,7 +142,3 @@ def _first_impressions(folder: Path) -> list[Path]:
     for path in files:
         firsts.setdefault(path.stem.rpartition("_")[0] or path.stem, path)
     return list(firsts.values())
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
