@@ -100,15 +100,14 @@ def identify_file(
         If a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger is not in
         it, or the rate was not measured.
     """
-    calibrated = as_calibrated(settings.matching)
-    if calibrated:
-        similarity_at(question.fmr)  # refused here where no such rate was measured
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)
     with Gallery.open(gallery, key) as opened:
         of_minutiae = opened.settings_sha256 == MINUTIAE_HASH
         opened.require_comparable(MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching))
-        calibrated = calibrated and not of_minutiae
+        calibrated = as_calibrated(settings.matching) and not of_minutiae
+        if calibrated:
+            similarity_at(question.fmr)  # refused here, before anything is made, where no such rate was measured
         pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else question.search)
         side = read_side(
             probe, preset, settings.matching, lambda stage, fraction: progress(stage, 0.5 * fraction), input_ppi
