@@ -15,10 +15,10 @@ from splitknit.rig.evaluate_rig import (
     _phalange,
     _places,
     _printed,
+    _rigs,
     _truth,
     _view_of,
     evaluate,
-    rigs,
 )
 from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph
 from splitknit.simulator.light.skin import load_walks
@@ -31,7 +31,7 @@ SEED = FIRST_SEED
 @pytest.fixture(scope="module")
 def seen():
     """Perspective view of the finger, and its phalange."""
-    surface = _view_of(SEED, rigs(RIG, STUDY)[0].camera)
+    surface = _view_of(SEED, _rigs(RIG, STUDY)[0].camera)
     return surface, _phalange(SEED, surface)
 
 

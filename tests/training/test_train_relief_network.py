@@ -8,7 +8,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import packed_fields
+from splitknit.training.fields import _packed_fields
 from splitknit.training.networks import fields_network, network_from
 from splitknit.training.relief import (
     NAME,
@@ -153,7 +153,7 @@ def test_states_of_other_trainings_and_damaged_ones_are_refused() -> None:
     with pytest.raises(BadInput, match="damaged"):
         trainer.restore(state[:1000])
     with pytest.raises(BadInput, match="not the weights of a relief or shape network"):
-        packed_fields(NAME, WHAT, {"out.weight": torch.zeros(2, 2, 1, 1)}, {})
+        _packed_fields(NAME, WHAT, {"out.weight": torch.zeros(2, 2, 1, 1)}, {})
 
 
 def test_whole_fingers_take_part() -> None:
@@ -177,7 +177,7 @@ def test_a_loss_that_is_no_number_ends_the_training() -> None:
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
     trainer = _ReliefTrainer(SETTINGS, SAMPLES)
     trainer.train(20)
-    weights, card = packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train relief"})
+    weights, card = _packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train relief"})
     (tmp_path / f"{NAME}.onnx").write_bytes(weights)
     (tmp_path / f"{NAME}.json").write_bytes(card)
     network = network_of(*read_network(tmp_path / f"{NAME}.onnx"))
@@ -196,7 +196,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
 
 def test_the_reach_on_the_card_is_how_far_the_network_looks() -> None:
     network = fields_network((1, 1, 1, 1, 1), 1, 1).eval()
-    reach = json.loads(packed_fields(NAME, WHAT, network.state_dict(), {})[1])["reach"]
+    reach = json.loads(_packed_fields(NAME, WHAT, network.state_dict(), {})[1])["reach"]
     with torch.no_grad():
         for part in network.parameters():  # nothing cancels and no ReLU is shut
             part.fill_(0.3)

@@ -6,7 +6,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import packed_fields
+from splitknit.training.fields import _packed_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
@@ -124,7 +124,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
     trainer = _ShapeTrainer(SETTINGS, SAMPLES)
     trainer.train(20)
-    weights, card = packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train shape"})
+    weights, card = _packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train shape"})
     (tmp_path / f"{NAME}.onnx").write_bytes(weights)
     (tmp_path / f"{NAME}.json").write_bytes(card)
     network = network_of(*read_network(tmp_path / f"{NAME}.onnx"))

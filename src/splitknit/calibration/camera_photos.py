@@ -94,7 +94,7 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[s
     progress("writing", 0.97)
     leds = base.leds if base is not None else default_rig().leds
     before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
-    facts = facts_of(job, found, nominal_leds=base is None)
+    facts = _facts_of(job, found, nominal_leds=base is None)
     mirrors = base.mirrors if base is not None else ()
     provenance = {**before, "camera": _rig_provenance(facts, found.hashes)}
     write_rig(Rig(found.camera, leds, provenance, mirrors), job.out)
@@ -362,7 +362,7 @@ _POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3
 """Photographs of one plane that differ by more are warned about."""
 
 
-def facts_of(job: CameraJob, found: _FoundCamera, nominal_leds: bool) -> dict[str, Any]:
+def _facts_of(job: CameraJob, found: _FoundCamera, nominal_leds: bool) -> dict[str, Any]:
     """Return everything that was found, plain."""
     camera = found.camera
     measured, nominal = _origins(found, nominal_leds)

@@ -85,7 +85,7 @@ def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Poin
     return np.column_stack([nails_mm + step[:, None] * along, np.full(len(along), circle.height_mm)])
 
 
-def nail_height_mm(nails_mm: Points, tips_mm: Points, positions_mm: Points) -> float:
+def _nail_height_mm(nails_mm: Points, tips_mm: Points, positions_mm: Points) -> float:
     """Height of the nail from the lengths of its shadows, the median over the rows.
 
     By similar triangles the shadow is to the LED's distance (seen from above) as the nail's height to the rest.
@@ -140,7 +140,7 @@ def by_circle(
         nails = nail_points(camera, nail_px, height, seen)
         _check_shadows(tips, nails, ends, circle)
         positions = _circle_positions(nails, ends, circle)
-        found = nail_height_mm(nails, ends, positions)
+        found = _nail_height_mm(nails, ends, positions)
         if camera.model != "perspective" or known_height_mm is not None or abs(found - height) < 1e-6:
             break
         height = min(found, 0.6 * circle.height_mm)

@@ -83,7 +83,7 @@ def calibrate_to_file(
     capture = read_capture(folder)
     rig = capture.rig if rig_file is None else read_rig(rig_file)
     height_mm, tilt_deg = card
-    tilt_deg = base_tilt_deg(rig) if tilt_deg is None else tilt_deg
+    tilt_deg = _base_tilt_deg(rig) if tilt_deg is None else tilt_deg
     progress("camera", 0.3)
     camera = _measure_camera(plan, capture)
     black = _black_level_of(camera, capture)
@@ -110,7 +110,7 @@ def calibrate_to_file(
     return {**facts, "out": str(out), "files": files}
 
 
-def base_tilt_deg(rig: Rig) -> tuple[float, float]:
+def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
     """Turn of the base about x and y as ``splitknit calibrate camera`` left it in the rig, where it is certain.
 
     A tilt that is less than twice its deviation is none: the noise that it would bring in is larger than itself.
@@ -360,7 +360,7 @@ _KNOWN = {"format", "version", "dark", "exposures"}
 
 
 @dataclass(frozen=True, slots=True)
-class Exposure:
+class _Exposure:
     """One image of the series."""
 
     file: Path
@@ -373,7 +373,7 @@ class _RadiometryPlan:
     """What ``radiometry.json`` names."""
 
     dark: tuple[Path, ...] = ()
-    exposures: tuple[Exposure, ...] = ()
+    exposures: tuple[_Exposure, ...] = ()
     document: Path | None = None
 
 
@@ -398,7 +398,7 @@ def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
         for k, item in enumerate(fields.items("exposures")):
             entry = Fields(item, str(file), f"exposures[{k}]")
             time = entry.number("exposure_s", 1e-9, 1e6) * entry.number("gain", 1e-6, 1e6, 1.0)
-            exposures.append(Exposure(inside(folder, entry.get("file"), str(file), entry.path("file")), time))
+            exposures.append(_Exposure(inside(folder, entry.get("file"), str(file), entry.path("file")), time))
         require(
             len(exposures) >= MIN_EXPOSURES,
             f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed.",

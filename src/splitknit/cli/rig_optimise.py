@@ -31,7 +31,7 @@ BUDGETS: dict[str, dict[str, Any]] = {
 
 def add_optimise(kinds: Any) -> None:
     """Add ``splitknit rig optimise``."""
-    verb = new_verb(kinds, "optimise", "sweep the rig's dimensions on simulated fingers and find the best", run)
+    verb = new_verb(kinds, "optimise", "sweep the rig's dimensions on simulated fingers and find the best", _run)
     verb.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder to write; a sweep left in it goes on"
     )
@@ -77,7 +77,7 @@ def add_optimise(kinds: Any) -> None:
     verb.add_argument("--workers", type=natural, default=2, metavar="N", help="processes (default: 2)")
 
 
-def run(options: argparse.Namespace) -> Outcome:
+def _run(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
     from splitknit.io.atomic import atomic_file  # noqa: PLC0415
     from splitknit.io.provenance import plain_json  # noqa: PLC0415

@@ -124,7 +124,7 @@ def system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "eer": asdict(figures["eer"]),
         "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in targets},
-        "fnmr_at_fmr": {f"{far:g}": asdict(turned(figures[f"gar@{far:g}_made"])) for far in targets},
+        "fnmr_at_fmr": {f"{far:g}": asdict(_turned(figures[f"gar@{far:g}_made"])) for far in targets},
         "eer_of_fmr_and_fnmr": asdict(figures["eer_made"]),
         "auc": asdict(figures["auc"]),
         "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
@@ -263,6 +263,6 @@ def _curve(result: Result) -> dict[str, Any]:
     return {"far": found.curve_far.tolist(), "gar": gar, "low": low.tolist(), "high": high.tolist()}
 
 
-def turned(interval: Interval) -> Interval:
+def _turned(interval: Interval) -> Interval:
     """One minus a rate."""
     return Interval(1.0 - interval.value, 1.0 - interval.high, 1.0 - interval.low)

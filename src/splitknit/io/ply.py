@@ -33,7 +33,7 @@ _LONGEST_HEADER = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
+class _Mesh:
     """What a PLY file written here holds."""
 
     vertices_mm: FloatArray
@@ -119,7 +119,7 @@ def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
         stream.write(buffer[: len(part)].data)
 
 
-def read_ply(path: str | os.PathLike[str]) -> Mesh:
+def read_ply(path: str | os.PathLike[str]) -> _Mesh:
     """Read a PLY file that :func:`write_ply` wrote. Raises BadInput if the file is missing, truncated, or laid out in
     another way.
     """
@@ -151,6 +151,6 @@ def read_ply(path: str | os.PathLike[str]) -> Mesh:
         faces == 0 or bool(0 <= corners["corners"].min() <= corners["corners"].max() < vertices)
     )
     require(whole, f"{name} is damaged: its faces refer to vertices that are not there; write it again.")
-    return Mesh(
+    return _Mesh(
         points["place"].copy(), points["normal"].copy(), points["quality"].copy(), corners["corners"].copy(), comments
     )

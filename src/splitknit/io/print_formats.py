@@ -88,19 +88,6 @@ def read_prints(path: str | os.PathLike[str]) -> tuple[PrintFile | FingerView, .
     return found.decode(data, name)
 
 
-def is_print_file(path: str | os.PathLike[str]) -> bool:
-    """Whether the first bytes of a file are those of one of the formats.
-
-    Raises
-    ------
-    BadInput
-        If it cannot be read.
-    """
-    with open_file(path, 1 << 50) as (stream, _):
-        first = stream.read(_FIRST_BYTES)
-    return any(first.startswith(one.starts) for one in FORMATS.values())
-
-
 def _image(data: bytes, name: str) -> tuple[PrintFile, ...]:
     return (prints.decode_print_image(data, name),)
 

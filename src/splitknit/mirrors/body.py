@@ -158,7 +158,7 @@ STEEPEST_DEG = 24.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class _Table:
     """The upper side of a body, tabled evenly over s and the arc sine of the place across."""
 
     left: NDArray[np.float32]
@@ -168,7 +168,7 @@ class Table:
     """(S, NODES) over -pi/2 to pi/2."""
 
 
-def _table_of(body: Body) -> Table:
+def _table_of(body: Body) -> _Table:
     """Table the side of `body` that faces the camera."""
     s = np.linspace(0.0, 1.0, _DENSE_STATIONS)
     s[0] = 1e-3
@@ -182,7 +182,7 @@ def _table_of(body: Body) -> Table:
     middle, half = 0.5 * (left + right), np.maximum(0.5 * (right - left), 1e-9)
     angle = np.arcsin(np.clip((t - middle) / half, -1.0, 1.0))
     tabled = np.stack([np.interp(node, angle[:, k], z[:, k]) for k in range(_DENSE_STATIONS)])
-    return Table(left.astype(np.float32), right.astype(np.float32), tabled.astype(np.float32))
+    return _Table(left.astype(np.float32), right.astype(np.float32), tabled.astype(np.float32))
 
 
 def heights_on(
@@ -217,7 +217,7 @@ def heights_on(
     return plane_x * nearer, plane_y * nearer, z, inside, known
 
 
-def _looked_up(body: Body, table: Table, x: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+def _looked_up(body: Body, table: _Table, x: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
     dx, dy = x - np.float32(body.origin_mm[0]), y - np.float32(body.origin_mm[1])
     across, axis = body.across.astype(np.float32), body.axis.astype(np.float32)
     t, u = across[0] * dx + across[1] * dy, axis[0] * dx + axis[1] * dy

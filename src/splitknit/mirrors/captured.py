@@ -85,7 +85,7 @@ def mirror_shape_of(
     kept = finger.mask.copy()
     kept[window] &= known
     require(bool(kept.any()), "the mirrors show another part of the finger than the front view; check the rig file.")
-    facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": drawing(seen)}
+    facts = {"shape_source": "mirror", "mirror_shape": seen.shape.facts, "mirror_drawing": _drawing(seen)}
     return shape, kept, facts
 
 
@@ -101,7 +101,7 @@ def _along_rays(z: FloatArray, inside: BoolArray, camera: Camera, window: Window
     return np.asarray(heights - unevenness(heights, inside, camera, window), dtype=np.float32)
 
 
-def drawing(seen: SeenInMirrors) -> dict[str, Any]:
+def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
     """Masks' outlines, medial lines and the fitted body's outlines of all views, columns and rows of the image."""
     rig = seen.capture.rig
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
@@ -225,7 +225,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     surface = np.where(inside, z, np.float32(np.nanmin(z)))
     points = np.stack([x, y, surface], axis=-1).astype(np.float64)
     turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
-    rig = with_images(
+    rig = _with_images(
         capture.rig.select(capture.bands["white"].leds),
         _glasses_of(shape, capture.rig),
         points,
@@ -252,7 +252,7 @@ def _glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
     return tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in rig.mirrors)
 
 
-def with_images(
+def _with_images(
     rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> Rig:
     """The rig whose exposures are also lit by the LEDs' images in mirrors, each where it reaches the skin.

@@ -133,7 +133,7 @@ def print_to_folder(
         nfiq2 = _nfiq2_of(pictures, ppi)
         facts["quality"] = _quality_facts(quality, nfiq2, advised=method != "file")  # nobody captures that again
         sought = settings.minutiae
-        facts["minutiae"] = write_minutiae(
+        facts["minutiae"] = _write_minutiae(
             target, made, pictures, enhanced, sought, source, origin, round(quality.score)
         )
         timings["total"] = time.perf_counter() - started
@@ -312,7 +312,7 @@ AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
 """Ends of the colour bars of the distortion picture."""
 
 
-def write_minutiae(  # noqa: PLR0917
+def _write_minutiae(  # noqa: PLR0917
     target: Path,
     made: Print,
     pictures: Mapping[str, NDArray[np.uint8]],

@@ -36,7 +36,7 @@ class PhaseMinutiaeSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PhaseMinutiae:
+class _PhaseMinutiae:
     """N minutiae of a print."""
 
     place_px: Array
@@ -51,7 +51,7 @@ class PhaseMinutiae:
 
 def phase_minutiae(
     image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0, settings: PhaseMinutiaeSettings | None = None
-) -> PhaseMinutiae:
+) -> _PhaseMinutiae:
     """Find the minutiae of a print whose enhancement is at hand.
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
@@ -100,7 +100,7 @@ def phase_minutiae(
     rows, columns, place, quality = rows[kept], columns[kept], place[kept], quality[kept]
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
-    return PhaseMinutiae(place, np.asarray(towards % (2 * np.pi)), kind, quality)
+    return _PhaseMinutiae(place, np.asarray(towards % (2 * np.pi)), kind, quality)
 
 
 def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:

@@ -25,13 +25,15 @@ from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 # Source: E. Catmull and R. Rom 1974, A class of local interpolating splines: straight lines are read exactly.
 
 
-def linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArray:
+def _linear(values: FloatArray, size: tuple[int, int], step: float) -> FloatArray:
     """Read a coarse grid, its first pixel two steps before the fine one's, linearly at every pixel of a fine grid."""
-    down, across = (weights(np.arange(n) / step + 2.0, m, linear=True) for n, m in zip(size, values.shape, strict=True))
+    down, across = (
+        _weights(np.arange(n) / step + 2.0, m, linear=True) for n, m in zip(size, values.shape, strict=True)
+    )
     return np.asarray(down @ values @ across.T, dtype=np.float32)
 
 
-def weights(places: Array, count: int, linear: bool = False) -> FloatArray:
+def _weights(places: Array, count: int, linear: bool = False) -> FloatArray:
     """(N, count) matrix that interpolates a line of `count` values at `places`: Catmull-Rom, or linear."""
     first = np.floor(places).astype(np.intp)
     rest = places - first
@@ -259,13 +261,13 @@ def _dense_inverse(
     filled[holes] = 0.0
     input_of_coarse = _moved(grid.input_from_grid, filled.reshape(-1, 2)).reshape(filled.shape)
     input_of_coarse[holes] = 0.0
-    down, across = (weights(np.arange(n) / step + 2.0, len(line)) for n, line in zip(size, lines, strict=True))
+    down, across = (_weights(np.arange(n) / step + 2.0, len(line)) for n, line in zip(size, lines, strict=True))
     columns, rows = (down @ input_of_coarse[..., d].astype(np.float32) @ across.T for d in range(2))
-    trusted = linear(np.asarray(found, dtype=np.float32), size, step) > 0.999
+    trusted = _linear(np.asarray(found, dtype=np.float32), size, step) > 0.999
     if slant_deg is not None:
         column, row = (np.nan_to_num(nodes[..., d], nan=-1.0).astype(np.float32) for d in range(2))
         cosine = cv2.remap(_facing(grid), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        trusted &= linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
+        trusted &= _linear(np.asarray(cosine, dtype=np.float32), size, step) > np.float32(np.cos(np.deg2rad(slant_deg)))
     return (
         np.where(trusted, columns, np.float32(NOWHERE)).astype(np.float32),
         np.where(trusted, rows, np.float32(NOWHERE)).astype(np.float32),

@@ -73,11 +73,11 @@ def _source(rolled: Rolled, preset: str, hashes: Any, subject: Any) -> Source:
         preset=preset,
         hashes=hashes,
         subject=subject,
-        points_mm=skin_points(rolled),
+        points_mm=_skin_points(rolled),
     )
 
 
-def skin_points(rolled: Rolled, ridges: bool = True) -> FloatArray:
+def _skin_points(rolled: Rolled, ridges: bool = True) -> FloatArray:
     """(n, m, 3) the skin in the finger's own frame: x right, y to the tip, z to the camera; NaN where not known."""
     points = rolled.points_mm.astype(np.float64)
     if ridges:
@@ -98,7 +98,7 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float, settings: UnrollSettings) -
     step = max(1, round(settings.grid.pitch_mm / rolled.chart.pitch_mm))
     room = RINGS + 1  # nodes beyond the chart's ends
     around = ((room, room), (room, room))
-    points = skin_points(rolled, ridges=False)[::step, ::step].astype(np.float64)
+    points = _skin_points(rolled, ridges=False)[::step, ::step].astype(np.float64)
     points = np.pad(points, (*around, (0, 0)), constant_values=np.nan)
     inside = np.pad(rolled.blended.known[::step, ::step], around)
     nodes = extrapolated(points, RINGS)
@@ -125,7 +125,7 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
             if int(both.sum()) > 100
             else None
         )
-        steps = seam_steps(evened(rolled), line, chart.pitch_mm) if line.any() else np.zeros(0)
+        steps = seam_steps(_evened(rolled), line, chart.pitch_mm) if line.any() else np.zeros(0)
         seams[name] = {
             "length_mm": round(float(line.any(axis=1).sum()) * chart.pitch_mm, 2),
             "step_rms_um": round(1000.0 * float(np.sqrt((steps**2).mean())), 2) if steps.size else None,
@@ -153,7 +153,7 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
     return {**rolled_facts(rolled), "mesh_points": _write_rolled_mesh(target / "rolled.ply", rolled)}
 
 
-def evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
+def _evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
     """(n, m) the relief without its ridges, mm: a seam would be a step in it."""
     import cv2  # noqa: PLC0415 - large
 
@@ -165,7 +165,7 @@ def evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
 
 def _write_rolled_mesh(path: Path, rolled: Rolled) -> int:
     """Write the skin as a mesh in mm, x right, y to the tip, z to the camera; return the number of its points."""
-    points = skin_points(rolled)
+    points = _skin_points(rolled)
     vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)
     used = index >= 0
     normals = (rolled.normals.astype(np.float64) @ rolled.chart.axes.T)[used].astype(np.float32)

@@ -175,7 +175,7 @@ def _typical(seed: int) -> Print:
 
 def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
     """Figures of one finger."""
-    rig, known = rigs(candidate, study)
+    rig, known = _rigs(candidate, study)
     surface = _seen(seed, candidate.height_mm, candidate.px_per_mm, study.build)
     whole = _phalange(seed, surface)
     shot = photograph(
@@ -195,7 +195,7 @@ def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
     return {**_exposed(shot), **_compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
-def rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
+def _rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
     """The rig that photographs, and the one that the reconstruction assumes: the thesis's methods see parallel rays."""
     build = study.build
     if study.camera == "renderer":

@@ -63,11 +63,6 @@ def prism_x(outline: Points, start: float, end: float) -> Shape:
     return _extruded([(start, y, z) for y, z in outline], (end - start, 0.0, 0.0))
 
 
-def _prism_z(outline: Points, start: float, end: float) -> Shape:
-    """Return the outline (x, y) extruded along z."""
-    return _extruded([(x, y, start) for x, y in outline], (0.0, 0.0, end - start))
-
-
 def turned(outline: Points) -> Shape:
     """Return the outline (radius, z) turned about the z axis."""
     return Solid.revolve(_face([(r, 0.0, z) for r, z in outline]), 360.0, Axis.Z)

@@ -44,7 +44,7 @@ STEERED = 0.85
 # Random walks below the skin's triangles: the kernel. Mitsuba and Dr.Jit come in with the scene.
 
 
-def walk(
+def _walk(
     crop: ReferenceScene,
     seen: Seen,
     medium: tuple[float, float],
@@ -355,7 +355,7 @@ def render_volume(crop: ReferenceScene, optics: ChannelOptics, settings: Referen
     smooth = settings.boundary == "smooth"
     seeds = np.random.SeedSequence([settings.seed, 0x3EF]).generate_state(2, np.uint64)
     seen = see(crop, parts, int(seeds[0]))
-    sums, left, steps = walk(
+    sums, left, steps = _walk(
         crop, seen, (optics.scattering_per_mm, optics.absorption_per_mm),
         walks=walks, seed=int(seeds[1]), spread_rad=settings.spread_rad if smooth else None,
     )  # fmt: skip

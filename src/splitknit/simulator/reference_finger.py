@@ -96,7 +96,7 @@ def draw_optics(rng: np.random.Generator) -> FingerOptics:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ChannelLight:
+class _ChannelLight:
     """Light that came through the skin, in one channel."""
 
     halves: FloatArray
@@ -123,7 +123,7 @@ def _rms(values: NDArray[Any]) -> float:
 def render_finger(
     surface: Surface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
-) -> ChannelLight:  # fmt: skip
+) -> _ChannelLight:  # fmt: skip
     """Light from within the skin under each LED, by random walks in one channel.
 
     Parameters
@@ -159,7 +159,7 @@ def render_finger(
         ]
     )  # fmt: skip
     solid = _solid(surface, leds)
-    mottle = mottles(solid.lean.shape, pitch, optics, seed)
+    mottle = _mottles(solid.lean.shape, pitch, optics, seed)
     return walk_solid(
         solid, surface, mottle, medium, walks=walks, rays=rays, threads=threads,
         seed=[seed, CHANNELS.index(channel)], progress=progress,
@@ -230,7 +230,7 @@ def _entering(sides: FloatArray, lights: Array, strength: Array) -> FloatArray:
     return result
 
 
-def mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed: int) -> FloatArray:
+def _mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed: int) -> FloatArray:
     """(H, W) factor of the absorption below the epidermis, one on average."""
     noise = np.random.default_rng(np.random.SeedSequence([seed, 0x307])).standard_normal(size).astype(np.float32)
     field = cv2.GaussianBlur(noise, (0, 0), optics.mottle_mm / pitch_mm, borderType=cv2.BORDER_REFLECT)
@@ -242,7 +242,7 @@ def mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed: 
 def walk_solid(
     solid: _Solid, surface: Surface, mottle: FloatArray, medium: Array,
     *, walks: float, rays: int, threads: int, seed: Sequence[int], progress: Progress = no_progress,
-) -> ChannelLight:  # fmt: skip
+) -> _ChannelLight:  # fmt: skip
     """Walk from all pixels that see the finger."""
     numba, kernels = _load()
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
@@ -279,7 +279,7 @@ def walk_solid(
     progress("gathering", 1.0)
     halves = np.zeros((2, count, *surface.mask.shape), dtype=np.float32)
     halves[:, :, pixels[:, 0], pixels[:, 1]] = np.transpose(sums, (1, 2, 0)) / rays
-    return ChannelLight(halves)
+    return _ChannelLight(halves)
 
 
 def _share_border(fluence: FloatArray, factor: float) -> None:

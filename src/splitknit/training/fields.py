@@ -170,7 +170,7 @@ def check_channels(samples: Sequence[Sample], channels: int) -> None:
         )
 
 
-def packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
+def _packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
     """The files of a finished network, see :func:`splitknit.training.trainer.packed`.
 
     Parameters
@@ -194,7 +194,7 @@ def packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping
 
 def write_fields(out: Path, name: str, what: str, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     """Write network and card of a ``state_dict``, see :func:`splitknit.training.trainer.write_network`."""
-    files = packed_fields(name, what, state, facts)
+    files = _packed_fields(name, what, state, facts)
     stride, fields = stride_of(state), int(state["scale"].shape[0])
     probe = np.random.default_rng(0).uniform(-0.3, 0.3, (fields, 8 * stride, 9 * stride)).astype(np.float32)
     run = runner_of(state)

@@ -165,7 +165,7 @@ def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
         )
     return SkinSettings(
         yellow_per_mm=float(rng.uniform(*data.yellow_per_mm)),
-        baseline_per_mm=log_uniform(rng, data.baseline_per_mm),
+        baseline_per_mm=_log_uniform(rng, data.baseline_per_mm),
         scattering_power=float(rng.uniform(*data.scattering_power)),
         layers=(float(layers[0]), float(layers[1]), float(layers[2]), float(layers[3])),
         boundary=boundary,
@@ -173,14 +173,14 @@ def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
     )
 
 
-def log_uniform(rng: np.random.Generator, limits: Range) -> float:
+def _log_uniform(rng: np.random.Generator, limits: Range) -> float:
     """A number whose logarithm is uniform."""
     return math.exp(float(rng.uniform(math.log(limits[0]), math.log(limits[1]))))
 
 
 def drawn_sensor(rng: np.random.Generator, data: SceneRanges) -> SensorSettings:
     """A sensor of any noise in the range."""
-    return SensorSettings(full_well_e=log_uniform(rng, data.full_well_e))
+    return SensorSettings(full_well_e=_log_uniform(rng, data.full_well_e))
 
 
 def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> Surface:
@@ -188,7 +188,7 @@ def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> S
     px_per_mm = surface.camera.px_per_mm
 
     def even_noise(deviation: float, scale_mm: Range) -> FloatArray:
-        size = log_uniform(rng, scale_mm) * px_per_mm
+        size = _log_uniform(rng, scale_mm) * px_per_mm
         step = max(1, int(size / 3))
         rows, columns = (-(-length // step) + 8 for length in surface.mask.shape)
         noise = cv2.GaussianBlur(rng.standard_normal((rows, columns)).astype(np.float32), (0, 0), size / step)

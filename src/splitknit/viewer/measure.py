@@ -110,14 +110,14 @@ def section(
     count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
     fraction = np.linspace(0.0, 1.0, count)
     x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
-    height, ridge = (read or reading(surface))(x, y)
+    height, ridge = (read or _reading(surface))(x, y)
     relief = np.where(np.isfinite(height), surface.um * ridge, np.nan)
     require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the finger.")
     along = fraction * flat_mm
     return Section(along, x, y, height, relief, _figures(along, height, relief, surface.scale_known))
 
 
-def reading(surface: Surface) -> Reading:
+def _reading(surface: Surface) -> Reading:
     """The surface's own values."""
 
     def read(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:

@@ -123,7 +123,7 @@ class Service:
     def _result(self, entry: Entry, rest: list[str], query: Query) -> Answer:  # noqa: PLR0911
         match rest:
             case []:
-                return _json(describe(entry, self.surface(entry)) if entry.result else describe_photographs(entry))
+                return _json(_describe(entry, self.surface(entry)) if entry.result else describe_photographs(entry))
             case ["first"]:
                 return _bytes(first_view(self.surface(entry)), "application/octet-stream")
             case ["tile", stride, row, column]:
@@ -159,9 +159,9 @@ class Service:
 
     def _list(self) -> dict[str, Any]:
         return {
-            "title": shown(self.catalogue.title),
+            "title": _shown(self.catalogue.title),
             "chosen": list(self.catalogue.chosen),
-            "results": [listed(entry) for entry in self.catalogue.entries],
+            "results": [_listed(entry) for entry in self.catalogue.entries],
             "people": None if self.gallery is None else self.gallery.document(),
         }
 
@@ -335,18 +335,18 @@ _TURNING = dict.fromkeys(
 )
 
 
-def shown(text: str) -> str:
+def _shown(text: str) -> str:
     """Return a name as the page shows it: no mark in it turns the text around it to the left."""
     return text.translate(_TURNING)
 
 
-def listed(entry: Entry) -> dict[str, Any]:
+def _listed(entry: Entry) -> dict[str, Any]:
     """One line of the list."""
     subject = _mapping(_mapping(entry.report.get("capture")).get("subject"))
     return {
         "key": entry.key,
         "result": entry.result,
-        "name": shown(entry.name),
+        "name": _shown(entry.name),
         "preset": _text(entry.report.get("preset")),
         "subject": _text(subject.get("id")),
         "finger": _text(subject.get("finger")).replace("_", " "),
@@ -356,11 +356,11 @@ def listed(entry: Entry) -> dict[str, Any]:
     }
 
 
-def describe(entry: Entry, surface: Surface) -> dict[str, Any]:
+def _describe(entry: Entry, surface: Surface) -> dict[str, Any]:
     """All that the page needs of a result before it requests pieces of it."""
     levels = strides(surface)
     return {
-        **listed(entry),
+        **_listed(entry),
         "pitch_mm": surface.pitch_mm,
         "points": surface.count,
         "low_mm": surface.low_mm,
@@ -404,11 +404,11 @@ def describe_photographs(entry: Entry) -> dict[str, Any]:
 
     found = photographs_of(entry.folder)
     return {
-        **listed(entry),
+        **_listed(entry),
         "photos": _photos(entry),
-        "facts": [(name, shown(value)) for name, value in found.facts],
-        "notes": [shown(note) for note in found.notes],
-        "command": shown(found.command),
+        "facts": [(name, _shown(value)) for name, value in found.facts],
+        "notes": [_shown(note) for note in found.notes],
+        "command": _shown(found.command),
         "plain": found.plain,
     }
 
@@ -422,7 +422,7 @@ def _photos(entry: Entry) -> list[dict[str, Any]]:
         found = photographs_of(entry.capture).photos
     except BadInput:
         return []
-    return [{"name": shown(p.name), "band": p.band, "number": p.number, "light": p.light} for p in found]
+    return [{"name": _shown(p.name), "band": p.band, "number": p.number, "light": p.light} for p in found]
 
 
 def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
@@ -442,8 +442,8 @@ def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
         (f"{what} in projection", f"{surface.count * surface.pitch_mm**2:.0f} mm²" if known else ""),
         ("Values", f"{count} heights, one every " + (f"{1000 * surface.pitch_mm:.1f} µm" if known else "pixel")),
         ("Material", _text(about.get("material"))),
-        ("Finger", " ".join(part for part in (listed(entry)["subject"], listed(entry)["finger"]) if part)),
-        ("Session", listed(entry)["session"]),
+        ("Finger", " ".join(part for part in (_listed(entry)["subject"], _listed(entry)["finger"]) if part)),
+        ("Session", _listed(entry)["session"]),
         ("Captured", _text(about.get("captured_at"))),
         ("Reconstructed", _text(report.get("written_at"))),
         ("Software", f"{_text(software.get('name'))} {_text(software.get('version'))}".strip()),
@@ -460,4 +460,4 @@ def _sequence(value: Any) -> list[Any]:
 
 
 def _text(value: Any) -> str:
-    return shown(str(value)[:300]) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else ""
+    return _shown(str(value)[:300]) if isinstance(value, (str, int, float)) and not isinstance(value, bool) else ""

@@ -265,7 +265,7 @@ STATIONS = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class _Shape:
     """A smooth finger on a chart all around it."""
 
     chart: Chart
@@ -275,7 +275,7 @@ class Shape:
     """Half its typical breadth."""
 
 
-def shape_of(body: Body) -> Shape:
+def shape_of(body: Body) -> _Shape:
     """A body on a chart whose axis runs through its sections' middles."""
     u = body.tip_mm - body.length_mm * np.linspace(0.1, 1.0, STATIONS)
     sections = body.sections(u)
@@ -288,7 +288,7 @@ def shape_of(body: Body) -> Shape:
     lengths = (cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)))
     chart = chart_over(centre, axes, (-AROUND_DEG, AROUND_DEG), lengths, cap, SHAPE_PITCH_MM, cap)
     radius = radius_of(body, chart)
-    return Shape(chart, radius + rolled_pad(body, chart, radius), half)
+    return _Shape(chart, radius + rolled_pad(body, chart, radius), half)
 
 
 SEARCH_PITCH_MM = 0.1
@@ -340,7 +340,7 @@ class Work:
         self.glasses = {name: glass for name, glass in used.items() if name in self.masks}
         self.cut = {view.name for view in views if view.cut}
         self.lamps = [glass for name, glass in used.items() if name not in self.masks]
-        self.shape: Shape = shape_of(views.body)
+        self.shape: _Shape = shape_of(views.body)
         self.reliefs: dict[str, _ViewRelief] = {}
         self.correlation: dict[str, list[float]] = {}
         self.met: dict[str, bool] = {}
