@@ -75,6 +75,7 @@ def _leave(*unused: object) -> NoReturn:
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
     from splitknit.cli.batch import add_batch  # noqa: PLC0415
+    from splitknit.cli.calibrate import add_calibrate  # noqa: PLC0415
     from splitknit.cli.capture import add_capture  # noqa: PLC0415
     from splitknit.cli.completion import add_completion  # noqa: PLC0415
     from splitknit.cli.demo import add_demo  # noqa: PLC0415
@@ -87,6 +88,7 @@ def build_parser() -> argparse.ArgumentParser:
     from splitknit.cli.match import add_match  # noqa: PLC0415
     from splitknit.cli.print import add_print  # noqa: PLC0415
     from splitknit.cli.reconstruct import add_reconstruct  # noqa: PLC0415
+    from splitknit.cli.rig import add_rig  # noqa: PLC0415
     from splitknit.cli.separate import add_separate  # noqa: PLC0415
     from splitknit.cli.simulate import add_simulate  # noqa: PLC0415
     from splitknit.cli.train import add_train  # noqa: PLC0415
@@ -106,8 +108,8 @@ def build_parser() -> argparse.ArgumentParser:
     add_separate(verbs)
     add_train(verbs)
     add_capture(verbs)
-    _add_calibrate(verbs)
-    _add_rig(verbs)
+    add_calibrate(verbs)
+    add_rig(verbs)
     add_evaluate(verbs)
     add_match(verbs)
     add_enroll(verbs)
@@ -119,32 +121,6 @@ def build_parser() -> argparse.ArgumentParser:
     add_print(verbs)
     add_completion(verbs, parser)
     return parser
-
-
-def _add_calibrate(verbs: Any) -> None:
-    from splitknit.cli.calibrate_camera import add_camera  # noqa: PLC0415
-    from splitknit.cli.calibrate_lights import add_lights  # noqa: PLC0415
-    from splitknit.cli.calibrate_radiometry import add_radiometry  # noqa: PLC0415
-    from splitknit.cli.verb import group  # noqa: PLC0415
-
-    kinds = group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
-    add_camera(kinds)
-    add_radiometry(kinds)
-    add_lights(kinds)
-
-
-def _add_rig(verbs: Any) -> None:
-    from splitknit.cli.rig_cad import add_cad  # noqa: PLC0415
-    from splitknit.cli.rig_circuit import add_circuit  # noqa: PLC0415
-    from splitknit.cli.rig_optimise import add_optimise  # noqa: PLC0415
-    from splitknit.cli.rig_target import add_target  # noqa: PLC0415
-    from splitknit.cli.verb import group  # noqa: PLC0415
-
-    kinds = group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
-    add_target(kinds)
-    add_optimise(kinds)
-    add_circuit(kinds)
-    add_cad(kinds)
 
 
 def _guarded(options: argparse.Namespace) -> int:

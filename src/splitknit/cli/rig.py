@@ -1,0 +1,357 @@
+"""``splitknit rig``: the printed target, the study of dimensions, the LED board and the parts of a rig."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from splitknit.cli.verb import Outcome, Progress, add_settings, group, natural, new_verb
+from splitknit.errors import BadInput, require
+
+_SHEET = "target.pdf"
+_BUDGETS: dict[str, dict[str, Any]] = {
+    "quick": {
+        "heights": (100.0, 140.0, 180.0),
+        "radii": (35.0, 52.5, 70.0),
+        "powers": (1.0,),
+        "resolutions": (8.0,),
+        "fingers": 2,
+    },
+    "full": {
+        "heights": (100.0, 120.0, 140.0, 170.0, 200.0),
+        "radii": (35.0, 45.0, 52.5, 65.0, 80.0, 100.0),
+        "powers": (0.1, 0.4, 1.0, 2.0),
+        "resolutions": (10.0,),
+        "fingers": 4,
+    },
+}
+
+
+def add_rig(verbs: Any) -> None:
+    """Add ``splitknit rig`` and its verbs."""
+    kinds = group(verbs, "rig", "plan and build a rig: parts, circuit, dimensions")
+    _add_target(kinds)
+    _add_optimise(kinds)
+    _add_circuit(kinds)
+    _add_cad(kinds)
+
+
+def _add_target(kinds: Any) -> None:
+    """Add the verb."""
+    verb = new_verb(
+        kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", _write_target
+    )
+    verb.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to write, for target.pdf; or a PDF file"
+    )
+    verb.add_argument("--board", default="9x6", metavar="CxR", help="inner corners each way (default: 9x6)")
+    verb.add_argument("--square-mm", type=float, default=3.0, metavar="N", help="side of a square (default: 3)")
+    verb.add_argument(
+        "--dot-mm", type=float, default=10.0, metavar="N", help="spacing of the disc's dots (default: 10)"
+    )
+
+
+def _write_target(options: argparse.Namespace) -> Outcome:
+    """Write the sheet."""
+    from splitknit.calibration.targets import Board  # noqa: PLC0415
+    from splitknit.io.atomic import atomic_file, atomic_folder  # noqa: PLC0415
+    from splitknit.io.targets import check_file, check_target  # noqa: PLC0415
+    from splitknit.rig.target import (  # noqa: PLC0415
+        DOT_MM,
+        PRODUCER,
+        RULER_MM,
+        TargetSettings,
+        dots_mm,
+        target_pdf,
+    )
+
+    as_file = options.out.suffix.lower() == ".pdf"  # as before, when only a file was taken
+    if not as_file:
+        check_target(options.out, _SHEET, "an earlier sheet of targets")
+    check_file(
+        options.out if as_file else None,
+        "a sheet of targets",
+        lambda data: data.startswith(b"%PDF") and PRODUCER in data,
+    )
+    board = Board.named(options.board, options.square_mm)
+    settings = TargetSettings(
+        columns=board.columns, rows=board.rows, square_mm=options.square_mm, spacing_mm=options.dot_mm
+    )
+    data = target_pdf(settings)
+    if as_file:
+        with atomic_file(options.out) as stream:
+            stream.write(data)
+    else:
+        with atomic_folder(options.out) as folder:
+            (folder / _SHEET).write_bytes(data)
+    across, down = settings.copies
+    width, height = settings.board_mm
+    facts = {
+        "out": str(options.out),
+        "board": {"inner_corners": [board.columns, board.rows], "square_mm": options.square_mm},
+        "board_mm": [width, height],
+        "copies": across * down,
+        "disc": {"dots": len(dots_mm(settings)), "dot_mm": DOT_MM, "spacing_mm": settings.spacing_mm},
+        "ruler_mm": RULER_MM,
+    }
+    sheet = options.out if as_file else options.out / _SHEET
+    lines = [
+        f"{sheet}: {across * down} checkerboards of {width:g} x {height:g} mm ({board.columns} x "
+        f"{board.rows} inner corners), and the disc with {len(dots_mm(settings))} dots, on one sheet of A4.",
+        f"Print it at 100 %; the ruler must measure {RULER_MM:g} mm.",
+    ]
+    return facts, lines
+
+
+def _add_optimise(kinds: Any) -> None:
+    """Add ``splitknit rig optimise``."""
+    verb = new_verb(kinds, "optimise", "sweep the rig's dimensions on simulated fingers and find the best", _optimise)
+    verb.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to write; a sweep left in it goes on"
+    )
+    verb.add_argument(
+        "--budget",
+        choices=tuple(_BUDGETS),
+        default="quick",
+        help="what is swept where no list is given (default: quick)",
+    )
+    axes = verb.add_argument_group("rigs to compare: numbers with commas between them, every combination is tried")
+    axes.add_argument("--heights-mm", metavar="LIST", help="of camera and LEDs above the finger plane")
+    axes.add_argument("--radii-mm", metavar="LIST", help="of the circle of LEDs")
+    axes.add_argument("--powers-w", metavar="LIST", help="electrical power of one LED")
+    axes.add_argument(
+        "--tilts-deg", metavar="LIST", help="of the beams from the vertical to the axis, or 'centre' (the default)"
+    )
+    axes.add_argument("--resolutions", metavar="LIST", help="of the camera, pixels per mm on the finger, 3 to 75.7")
+    study = verb.add_argument_group("how they are compared")
+    study.add_argument("--fingers", type=natural, default=None, metavar="N", help="simulated fingers a rig")
+    study.add_argument(
+        "--method", choices=("ea", "ea-poisson", "metric"), default="ea", help="of reconstruction (default: ea)"
+    )
+    study.add_argument("--material", choices=("opaque", "skin"), default="opaque", help="(default: opaque)")
+    study.add_argument(
+        "--camera",
+        choices=("sensor", "renderer"),
+        default="sensor",
+        help="sensor: photons and shutter (default); renderer: a fixed exposure without noise, as in Blender",
+    )
+    study.add_argument("--view", choices=("perspective", "orthographic"), default="perspective", help="of the camera")
+    study.add_argument(
+        "--objective",
+        choices=("hausdorff", "hausdorff95", "rms", "whole", "normals"),
+        default="hausdorff",
+        help="what is minimised: Hausdorff distance of the print (the default), its 95 %% variant, the rms distance, "
+        "the Hausdorff distance of the whole phalange, or the error of the normals",
+    )
+    study.add_argument("--f-number", type=float, default=None, metavar="N", help="of the lens (default: 4)")
+    study.add_argument(
+        "--half-angle-deg", type=float, default=None, metavar="N", help="of the LEDs' beams (default: 30)"
+    )
+    study.add_argument("--led-drop-mm", type=float, default=None, metavar="N", help="LEDs below the lens (default: 0)")
+    verb.add_argument("--workers", type=natural, default=2, metavar="N", help="processes (default: 2)")
+
+
+def _optimise(options: argparse.Namespace) -> Outcome:
+    """Sweep, write, and report what came out."""
+    from splitknit.io.atomic import atomic_file  # noqa: PLC0415
+    from splitknit.io.provenance import plain_json  # noqa: PLC0415
+    from splitknit.report.rig_study import describe, verdict, write_all  # noqa: PLC0415
+    from splitknit.rig.candidates import grid  # noqa: PLC0415
+    from splitknit.rig.optimise import summarise, sweep  # noqa: PLC0415
+
+    started = time.perf_counter()
+    budget = _BUDGETS[options.budget]
+    candidates = grid(
+        _numbers("--heights-mm", options.heights_mm, budget["heights"]),
+        _numbers("--radii-mm", options.radii_mm, budget["radii"]),
+        _numbers("--powers-w", options.powers_w, budget["powers"]),
+        _tilts(options.tilts_deg),
+        _numbers("--resolutions", options.resolutions, budget["resolutions"]),
+    )
+    study = _study(options, budget)
+    with Progress(options) as progress:
+        records = sweep(options.out, candidates, study, workers=options.workers, progress=progress.update)
+    summary = summarise(records, study, options.objective)
+    files = write_all(options.out, records, summary, study)
+    best = next(one for one in records if one["candidate"]["name"] == summary["best"])
+    facts = {
+        "counts": summary["counts"],
+        "objective": summary["objective"],
+        "best": {**best["candidate"], **best["mean"], **summary["compared"][summary["best"]]},
+        "thesis": summary["thesis"],
+        "as_good": summary["as_good"],
+        "pareto": summary["pareto"],
+        "reasons": summary["reasons"],
+    }
+    document = {"format": "splitknit-rig-results", "version": 1, "study": plain_json(study), **facts}
+    with atomic_file(options.out / "results.json") as stream:
+        full = {**document, "compared": summary["compared"], "records": records}
+        stream.write((json.dumps(plain_json(full), indent=1, allow_nan=False) + "\n").encode())
+    files["results.json"] = "all figures, finger by finger"
+    counts = summary["counts"]
+    seconds = time.perf_counter() - started
+    lines = [
+        f"{len(records)} rigs in {seconds:.0f} s: {counts['done']} measured, {counts['refused']} refused by a "
+        f"constraint, {counts['failed']} failed.",
+        f"Best: {describe(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
+        verdict(summary),
+    ]
+    if study.fingers > 1:
+        lines.append(f"{len(summary['as_good'])} of {counts['done']} rigs are indistinguishable from the best.")
+    lines += [f"{number} left out: {words}" for words, number in list(summary["reasons"].items())[:3]]
+    lines.append(f"Open {options.out / 'index.html'} in a browser; figures are in results.csv and results.json.")
+    return {**facts, "out": str(options.out), "files": sorted(files), "total_s": seconds}, lines
+
+
+def _study(options: argparse.Namespace, budget: dict[str, Any]) -> Any:
+    from splitknit.rig.candidates import BuildSettings, Study  # noqa: PLC0415
+    from splitknit.rig.photography import PhotonSettings  # noqa: PLC0415
+
+    return Study(
+        method=options.method,
+        material=options.material,
+        camera=options.camera,
+        fingers=budget["fingers"] if options.fingers is None else options.fingers,
+        build=BuildSettings(
+            view=options.view, **_given(half_angle_deg=options.half_angle_deg, led_drop_mm=options.led_drop_mm)
+        ),
+        photons=PhotonSettings(**_given(f_number=options.f_number)),
+    )
+
+
+def _given(**values: float | str | None) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _numbers(option: str, text: str | None, default: tuple[float, ...]) -> tuple[float, ...]:
+    """Numbers with commas between them."""
+    if text is None:
+        return default
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    require(len(words) > 0, f"{option} is empty; list numbers with commas between them, as {option} 100,140.")
+    values = []
+    for word in words:
+        try:
+            values.append(float(word))
+        except ValueError as error:
+            raise BadInput(f"{option} must list numbers with commas between them, but it holds '{word}'.") from error
+    return tuple(values)
+
+
+def _tilts(text: str | None) -> tuple[float | None, ...]:
+    if text is None:
+        return (None,)
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    require(len(words) > 0, "--tilts-deg is empty; list angles or 'centre', as --tilts-deg 0,20,centre.")
+    return tuple(None if word == "centre" else _numbers("--tilts-deg", word, ())[0] for word in words)
+
+
+def _add_circuit(kinds: Any) -> None:
+    """Add ``splitknit rig circuit``."""
+    verb = new_verb(
+        kinds,
+        "circuit",
+        "the LED board: layout, Gerbers, schematic, parts, pin map, light on eye and skin",
+        _design_circuit,
+    )
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
+    verb.add_argument(
+        "--topology",
+        choices=("sink", "switch"),
+        default=None,
+        help="sink: the current does not depend on supply and LED (the default); switch: the thesis's stage",
+    )
+    verb.add_argument("--supply-v", type=float, default=None, help="voltage of the LEDs' supply (default: 9)")
+    add_settings(verb)
+
+
+def _design_circuit(options: argparse.Namespace) -> Outcome:
+    """Design the board and write it."""
+    from splitknit.cli.options import read_changes  # noqa: PLC0415
+    from splitknit.io.rig import read_rig  # noqa: PLC0415
+    from splitknit.model import default_rig  # noqa: PLC0415
+    from splitknit.rig.circuit import CircuitSettings  # noqa: PLC0415
+    from splitknit.rig.circuit_files import circuit_to_folder  # noqa: PLC0415
+    from splitknit.settings import flatten, override  # noqa: PLC0415
+
+    given = _given(topology=options.topology, supply_v=options.supply_v)
+    # ``circuit.supply_v`` and ``supply_v`` are the same setting
+    changes = flatten(read_changes(options.settings, options.assignments))
+    named = {name.removeprefix("circuit."): value for name, value in changes.items()}
+    settings = override(CircuitSettings(), {**given, **named})
+    facts = circuit_to_folder(options.out, read_rig(options.rig) if options.rig else default_rig(), settings)
+    lines = [f"LED board of {len(facts['leds'])} stages ({settings.topology}, {settings.supply_v:g} V):"]
+    for band, stage in facts["stages"].items():
+        low, middle, high = stage["current_ma"]
+        values = ", ".join(f"{role} {r['ohm']:g} ohm {r['rating_w']:g} W" for role, r in stage["resistors"].items())
+        lines.append(f"  {band:5s} {middle:.0f} mA ({low:.0f} to {high:.0f} over all tolerances): {values}")
+    lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
+    width, height = facts["board"]["size_mm"]
+    lines.append(f"  laid out on {width:g} x {height:g} mm with two layers; not yet made")
+    lines.append(
+        "Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):"
+    )
+    for hazard in facts["safety"]:
+        lines.append(
+            f"  {hazard['leds']:5s} {hazard['hazard']:26s} {hazard['value']:9.4g} of {hazard['limit']:.4g} "
+            f"{hazard['unit']}, margin {hazard['margin']:.3g} ({hazard['margin_with_a_shorted_transistor']:.3g} with a "
+            "shorted transistor)"
+        )
+    lines.append(f"Written to {options.out}: {', '.join(facts['files'])}; rig.json holds the pin map.")
+    return facts, lines
+
+
+def _add_cad(kinds: Any) -> None:
+    """Add ``splitknit rig cad``."""
+    verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _draw_parts)
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument(
+        "--rig", type=Path, default=None, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)"
+    )
+    verb.add_argument("--below", action="store_true", help="put the assembly together with the camera below the finger")
+    verb.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
+    add_settings(verb)
+
+
+def _draw_parts(options: argparse.Namespace) -> Outcome:
+    """Draw, check and write the parts."""
+    from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
+    from splitknit.rig.cad import cad_to_folder  # noqa: PLC0415
+
+    changes = read_changes(options.settings, options.assignments)
+    with Progress(options) as progress:
+        facts = cad_to_folder(
+            options.out,
+            rig_file=options.rig,
+            changes=changes,
+            below=options.below,
+            pictures=not options.no_pictures,
+            progress=progress.update,
+        )
+    return facts, _part_lines(facts, options.out)
+
+
+def _part_lines(facts: dict[str, Any], out: Path) -> list[str]:
+    parts, dimensions = facts["parts"], facts["dimensions"]
+    needed = sum(part["mass_g"] * part["quantity"] for part in parts.values() if part["needed"])
+    tilts = sorted({led["tilt_deg"] for led in dimensions["leds"]})
+    tilt = f"{tilts[0]:.1f} deg" if tilts[-1] - tilts[0] < 0.1 else f"{tilts[0]:.1f} to {tilts[-1]:.1f} deg"
+    lines = [
+        f"{len(parts)} parts drawn, all closed; the rig stands {dimensions['total_height_mm']:.0f} mm high, its "
+        f"{len(dimensions['leds'])} LED holes are tilted by {tilt}, the nail is {dimensions['nail']['height_mm']:g} mm "
+        f"high.",
+        f"What the rig needs weighs {needed:.0f} g in solid PLA, less with infill.",
+    ]
+    for name, part in parts.items():
+        size = " x ".join(f"{value:.0f}" for value in part["size_mm"])
+        checks = part["checks"]
+        lines.append(
+            f"  {name:22s} {size} mm, {part['mass_g']:.0f} g, thinnest wall {checks['wall']['smallest_mm']:.1f} mm, "
+            f"longest bridge {checks['overhang']['bridge_mm']:.1f} mm"
+        )
+        lines += [f"    {finding}" for finding in part["findings"]]
+    return [*lines, f"Written to {out}: stl/, step/, assembly.step, pictures/, parts.json."]
