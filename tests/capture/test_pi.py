@@ -17,6 +17,7 @@ from test_contract_pi import PINS, pins  # noqa: F401 - a fixture
 
 from splitknit.capture.pi import (
     _WHITE_GAINS,
+    SENSORS,
     PiCamera,
     PiCameraSettings,
     _linear_tuning,
@@ -24,7 +25,6 @@ from splitknit.capture.pi import (
     _open_lights,
     open_pi,
 )
-from splitknit.capture.sensors import SENSORS
 from splitknit.capture.streams import developed
 from splitknit.errors import BadInput
 from splitknit.model import default_rig

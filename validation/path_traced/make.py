@@ -17,10 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from walked_finger import FingerOptics, photograph_finger
+
 from splitknit.errors import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
-from splitknit.simulator.reference_finger import FingerOptics, photograph_finger
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import lay_down

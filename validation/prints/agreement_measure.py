@@ -13,6 +13,7 @@ from agreement_compare import table
 from agreement_phase import phase_minutiae
 from agreement_truth import Truth, people, true_source
 from numpy.typing import NDArray
+from pressed_finger import press_finger
 
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.reading import places_of
@@ -25,7 +26,6 @@ from splitknit.matching.minutiae import extract, nfiq2
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae
 from splitknit.prints.make import Print, enhance, make_print
 from splitknit.prints.sources import Source
-from splitknit.simulator.finger.deformation import press_finger
 
 PX_PER_MM = 500.0 / 25.4
 METHODS = {"metric": ("relief", "unroll", "curvature", "photo")}

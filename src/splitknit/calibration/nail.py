@@ -44,6 +44,8 @@ Points = NDArray[np.float64]
 
 _NAIL_HEIGHT_SD_MM = 1.0
 """Of the known height."""
+_CIRCLE_SD_MM = 1.0
+"""Of the circle's centre (each way), its radius and its height about what the drawing says."""
 _FREE_SD_MM = 30.0
 """Takes the place of all deviations of LEDs and circle where the nail's height is known."""
 _OUTLIER = 4.0
@@ -62,12 +64,6 @@ class NailSettings(Checked):
     """The nail in the image, on the finger plane, each way, the same in all rows of one position."""
     led_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
     """Each LED about the circle, outwards and in height."""
-    centre_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """The circle's centre, each way."""
-    radius_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """The circle's radius."""
-    height_sd_mm: Annotated[float, Limits(1e-6, 1e4)] = 1.0
-    """The circle's height."""
     nail_height_mm: Annotated[float | None, Limits(0.5, 500)] = None
     """Where it is known. Then the LEDs' places follow from it, and the circle only guards against nonsense."""
     nail_seen: Literal["tip", "base"] = "tip"
@@ -167,10 +163,7 @@ class _NailModel:
 
     @property
     def _offset_sd(self) -> Points:
-        one = self.settings
-        if self.known:
-            return np.full(4, _FREE_SD_MM)
-        return np.array([one.centre_sd_mm, one.centre_sd_mm, one.radius_sd_mm, one.height_sd_mm])
+        return np.full(4, _FREE_SD_MM if self.known else _CIRCLE_SD_MM)
 
     def _seen(self, height: float) -> float:
         """Height of what the nail's pixel is of."""

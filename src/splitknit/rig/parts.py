@@ -1,14 +1,19 @@
 """The printed parts as solids: bases and mirror holder, tubes and lid, calibration disc and nail.
 
+Below them what they are made of: prisms, turned profiles, joints.
+
 Needs build123d; imported where parts are made.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
+from build123d import Axis, Face, Plane, Pos, Rot, Solid, Vector, Wire
+from numpy.typing import NDArray
 
 from splitknit.rig.dimensions import (
     SCREWS_A_DEG,
@@ -30,9 +35,14 @@ from splitknit.rig.part_settings import (
     DISC_MM,
     DOT_SPACING_MM,
     JOINT_CLEARANCE_MM,
+    JOINT_FOOT_MM,
     JOINT_INSERT_DEPTH_MM,
+    JOINT_INSERT_HOLE_MM,
     JOINT_LUG_MM,
+    JOINT_LUG_RADIUS_MM,
+    JOINT_RIDGE_MM,
     JOINT_RING_MM,
+    JOINT_SCREW_HOLE_MM,
     LED_TIP_FREE_MM,
     MIN_WALL_MM,
     MIRROR_LONG_MM,
@@ -49,28 +59,11 @@ from splitknit.rig.part_settings import (
     SLOT_X_MM,
     SLOT_Y_MM,
 )
-from splitknit.rig.solids import (
-    Shape,
-    box,
-    common,
-    cone,
-    cut,
-    cylinder,
-    feet,
-    fused,
-    groove,
-    head_holes,
-    head_lugs,
-    insert_holes,
-    insert_lugs,
-    prism_x,
-    prism_y,
-    ridge,
-    rod,
-    tube,
-    turned,
-    turned_to,
-)
+
+Shape = Any
+"""A solid of build123d."""
+_Points = Sequence[tuple[float, float]]
+_Point = Sequence[float] | NDArray[np.float64]
 
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
@@ -85,17 +78,17 @@ def _base_part(dimensions: RigDimensions) -> Shape:
     wall = joint.wall_mm
     floor, rim = d.floor_z_mm, d.groove_z_mm + finger.groove_depth_mm
     plate = _plate(d)
-    plate = cut(plate, [*_mirror_pockets(d), _disc_pocket(d), *feet(d, d.base_z_mm, 1.0, _FEET_DEG)])
-    block = box((-d.block_mm, d.block_mm), (d.niche_y_mm - 2.0, d.stop_y_mm + wall), (floor - d.pocket_mm, rim))
-    stop = box(
+    plate = _cut(plate, [*_mirror_pockets(d), _disc_pocket(d), *_feet(d, d.base_z_mm, 1.0, _FEET_DEG)])
+    block = _box((-d.block_mm, d.block_mm), (d.niche_y_mm - 2.0, d.stop_y_mm + wall), (floor - d.pocket_mm, rim))
+    stop = _box(
         (-d.groove_width_mm / 2, d.groove_width_mm / 2),
         (d.stop_y_mm - 1.0, d.stop_y_mm + wall),
         (floor - d.pocket_mm, d.groove_z_mm + finger.stop_height_mm),
     )
     middle = d.groove_z_mm + d.groove_radius_mm
-    trough = rod(d.groove_radius_mm, (0.0, -_FAR_MM, middle), (0.0, d.stop_y_mm, middle))
-    above = box((-d.groove_width_mm / 2, d.groove_width_mm / 2), (-_FAR_MM, d.stop_y_mm), (rim, rim + _FAR_MM))
-    return cut(fused(plate, [block, stop]), [trough, above])
+    trough = _rod(d.groove_radius_mm, (0.0, -_FAR_MM, middle), (0.0, d.stop_y_mm, middle))
+    above = _box((-d.groove_width_mm / 2, d.groove_width_mm / 2), (-_FAR_MM, d.stop_y_mm), (rim, rim + _FAR_MM))
+    return _cut(_fused(plate, [block, stop]), [trough, above])
 
 
 def _window_base_part(dimensions: RigDimensions) -> Shape:
@@ -109,17 +102,17 @@ def _window_base_part(dimensions: RigDimensions) -> Shape:
     low, floor = d.base_z_mm, d.floor_z_mm
     start = -d.field_mm[1] / 2 - 2.0  # the window begins outside the picture
     radius = d.opening_radius_mm - JOINT_CLEARANCE_MM
-    plug = rod(radius, (0.0, d.niche_y_mm - 2.0, floor), (0.0, start, floor))
-    plug = cut(plug, [box((-_FAR_MM, _FAR_MM), (-_FAR_MM, _FAR_MM), (-_FAR_MM, floor - 0.2))])
-    rails = box((-half - wall, half + wall), (start - 1.0, d.stop_y_mm + wall), (floor - 0.2, -1.0))
-    body = fused(_plate(d), [plug, rails])
+    plug = _rod(radius, (0.0, d.niche_y_mm - 2.0, floor), (0.0, start, floor))
+    plug = _cut(plug, [_box((-_FAR_MM, _FAR_MM), (-_FAR_MM, _FAR_MM), (-_FAR_MM, floor - 0.2))])
+    rails = _box((-half - wall, half + wall), (start - 1.0, d.stop_y_mm + wall), (floor - 0.2, -1.0))
+    body = _fused(_plate(d), [plug, rails])
     radius = finger.pad_height_mm / 2  # of the finger that touches the finger plane
     apex = radius * (math.sqrt(2.0) - 1.0)
-    groove = [(-half, low - 1.0), (half, low - 1.0), (half, apex - half), (0.0, apex), (-half, apex - half)]
-    cavity = prism_y(groove, -_FAR_MM, start + 0.1)
-    window = box((-half, half), (start, d.stop_y_mm), (low - 1.0, _FAR_MM))
+    under = [(-half, low - 1.0), (half, low - 1.0), (half, apex - half), (0.0, apex), (-half, apex - half)]
+    cavity = _prism_y(under, -_FAR_MM, start + 0.1)
+    window = _box((-half, half), (start, d.stop_y_mm), (low - 1.0, _FAR_MM))
     ledge = _ledge(d)
-    return fused(cut(body, [cavity, window, _free_light(d, start, apex + wall)]), [ledge])
+    return _fused(_cut(body, [cavity, window, _free_light(d, start, apex + wall)]), [ledge])
 
 
 def _free_light(dimensions: RigDimensions, start: float, height: float) -> Shape:
@@ -128,7 +121,7 @@ def _free_light(dimensions: RigDimensions, start: float, height: float) -> Shape
     top, near = d.floor_z_mm + d.opening_radius_mm + 1.0, d.niche_inner_y_mm + 0.5
     end = min(start, near + top - height)
     slope = [(near, top), (end, top - (end - near)), (start + 1.0, top - (end - near)), (start + 1.0, top)]
-    return prism_x(slope, -far, far)
+    return _prism_x(slope, -far, far)
 
 
 def _ledge(dimensions: RigDimensions) -> Shape:
@@ -137,26 +130,26 @@ def _ledge(dimensions: RigDimensions) -> Shape:
     deep, end = 2.0, d.stop_y_mm
     rest = -d.settings.finger.pad_height_mm / 2 * (2.0 - math.sqrt(2.0))  # a round tip touches wall and wedge
     outline = [(end + wall / 2, rest), (end, rest), (end - deep, rest + deep), (end + wall / 2, rest + deep)]
-    return prism_x(outline, -half - wall / 2, half + wall / 2)
+    return _prism_x(outline, -half - wall / 2, half + wall / 2)
 
 
 def _plate(dimensions: RigDimensions) -> Shape:
     """Floor with ridge and lugs for inserts; no ridge where the hand's niche is."""
     d, joint = dimensions, dimensions.settings.joint
     low, high = d.base_z_mm, d.floor_z_mm
-    disc = turned([(0.0, low), (d.ring_mm, low), (d.ring_mm, high), (0.0, high)])
+    disc = _turned([(0.0, low), (d.ring_mm, low), (d.ring_mm, high), (0.0, high)])
     half = d.settings.finger.hand_width_mm / 2 + joint.wall_mm + 1.0
-    hand = box((-half, half), (-_FAR_MM, 0.0), (high - 0.2, high + _FAR_MM))
-    ring = ridge(d, high).cut(hand)
-    body = fused(disc, [*ring.solids(), *head_lugs(d, low, high - low, SCREWS_A_DEG)])
-    return cut(body, insert_holes(d, high, high - low + 1.0, SCREWS_A_DEG))
+    hand = _box((-half, half), (-_FAR_MM, 0.0), (high - 0.2, high + _FAR_MM))
+    ring = _ridge(d, high).cut(hand)
+    body = _fused(disc, [*ring.solids(), *_head_lugs(d, low, high - low, SCREWS_A_DEG)])
+    return _cut(body, _insert_holes(d, high, high - low + 1.0, SCREWS_A_DEG))
 
 
 def _disc_pocket(dimensions: RigDimensions) -> Shape:
     d, slack = dimensions, JOINT_CLEARANCE_MM
     inside, outside = d.disc_radius_mm - d.settings.joint.wall_mm - slack, d.disc_radius_mm + slack
     low, high = d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0
-    return turned([(inside, low), (outside, low), (outside, high), (inside, high)])
+    return _turned([(inside, low), (outside, low), (outside, high), (inside, high)])
 
 
 def _mirror_pockets(dimensions: RigDimensions) -> list[Shape]:
@@ -166,9 +159,9 @@ def _mirror_pockets(dimensions: RigDimensions) -> list[Shape]:
     (right, middle, _), _, (_, tip, _) = holder_places(d)
     y = (middle - half, middle + half)
     return [
-        box((right + near, right + far), y, z),
-        box((-right - far, -right - near), y, z),
-        box((-half, half), (tip + near, tip + far), z),
+        _box((right + near, right + far), y, z),
+        _box((-right - far, -right - near), y, z),
+        _box((-half, half), (tip + near, tip + far), z),
     ]
 
 
@@ -178,7 +171,7 @@ def _mirror_holder_part(dimensions: RigDimensions) -> Shape:
     x, y, _ = holder_places(d)[0]
     foot, half = d.floor_z_mm - d.pocket_mm, MIRROR_LONG_MM / 2
     outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
-    return prism_y(outline, y - half, y + half)
+    return _prism_y(outline, y - half, y + half)
 
 
 _CABLE_DEG = 70.0
@@ -192,22 +185,22 @@ def _cylinder_part(dimensions: RigDimensions) -> Shape:
     """
     low, high = dimensions.floor_z_mm, dimensions.frame_z_mm
     joint = dimensions.settings.joint
-    body = tube(dimensions, low, high)
-    lugs = head_lugs(dimensions, low, JOINT_LUG_MM, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
-    niche = common(
-        prism_y(_niche(dimensions, joint.wall_mm), -dimensions.outer_mm - 10.0, dimensions.niche_inner_y_mm),
-        cylinder(dimensions.outer_mm - 0.3, low, high),
+    body = _tube(dimensions, low, high)
+    lugs = _head_lugs(dimensions, low, JOINT_LUG_MM, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
+    niche = _common(
+        _prism_y(_niche(dimensions, joint.wall_mm), -dimensions.outer_mm - 10.0, dimensions.niche_inner_y_mm),
+        _cylinder(dimensions.outer_mm - 0.3, low, high),
     )
-    body = fused(body, [*lugs, niche])
-    hand = prism_y(_niche(dimensions, 0.0, below=5.0), -dimensions.outside_mm - 10.0, dimensions.niche_y_mm)
-    opening = rod(
+    body = _fused(body, [*lugs, niche])
+    hand = _prism_y(_niche(dimensions, 0.0, below=5.0), -dimensions.outside_mm - 10.0, dimensions.niche_y_mm)
+    opening = _rod(
         dimensions.opening_radius_mm,
         (0.0, dimensions.niche_y_mm - 1.0, low),
         (0.0, dimensions.niche_inner_y_mm + 1.0, low),
     )
-    holes = head_holes(dimensions, low, SCREWS_A_DEG)
-    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
-    return cut(body, [hand, opening, *holes])
+    holes = _head_holes(dimensions, low, SCREWS_A_DEG)
+    holes += _insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    return _cut(body, [hand, opening, *holes])
 
 
 def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[tuple[float, float]]:
@@ -221,21 +214,22 @@ def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[t
 def _frame_part(dimensions: RigDimensions) -> Shape:
     """Return the frame: tilted holes with shoulders for the LEDs, posts for the camera's board, the lens's opening."""
     joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
-    body = tube(dimensions, low, high, joint.plate_mm)
-    lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_B_DEG) + insert_lugs(dimensions, high, SCREWS_A_DEG)
+    body = _tube(dimensions, low, high, joint.plate_mm)
+    lugs = _head_lugs(dimensions, low, joint.plate_mm, SCREWS_B_DEG) + _insert_lugs(dimensions, high, SCREWS_A_DEG)
     bosses = [_boss(hole, dimensions) for hole in dimensions.holes]
-    inside = cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)  # cuts what stands out of frame and wall
-    bosses = [common(boss, inside) for boss in bosses]
-    body = fused(body, [*lugs, *bosses, *_camera_posts(dimensions)])
-    holes = [cylinder(dimensions.lens_hole_mm, low - 1.0, dimensions.board_z_mm + 1.0)]
+    # cuts what stands out of frame and wall
+    inside = _cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)
+    bosses = [_common(boss, inside) for boss in bosses]
+    body = _fused(body, [*lugs, *bosses, *_camera_posts(dimensions)])
+    holes = [_cylinder(dimensions.lens_hole_mm, low - 1.0, dimensions.board_z_mm + 1.0)]
     for hole in dimensions.holes:
-        holes.append(rod(hole.radius_mm, hole.at(hole.level_mm(low) - 8.0), hole.at(hole.shoulder_mm + 0.5)))
+        holes.append(_rod(hole.radius_mm, hole.at(hole.level_mm(low) - 8.0), hole.at(hole.shoulder_mm + 0.5)))
         holes += _funnel(hole, dimensions)
-        holes.append(rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
+        holes.append(_rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
     holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
-    holes += head_holes(dimensions, low, SCREWS_B_DEG)
-    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
-    return cut(body, holes)
+    holes += _head_holes(dimensions, low, SCREWS_B_DEG)
+    holes += _insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
+    return _cut(body, holes)
 
 
 def _camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
@@ -248,19 +242,19 @@ def _camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
 def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
     radius = CAMERA_POST_MM / 2
-    return [cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes(dimensions)]
+    return [_cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes(dimensions)]
 
 
 def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + 1.2
     radius = CAMERA_POST_HOLE_MM / 2
-    return [cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes(dimensions)]
+    return [_cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes(dimensions)]
 
 
 def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
     """The wall around one LED's hole, from below the frame's lower face to the pocket's end."""
     start = hole.at(hole.level_mm(dimensions.frame_z_mm) - 3.0)
-    return rod(hole.pocket_radius_mm + dimensions.settings.joint.wall_mm, start, hole.at(hole.back_mm))
+    return _rod(hole.pocket_radius_mm + dimensions.settings.joint.wall_mm, start, hole.at(hole.back_mm))
 
 
 def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
@@ -271,7 +265,7 @@ def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
         return []
     long = start - near + 2 * hole.lean_mm + 2.0
     wider = long * math.tan(math.radians(max(44.0 - hole.tilt_deg, 5.0)))
-    return [rod(hole.radius_mm, hole.at(start - long), hole.at(start), hole.radius_mm + wider)]
+    return [_rod(hole.radius_mm, hole.at(start - long), hole.at(start), hole.radius_mm + wider)]
 
 
 def _first_led_mark(dimensions: RigDimensions) -> Shape:
@@ -279,7 +273,7 @@ def _first_led_mark(dimensions: RigDimensions) -> Shape:
     first, top = dimensions.holes[0], dimensions.frame_z_mm + dimensions.settings.joint.plate_mm
     back = first.at(first.back_mm)[:2]
     place = back * (1.0 - (first.pocket_radius_mm + dimensions.settings.joint.wall_mm + 3.0) / float(np.hypot(*back)))
-    return cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
+    return _cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
 
 
 def _box_part(dimensions: RigDimensions) -> Shape:
@@ -287,8 +281,8 @@ def _box_part(dimensions: RigDimensions) -> Shape:
     joint = dimensions.settings.joint
     low, high = dimensions.box_z_mm, dimensions.lid_z_mm
     floor = low + joint.plate_mm
-    body = tube(dimensions, low, high, joint.plate_mm)
-    lugs = head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + insert_lugs(dimensions, high, SCREWS_B_DEG)
+    body = _tube(dimensions, low, high, joint.plate_mm)
+    lugs = _head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
     posts, screws = [], []
     sets = (
         (_pi_holes(dimensions), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
@@ -296,14 +290,14 @@ def _box_part(dimensions: RigDimensions) -> Shape:
     )
     for places, top, hole in sets:
         for x, y in places:
-            posts.append(cylinder(BOARD_POST_MM / 2, floor - 0.5, top, x, y))
-            screws.append(cylinder(hole / 2, max(floor - joint.plate_mm + 1.2, top - 12.0), top + 1.0, x, y))
-    body = fused(body, [*lugs, *posts])
+            posts.append(_cylinder(BOARD_POST_MM / 2, floor - 0.5, top, x, y))
+            screws.append(_cylinder(hole / 2, max(floor - joint.plate_mm + 1.2, top - 12.0), top + 1.0, x, y))
+    body = _fused(body, [*lugs, *posts])
     x, y = SLOT_X_MM / 2, SLOT_Y_MM / 2
-    slots = [box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
-    holes = head_holes(dimensions, low, SCREWS_A_DEG)
-    holes += insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
-    return cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
+    slots = [_box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
+    holes = _head_holes(dimensions, low, SCREWS_A_DEG)
+    holes += _insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    return _cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
 
 
 def _pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
@@ -326,17 +320,17 @@ def _cable_hole(dimensions: RigDimensions) -> Shape:
     z = dimensions.lid_z_mm - 2 * JOINT_RING_MM - 1.0 - radius * math.sqrt(2.0)
     near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
     half = radius * math.sqrt(0.5)
-    point = prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
-    return turned_to(_CABLE_DEG - 90.0, fused(rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
+    point = _prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
+    return _turned_to(_CABLE_DEG - 90.0, _fused(_rod(radius, (0.0, near, z), (0.0, far, z)), [point]))
 
 
 def _lid_part(dimensions: RigDimensions) -> Shape:
     """Return the lid: closes the box against light; with the camera below it is the foot."""
     low, high = dimensions.lid_z_mm, dimensions.top_z_mm
-    plate = turned([(0.0, low), (dimensions.ring_mm, low), (dimensions.ring_mm, high), (0.0, high)])
-    body = fused(plate, head_lugs(dimensions, low, high - low, SCREWS_B_DEG))
-    pockets = feet(dimensions, high, -1.0, _FEET_DEG)
-    return cut(body, [groove(dimensions, low), *pockets, *head_holes(dimensions, low, SCREWS_B_DEG)])
+    plate = _turned([(0.0, low), (dimensions.ring_mm, low), (dimensions.ring_mm, high), (0.0, high)])
+    body = _fused(plate, _head_lugs(dimensions, low, high - low, SCREWS_B_DEG))
+    pockets = _feet(dimensions, high, -1.0, _FEET_DEG)
+    return _cut(body, [_groove(dimensions, low), *pockets, *_head_holes(dimensions, low, SCREWS_B_DEG)])
 
 
 _BORDER_MM = 2.0
@@ -356,13 +350,13 @@ def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
 def _disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
     depth = dimensions.settings.calibration.dot_depth_mm
-    return cut(_cup(dimensions), _dots(dimensions, depth, dimensions.settings.calibration.dot_mm / 2))
+    return _cut(_cup(dimensions), _dots(dimensions, depth, dimensions.settings.calibration.dot_mm / 2))
 
 
 def _flat_disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc whose dots are the pegs of another part, flush with its face."""
     calibration = dimensions.settings.calibration
-    return cut(_cup(dimensions), _dots(dimensions, DISC_MM + 1.0, calibration.dot_mm / 2))
+    return _cut(_cup(dimensions), _dots(dimensions, DISC_MM + 1.0, calibration.dot_mm / 2))
 
 
 def _dots_part(dimensions: RigDimensions) -> Shape:
@@ -371,11 +365,11 @@ def _dots_part(dimensions: RigDimensions) -> Shape:
     low, high = -DISC_MM - MIN_WALL_MM, -DISC_MM
     radius = d.disc_radius_mm - d.settings.joint.wall_mm - JOINT_CLEARANCE_MM
     peg = calibration.dot_mm / 2 - _PEG_SLACK_MM
-    return fused(cylinder(radius, low, high), [cylinder(peg, high - 0.3, 0.0, x, y) for x, y in _disc_dots(d)])
+    return _fused(_cylinder(radius, low, high), [_cylinder(peg, high - 0.3, 0.0, x, y) for x, y in _disc_dots(d)])
 
 
 def _dots(dimensions: RigDimensions, depth: float, radius: float) -> list[Shape]:
-    return [cylinder(radius, -depth, 1.0, x, y) for x, y in _disc_dots(dimensions)]
+    return [_cylinder(radius, -depth, 1.0, x, y) for x, y in _disc_dots(dimensions)]
 
 
 def _cup(dimensions: RigDimensions) -> Shape:
@@ -384,16 +378,16 @@ def _cup(dimensions: RigDimensions) -> Shape:
     outside, thick = d.disc_radius_mm, DISC_MM
     foot = d.floor_z_mm - d.pocket_mm
     inside = outside - wall
-    body = turned([(0.0, 0.0), (outside, 0.0), (outside, foot), (inside, foot), (inside, -thick), (0.0, -thick)])
+    body = _turned([(0.0, 0.0), (outside, 0.0), (outside, foot), (inside, foot), (inside, -thick), (0.0, -thick)])
     half = d.block_mm + 2 * JOINT_CLEARANCE_MM
     rim = d.groove_z_mm + d.settings.finger.groove_depth_mm
-    return cut(body, [box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
+    return _cut(body, [_box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
 
 
 def _nail_part(dimensions: RigDimensions) -> Shape:
     """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
     tip = NOZZLE_MM / 2
-    return cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
+    return _cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
 
 
 MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
@@ -410,3 +404,170 @@ MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
     "nail": _nail_part,
 }
 """What draws each part."""
+
+
+def _cylinder(radius: float, low: float, high: float, x: float = 0.0, y: float = 0.0) -> Shape:
+    """Return an upright cylinder between two heights."""
+    return Pos(x, y, low) * Solid.make_cylinder(radius, high - low)
+
+
+def _rod(radius: float, start: _Point, end: _Point, start_radius: float | None = None) -> Shape:
+    """Return a cylinder between two points, or a cone if it starts with another radius."""
+    first, last = (Vector(*(float(value) for value in point)) for point in (start, end))
+    way = last - first
+    plane = Plane(origin=first, z_dir=way)
+    if start_radius is not None:
+        return Solid.make_cone(start_radius, radius, way.length, plane)
+    return Solid.make_cylinder(radius, way.length, plane)
+
+
+def _cone(low_radius: float, high_radius: float, low: float, high: float) -> Shape:
+    """Return an upright truncated cone about the z axis."""
+    return Pos(0, 0, low) * Solid.make_cone(low_radius, high_radius, high - low)
+
+
+def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Shape:
+    """Return a box between its bounds."""
+    return Pos(x[0], y[0], z[0]) * Solid.make_box(x[1] - x[0], y[1] - y[0], z[1] - z[0])
+
+
+def _prism_y(outline: _Points, start: float, end: float) -> Shape:
+    """Return the outline (x, z) extruded along y."""
+    return _extruded([(x, start, z) for x, z in outline], (0.0, end - start, 0.0))
+
+
+def _prism_x(outline: _Points, start: float, end: float) -> Shape:
+    """Return the outline (y, z) extruded along x."""
+    return _extruded([(start, y, z) for y, z in outline], (end - start, 0.0, 0.0))
+
+
+def _turned(outline: _Points) -> Shape:
+    """Return the outline (radius, z) turned about the z axis."""
+    return Solid.revolve(_face([(r, 0.0, z) for r, z in outline]), 360.0, Axis.Z)
+
+
+def _turned_to(azimuth_deg: float, shape: Shape) -> Shape:
+    """Turn a shape about the z axis."""
+    return Rot(0, 0, azimuth_deg) * shape
+
+
+def _fused(first: Shape, others: Iterable[Shape]) -> Shape:
+    """Return one solid of many."""
+    return _one(first.fuse(*others))
+
+
+def _cut(first: Shape, others: Iterable[Shape]) -> Shape:
+    """Return the first without the others."""
+    return _one(first.cut(*others))
+
+
+def _common(first: Shape, second: Shape) -> Shape:
+    """Return what two shapes share."""
+    return _one(first.intersect(second))
+
+
+def _one(shape: Shape) -> Shape:
+    """Return the only solid of a result of fusing or cutting.
+
+    Raises
+    ------
+    RuntimeError
+        If there is not exactly one: a dimension that the checks let through tears a part.
+    """
+    solids = shape.solids()
+    if len(solids) != 1:
+        raise RuntimeError(f"a part fell into {len(solids)} pieces")
+    return solids[0]
+
+
+def _face(points: Sequence[tuple[float, float, float]]) -> Shape:
+    return Face(Wire.make_polygon([Vector(*point) for point in points], close=True))
+
+
+def _extruded(points: Sequence[tuple[float, float, float]], way: tuple[float, float, float]) -> Shape:
+    return Solid.extrude(_face(points), Vector(*way))
+
+
+def _ridge(dimensions: RigDimensions, z: float) -> Shape:
+    """Return the ridge on a part's upper face: a ring whose outer flank leans inwards by 45 deg."""
+    joint, bore = dimensions.settings.joint, dimensions.bore_mm
+    top = z + joint.ridge_height_mm
+    outside = bore + JOINT_RIDGE_MM
+    return _turned(
+        [(bore, z - 0.2), (outside, z - 0.2), (outside, z), (outside - joint.ridge_height_mm, top), (bore, top)]
+    )
+
+
+def _groove_depth(dimensions: RigDimensions) -> float:
+    """Return the width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
+    return JOINT_RIDGE_MM + JOINT_CLEARANCE_MM
+
+
+def _groove(dimensions: RigDimensions, z: float) -> Shape:
+    """Return what to cut from the lower face of a floor: a groove for the ridge below, without a flat roof."""
+    bore, depth = dimensions.bore_mm, _groove_depth(dimensions)
+    inside = bore - 0.3
+    outside = bore + depth
+    below = 0.5
+    return _turned([(inside, z - below), (outside, z - below), (outside, z), (inside, z + outside - inside)])
+
+
+def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 0.0) -> Shape:
+    """Return a tube with thickened ends, a groove at its lower and a ridge at its upper end.
+
+    `floor_mm` closes it at the bottom by a floor of that thickness.
+    """
+    joint, bore = dimensions.settings.joint, dimensions.bore_mm
+    outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + joint.ridge_height_mm
+    foot = max(JOINT_LUG_MM, floor_mm)
+    outside = [(ring, low), (ring, low + foot), (outer, low + foot)]
+    outside += [(outer, high - 2 * JOINT_RING_MM), (ring, high - JOINT_RING_MM), (ring, high)]
+    outside += [(bore + JOINT_RIDGE_MM, high), (bore + JOINT_RIDGE_MM - joint.ridge_height_mm, top), (bore, top)]
+    if floor_mm > 0:
+        body = _turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
+        return _cut(body, [_groove(dimensions, low)])
+    depth = _groove_depth(dimensions)
+    return _turned([(bore + depth, low), *outside, (bore, low + depth)])
+
+
+def _head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_deg: Sequence[float]) -> list[Shape]:
+    """Return lugs under the heads of screws, at a part's lower face."""
+    start = dimensions.bore_mm + _groove_depth(dimensions) + 0.3
+    return [_turned_to(angle, _lug_outline(dimensions, start, z, z + thickness)) for angle in azimuths_deg]
+
+
+def _head_holes(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
+    """Return the clearance holes of these lugs."""
+    joint = dimensions.settings.joint
+    hole = _cylinder(JOINT_SCREW_HOLE_MM / 2, z - 1.0, z + joint.plate_mm + JOINT_LUG_MM, x=dimensions.screw_mm)
+    return [_turned_to(angle, hole) for angle in azimuths_deg]
+
+
+def _insert_lugs(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
+    """Return lugs for heat-set inserts below a part's upper face, each with a 45 deg support."""
+    start, end = dimensions.outer_mm - 0.3, dimensions.outside_mm
+    deep = JOINT_INSERT_DEPTH_MM + 1.0
+    profile = [(start, z), (end, z), (end, z - deep), (start, z - deep - (end - start))]
+    gusset = _prism_y(profile, -JOINT_LUG_RADIUS_MM, JOINT_LUG_RADIUS_MM)
+    plan = _lug_outline(dimensions, start, z - deep - (end - start) - 1.0, z)
+    return [_turned_to(angle, _common(gusset, plan)) for angle in azimuths_deg]
+
+
+def _insert_holes(dimensions: RigDimensions, z: float, deep: float, azimuths_deg: Sequence[float]) -> list[Shape]:
+    """Return the holes for heat-set inserts, from a part's upper face down."""
+    hole = _cylinder(JOINT_INSERT_HOLE_MM / 2, z - deep, z + 1.0, x=dimensions.screw_mm)
+    return [_turned_to(angle, hole) for angle in azimuths_deg]
+
+
+def _feet(dimensions: RigDimensions, z: float, into: float, azimuths_deg: Sequence[float]) -> list[Shape]:
+    """Return pockets for stick-on feet, 0.8 mm deep; `into` is +1 for a lower face and -1 for an upper one."""
+    radius = JOINT_FOOT_MM / 2
+    low, high = sorted((z - into * 0.5, z + into * 0.8))
+    pocket = _cylinder(radius, low, high, x=dimensions.bore_mm - 2 * radius)
+    return [_turned_to(angle, pocket) for angle in azimuths_deg]
+
+
+def _lug_outline(dimensions: RigDimensions, start: float, low: float, high: float) -> Shape:
+    radius, centre = JOINT_LUG_RADIUS_MM, dimensions.screw_mm
+    plate = _box((start, centre), (-radius, radius), (low, high))
+    return _one(plate.fuse(_cylinder(radius, low, high, x=centre)))

@@ -9,10 +9,6 @@ from splitknit.mirrors.rolled.blend import BlendSettings
 from splitknit.mirrors.rolled.search import SearchSettings
 
 
-def _wider() -> SearchSettings:
-    return SearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), deviations=(0.2, 0.6, 0.6))
-
-
 @dataclass(frozen=True, slots=True)
 class RolledSettings:
     """How views from the front and in mirrors become one finger."""
@@ -23,14 +19,10 @@ class RolledSettings:
     """Of the chart: finer than what the camera resolves."""
     turns: int = 1
     """How often the views' ridges are found on the surface as it is known by then."""
-    poses_free: bool = True
-    """Whether the ridges may correct the mirrors' poses."""
     slope_prior: float = 0.5
     """How much slopes that the lights hardly determine are held to the shape's: variance of the images' relative error
     over that of the slopes."""
     search: SearchSettings = field(default_factory=SearchSettings)
-    search_cut: SearchSettings = field(default_factory=_wider)
-    """For views that are cut: their mirrors' poses are known less well."""
     blend: BlendSettings = field(default_factory=BlendSettings)
 
     def __post_init__(self) -> None:

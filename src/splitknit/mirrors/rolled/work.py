@@ -22,7 +22,7 @@ from splitknit.mirrors.body import Body
 from splitknit.mirrors.rolled.body import radius_of, rolled_pad
 from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, heights, read, sampled, surface_normals
 from splitknit.mirrors.rolled.register import Seen, align, ridge_band
-from splitknit.mirrors.rolled.search import MIN_CORRELATION, search
+from splitknit.mirrors.rolled.search import MIN_CORRELATION, SearchSettings, search
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
 from splitknit.model import BoolArray, Capture, FloatArray
@@ -297,6 +297,8 @@ MIN_COSINE = 0.25
 """Views are compared where both see the skin less steeply than this."""
 MIN_MEETING = 0.3
 """Correlation of two views' ridges below which they are taken not to meet."""
+_SEARCH_CUT = SearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), deviations=(0.2, 0.6, 0.6))
+"""For views that are cut: their mirrors' poses are known less well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -404,11 +406,10 @@ class Work:
         if coarse:
             added, poses, correlations = np.zeros(chart.shape), [], []
             for name, one in given.items():
-                ranges = self.rolled.search_cut if name in self.cut else self.rolled.search
+                ranges = _SEARCH_CUT if name in self.cut else self.rolled.search
                 found = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, ranges)
                 if found.correlation < MIN_MEETING and name not in self.cut:  # it may lie further off than it should
-                    wider = self.rolled.search_cut
-                    again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, wider)
+                    again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, _SEARCH_CUT)
                     found = max(found, again, key=lambda one: one.correlation)
                 self.met[name] = found.correlation >= MIN_CORRELATION
                 added += found.radius_mm
@@ -417,7 +418,7 @@ class Work:
         else:
             none = np.zeros(chart.shape, dtype=np.bool_)
             seen = tuple(one if self.met[name] else replace(one, both=none) for name, one in given.items())
-            done = align(chart, radius, sights["front"], first, seen, self.rolled.poses_free)
+            done = align(chart, radius, sights["front"], first, seen)
             added, poses, correlations = done.radius_mm, list(done.poses), list(done.after)
         for name, pose, correlation in zip(given, poses, correlations, strict=True):
             self.correlation.setdefault(name, []).append(round(correlation, 3))

@@ -310,7 +310,7 @@ def _load() -> tuple[Any, Any]:
         raise BadInput(
             "the reference of whole fingers needs numba; install splitknit with its extra 'reference'."
         ) from error
-    return numba, importlib.import_module("splitknit.simulator.reference_walks")
+    return numba, importlib.import_module("finger_walks")
 
 
 # Light that the surface alone reflects.

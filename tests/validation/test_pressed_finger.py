@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION
 from splitknit.errors import BadInput
-from splitknit.simulator.finger.deformation import PressedPrint, PressSettings, press_finger
 from splitknit.simulator.finger.finger import Finger, draw_finger
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print
+
+sys.path.append(str(VALIDATION / "prints"))
+script: Any = importlib.import_module("pressed_finger")
+PressedPrint, PressSettings, press_finger = script.PressedPrint, script.PressSettings, script.press_finger
 
 STEADY = PressSettings(turn_sd_deg=0, roll_sd_deg=0, pitch_sd_deg=0, shift_mm=0, stretch=0, patches=0, noise_grey=0)
 

@@ -1,4 +1,4 @@
-"""Random walks in a whole finger, compiled by numba: the kernels of :mod:`splitknit.simulator.reference_finger`.
+"""Random walks in a whole finger, compiled by numba: the kernels of ``walked_finger.py``.
 
 Lengths are in pixels: x along the columns, y along the rows, z up. The finger is what lies between two height maps,
 which are bilinear between the pixels' centres and are mirrored beyond their border. Fluence is kept in two grids, from
@@ -37,25 +37,25 @@ FINEST_PX = 0.6
 # Random numbers: Steele, Lea and Flood 2014 (SplitMix64).
 
 
-@njit(cache=True, fastmath=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, inline="always")
 def _mixed(state: Any) -> Any:
     z = (state ^ (state >> _S30)) * _MIX_A
     z = (z ^ (z >> _S27)) * _MIX_B
     return z ^ (z >> _S31)
 
 
-@njit(cache=True, fastmath=True, inline="always")  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True, inline="always")
 def _random(state: Any) -> Any:
     state = state + _GOLD
     return state, float(_mixed(state) >> _S11) * (1.0 / 9007199254740992.0)
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _stream(seed: Any, index: Any) -> Any:
     return _mixed(_mixed(np.uint64(seed) + _GOLD) + np.uint64(index) * _GOLD)
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _sphere(state: Any) -> Any:
     """A direction, all equally likely (Marsaglia 1972)."""
     while True:
@@ -68,7 +68,7 @@ def _sphere(state: Any) -> Any:
             return state, a * root, b * root, 1.0 - 2.0 * s
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _normal_pair(state: Any) -> Any:
     state, u = _random(state)
     state, v = _random(state)
@@ -79,7 +79,7 @@ def _normal_pair(state: Any) -> Any:
 # The boundary.
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _fresnel(cosine: Any, ratio: Any) -> Any:
     """Unpolarised reflectance; `ratio` is n behind over n before the boundary."""
     c = min(max(cosine, 1e-6), 1.0)
@@ -91,7 +91,7 @@ def _fresnel(cosine: Any, ratio: Any) -> Any:
     return 0.5 * (across * across + along * along)
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _folded(x: Any, last: Any) -> Any:
     """The place in [0, last] that a place beyond the border mirrors, and whether it is turned."""
     turned = False
@@ -101,7 +101,7 @@ def _folded(x: Any, last: Any) -> Any:
     return x, turned
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _cell(field: Any, x: Any, y: Any) -> Any:
     """Row and column of the pixel centres around a place, and the fractions between them."""
     x, _ = _folded(x, field.shape[1] - 1.0)
@@ -110,7 +110,7 @@ def _cell(field: Any, x: Any, y: Any) -> Any:
     return row, column, y - row, x - column
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _nearest(field: Any, x: Any, y: Any) -> Any:
     """Row and column of the nearest pixel centre."""
     x, _ = _folded(x, field.shape[1] - 1.0)
@@ -118,7 +118,7 @@ def _nearest(field: Any, x: Any, y: Any) -> Any:
     return int(y + 0.5), int(x + 0.5)
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _sides(sides: Any, x: Any, y: Any) -> Any:
     """Heights of the upper and of the lower side."""
     r, c, v, u = _cell(sides, x, y)
@@ -128,7 +128,7 @@ def _sides(sides: Any, x: Any, y: Any) -> Any:
     return top, low
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _outward(sides: Any, x: Any, y: Any, side: Any) -> Any:
     """Unit normal out of the upper (0) or lower (1) side."""
     r, c, v, u = _cell(sides, x, y)
@@ -142,7 +142,7 @@ def _outward(sides: Any, x: Any, y: Any, side: Any) -> Any:
     return -gx * size, -gy * size, size
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _turned(a: Any, b: Any, c: Any, nx: Any, ny: Any, nz: Any) -> Any:
     """The vector (a, b, c) of a frame whose third axis is the normal (Duff et al. 2017)."""
     sign = 1.0 if nz >= 0.0 else -1.0
@@ -153,7 +153,7 @@ def _turned(a: Any, b: Any, c: Any, nx: Any, ny: Any, nz: Any) -> Any:
     return x, y, c * nz - a * sign * nx - b * ny
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _facet(state: Any, nx: Any, ny: Any, nz: Any, spread: Any) -> Any:
     """Normal of a micro-facet, whose slopes are normal with the standard deviation `spread`."""
     if spread <= 0.0:
@@ -164,7 +164,7 @@ def _facet(state: Any, nx: Any, ny: Any, nz: Any, spread: Any) -> Any:
     return state, mx * size, my * size, mz * size
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _refracted(dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, ratio: Any) -> Any:
     """Refracted direction; the normal is against the direction, `ratio` is n before over n behind."""
     cosine = -(dx * nx + dy * ny + dz * nz)
@@ -173,7 +173,7 @@ def _refracted(dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, ratio: Any)
     return ratio * dx + k * nx, ratio * dy + k * ny, ratio * dz + k * nz
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _cosine(state: Any, nx: Any, ny: Any, nz: Any) -> Any:
     """Direction into the finger, cosine-weighted; the normal points out of it."""
     while True:
@@ -184,7 +184,7 @@ def _cosine(state: Any, nx: Any, ny: Any, nz: Any) -> Any:
             return state, dx / size, dy / size, dz / size
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _diffuse(state: Any, nx: Any, ny: Any, nz: Any, index: Any, reflected: Any) -> Any:
     """Direction into the finger, cosine-weighted times what the boundary reflects or lets pass in this direction."""
     while True:
@@ -194,7 +194,7 @@ def _diffuse(state: Any, nx: Any, ny: Any, nz: Any, index: Any, reflected: Any) 
             return state, dx, dy, dz
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _mirrored(state: Any, dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, facets: Any) -> Any:
     """Direction after a reflection at a micro-facet from inside, and the cosine at it."""
     state, mx, my, mz = _facet(state, nx, ny, nz, facets)
@@ -206,7 +206,7 @@ def _mirrored(state: Any, dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, 
     return state, ax, ay, az, along
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _back(state: Any, dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, medium: Any) -> Any:
     """Direction of light that the boundary reflects from inside, and how much of it there is."""
     state, u = _random(state)
@@ -218,7 +218,7 @@ def _back(state: Any, dx: Any, dy: Any, dz: Any, nx: Any, ny: Any, nz: Any, medi
     return state, dx, dy, dz, _fresnel(along, 1.0 / medium[6])
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _flight(sides: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, length: Any, room: Any, lean: Any) -> Any:
     """Length of the way inside, up to `length`, room at its end, and the side that was met (-1: none).
 
@@ -251,13 +251,13 @@ def _flight(sides: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, lengt
         t = end
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _within(u: Any, length: Any, scattering: Any) -> Any:
     """Where along a way light is scattered, if it is; `u` in [0, 1) is how much of it before."""
     return -math.log(1.0 - u * (1.0 - math.exp(-scattering * length))) / scattering
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _upper_part(first: Any, last: Any, depth: Any) -> Any:
     """Fraction of a straight way between two depths that lies above `depth`."""
     high, low = min(first, last), max(first, last)
@@ -268,7 +268,7 @@ def _upper_part(first: Any, last: Any, depth: Any) -> Any:
     return (depth - high) / (low - high)
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _kept(medium: Any, mottle: Any, x: Any, y: Any, length: Any, first: Any, last: Any) -> Any:
     """What absorption leaves of the light along a straight way between two depths below the skin."""
     upper = _upper_part(first, last, medium[3])
@@ -279,7 +279,7 @@ def _kept(medium: Any, mottle: Any, x: Any, y: Any, length: Any, first: Any, las
 # Light until it is scattered for the first time.
 
 
-@njit(cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, fastmath=True)
 def _shine(
     state: Any, x: Any, y: Any, z: Any, dx: Any, dy: Any, dz: Any, first: Any, last: Any, weights: Any, grid: Any,
     layer_px: Any, sides: Any, lean: Any, mottle: Any, medium: Any,
@@ -315,7 +315,7 @@ def _shine(
     return state
 
 
-@njit(parallel=True, cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True, cache=True, fastmath=True)
 def first_light(
     sides: Any, lean: Any, mottle: Any, entering: Any, lights: Any, medium: Any, layer_px: Any, rays: Any, seed: Any,
     grids: Any,
@@ -374,7 +374,7 @@ def first_light(
 # Light that is scattered.
 
 
-@njit(parallel=True, cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True, cache=True, fastmath=True)
 def scatter(
     sides: Any, lean: Any, mottle: Any, first: Any, layer_px: Any, medium: Any, density: Any, seed: Any, grids: Any
 ) -> None:
@@ -456,7 +456,7 @@ def scatter(
 # Rays from the camera.
 
 
-@njit(parallel=True, cache=True, fastmath=True)  # type: ignore[untyped-decorator]
+@njit(parallel=True, cache=True, fastmath=True)
 def gather(
     sides: Any, lean: Any, mottle: Any, entering: Any, grids: Any, layer_px: Any, lights: Any, strength: Any,
     medium: Any, pixels: Any, rays: Any, seed: Any, sums: Any,

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
-from splitknit.simulator import reference_finger
 from splitknit.simulator.light.skin import (
     REFRACTIVE_INDEX,
     diffuse_transmittance,
@@ -19,8 +21,11 @@ from splitknit.simulator.light.skin import (
     fresnel,
     load_walks,
 )
-from splitknit.simulator.reference_finger import FingerOptics, draw_optics, photograph_finger, render_finger, specular
 from splitknit.simulator.surface import Surface
+
+sys.path.append(str(VALIDATION / "path_traced"))
+finger: Any = importlib.import_module("walked_finger")
+FingerOptics, photograph_finger, specular = finger.FingerOptics, finger.photograph_finger, finger.specular
 
 needs_numba = pytest.mark.skipif(
     importlib.util.find_spec("numba") is None, reason="needs numba (splitknit's extra 'reference')"
@@ -57,15 +62,15 @@ def medium(scattering_per_mm: float, absorption_per_mm: float, spread: float = 1
 
 def walked(surface: Surface, optics: np.ndarray, walks: float = 100.0, threads: int = 1) -> np.ndarray:
     """Mean radiance under both lights."""
-    solid = reference_finger._solid(surface, LEDS)
+    solid = finger._solid(surface, LEDS)
     even = np.ones(solid.lean.shape, dtype=np.float32)
-    light = reference_finger.walk_solid(solid, surface, even, optics, walks=walks, rays=64, threads=threads, seed=[1])
+    light = finger.walk_solid(solid, surface, even, optics, walks=walks, rays=64, threads=threads, seed=[1])
     return light.radiance.mean(axis=(1, 2), dtype=np.float64)
 
 
 @pytest.fixture(autouse=True)
 def _many_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reference_finger, "RAYS", 4)
+    monkeypatch.setattr(finger, "RAYS", 4)
 
 
 @needs_numba
@@ -88,8 +93,8 @@ def test_dense_skin_is_lambertian_whatever_its_slope():
     slope, pitch_mm = 0.4, 0.1
     x = (np.arange(30) - 14.5) * pitch_mm
     roof = patch(np.broadcast_to(-slope * np.abs(x), (30, 30)), pitch_mm)
-    solid, even = reference_finger._solid(roof, LEDS), np.ones((30, 30), dtype=np.float32)
-    light = reference_finger.walk_solid(
+    solid, even = finger._solid(roof, LEDS), np.ones((30, 30), dtype=np.float32)
+    light = finger.walk_solid(
         solid, roof, even, medium(10.0, 2.0, pitch_mm=pitch_mm), walks=60.0, rays=32, threads=1, seed=[2]
     ).radiance
     albedo = diffusion_profile(load_walks(), 10.0, 2.0).albedo
@@ -120,9 +125,9 @@ def test_a_steep_side_is_lit_as_walks_in_an_elliptic_cylinder_say():
         patch(np.zeros((40, 221)), pitch_mm), camera=camera, height_mm=height, shape_mm=height,
         normals=shape_normals, shape_normals=shape_normals, mask=inside,
     )  # fmt: skip
-    solid = reference_finger._solid(cylinder, LEDS)
+    solid = finger._solid(cylinder, LEDS)
     even = np.ones(solid.lean.shape, dtype=np.float32)
-    light = reference_finger.walk_solid(
+    light = finger.walk_solid(
         solid, cylinder, even, medium(4.1237, 0.2, pitch_mm=pitch_mm), walks=20.0, rays=10, threads=1,
         seed=[5],
     ).radiance[0].mean(axis=0)  # fmt: skip
@@ -136,7 +141,9 @@ def test_same_seed_same_bytes_whatever_the_number_of_threads():
     ridges = patch(np.broadcast_to(0.04 * np.cos(np.arange(40) * 0.7), (40, 40)))
     optics = FingerOptics(spread=0.4)
     lights = [
-        render_finger(ridges, LEDS, "green", optics, walks=4.0, rays=2, threads=threads, seed=seed).halves.tobytes()
+        finger.render_finger(
+            ridges, LEDS, "green", optics, walks=4.0, rays=2, threads=threads, seed=seed
+        ).halves.tobytes()
         for threads, seed in ((1, 3), (2, 3), (1, 4))
     ]
     assert lights[0] == lights[1]
@@ -177,7 +184,7 @@ def test_specular_reflection_of_a_level_surface_follows_the_microfacet_formula()
 
 def test_optics_are_drawn_from_their_ranges():
     rng = np.random.default_rng(1)
-    drawn = [draw_optics(rng) for _ in range(50)]
+    drawn = [finger.draw_optics(rng) for _ in range(50)]
     assert all(0.3 <= one.scattering_factor <= 1.5 and 0.15 <= one.roughness <= 0.45 for one in drawn)
     assert np.ptp([one.spread for one in drawn]) > 0.7
 
@@ -185,12 +192,12 @@ def test_optics_are_drawn_from_their_ranges():
 @needs_numba
 def test_what_it_does_not_know_is_refused():
     with pytest.raises(BadInput, match="without a lobe"):
-        render_finger(FLAT, (replace(LEDS[0], lobe_exponent=2.0),), "red", EVEN)
+        finger.render_finger(FLAT, (replace(LEDS[0], lobe_exponent=2.0),), "red", EVEN)
     with pytest.raises(BadInput, match="above zero"):
-        render_finger(FLAT, LEDS, "red", EVEN, walks=0.0)
+        finger.render_finger(FLAT, LEDS, "red", EVEN, walks=0.0)
 
 
 def test_missing_numba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(BadInput, match="its extra 'reference'"):
-        render_finger(FLAT, LEDS, "red", EVEN)
+        finger.render_finger(FLAT, LEDS, "red", EVEN)
