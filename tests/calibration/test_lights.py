@@ -8,20 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splitknit.calibration.light_table import (
-    BANDS,
-    COLUMNS,
-    LightLimits,
-    Tip,
-    check_nails,
-    check_tips,
-    copied_leds,
-    judge,
-    read_tips,
-    refusal,
-    write_tips,
-)
+from splitknit.calibration.light_table import BANDS, COLUMNS, Tip, read_tips, write_tips
 from splitknit.calibration.lights import Circle, _largest_angle_deg, by_circle
+from splitknit.calibration.lights_found import LightLimits, _check_nails, _check_tips, _copied_leds, _judge, _refusal
 from splitknit.errors import BadInput
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera
@@ -92,14 +81,14 @@ def test_the_thesiss_table(thesis):
     assert [round(one, 1) for one in apart[:7]] == [8.9, 1.1, 6.3, 0.8, 4.1, 6.9, 6.8]
     assert [round(one) for one in apart[8:11]] == [32, 19, 15]
     assert [apart[7], *apart[11:]] == pytest.approx([7.0, 2.5, 9.9, 9.0], abs=0.06)  # NIR 0: 6.947
-    assert copied_leds(tips, CAMERA) == {("nir", k) for k in range(1, 7)}
+    assert _copied_leds(tips, CAMERA) == {("nir", k) for k in range(1, 7)}
     assert 19 < height < 20
-    judged = judge([(one.band, one.led, one.disagreement_deg) for one in found], copied_leds(tips, CAMERA))
+    judged = _judge([(one.band, one.led, one.disagreement_deg) for one in found], _copied_leds(tips, CAMERA))
     assert [one.verdict for one in judged] == [
         *("disagrees", "ok", "disagrees", "ok", "ok", "disagrees", "disagrees"),
         *("disagrees", *("copied",) * 6),
     ]
-    sentence = refusal(judged, 5.0)
+    sentence = _refusal(judged, 5.0)
     assert sentence is not None
     for name in ("white 0 (8.9", "white 2", "white 5", "white 6", "NIR 0 (6.9", *(f"NIR {k}" for k in range(1, 7))):
         assert name in sentence
@@ -127,18 +116,18 @@ def test_copies_scale_with_the_image():
     for scale in (1.0, 0.1):
         camera = Camera(px_per_mm=75.7 * scale, image_size=(2200, 3200))
         tips = list(cast([(-3, 0), (3, 0)], camera=camera))
-        assert copied_leds(tips, camera) == set()
+        assert _copied_leds(tips, camera) == set()
         x, y = tips[4].tip_px
         tips[5] = replace(tips[5], tip_px=(x + 17 * scale, y))
-        assert copied_leds(tips, camera) == {("white", 2)}
+        assert _copied_leds(tips, camera) == {("white", 2)}
 
 
 def test_one_position_is_unchecked():
     found, _ = by_circle(cast([(5, 5)]), CAMERA, CIRCLE)
     assert found[0].disagreement_deg is None
-    judged = judge([(one.band, one.led, one.disagreement_deg) for one in found], set())
+    judged = _judge([(one.band, one.led, one.disagreement_deg) for one in found], set())
     assert {one.verdict for one in judged} == {"unchecked"}
-    assert refusal(judged, 5.0) is None
+    assert _refusal(judged, 5.0) is None
 
 
 def test_perspective_moves_the_nails_tip():
@@ -205,14 +194,14 @@ def test_a_table_that_cannot_be_read(change, words):
 )
 def test_an_incomplete_table(change, words):
     tips = list(cast([(-6, -4), (7, 5)]))
-    check_tips(tips, CAMERA.image_size)
+    _check_tips(tips, CAMERA.image_size)
     with pytest.raises(BadInput, match=words):
-        check_tips(change(tips), CAMERA.image_size)
+        _check_tips(change(tips), CAMERA.image_size)
 
 
 def test_a_third_position_may_lack_a_shadow():
     tips = cast([(-6, -4), (7, 5), (0, 0)])
-    check_tips([tip for tip in tips if (tip.led, tip.nail) != (3, 2)], CAMERA.image_size)
+    _check_tips([tip for tip in tips if (tip.led, tip.nail) != (3, 2)], CAMERA.image_size)
 
 
 def test_no_shadow_and_outside_the_circle():
@@ -226,12 +215,12 @@ def test_no_shadow_and_outside_the_circle():
 
 def test_a_nail_number_is_one_place():
     tips = list(cast([(-6, -4), (7, 5)]))
-    check_nails(tips, CAMERA)
+    _check_nails(tips, CAMERA)
     x, y = tips[4].nail_px
     with pytest.raises(BadInput, match=r"nail 1 .* one position"):
-        check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
+        _check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
     with pytest.raises(BadInput, match=r"nails 1 and 2 .* one"):
-        check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)
+        _check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)
 
 
 def test_limits_are_checked():

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.capture.exposure import ExposureSettings, _level_of, clipped_fraction, find_exposure, split, survey
+from splitknit.capture.exposure import ExposureSettings, _level_of, _split, find_exposure, survey
+from splitknit.capture.shots import _clipped_fraction
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput
 
@@ -50,10 +51,10 @@ def test_the_brightest_led_reaches_the_target_whatever_the_light(strength):
 
 
 def test_time_comes_before_gain():
-    assert split(0.05, CAMERA, SETTINGS) == (0.05, 1.0)
-    assert split(0.3, CAMERA, SETTINGS) == (0.066, pytest.approx(0.3 / 0.066))
-    assert split(1e-9, CAMERA, SETTINGS) == (1e-4, 1.0)
-    assert split(9.0, CAMERA, SETTINGS) == (0.066, 8.0)
+    assert _split(0.05, CAMERA, SETTINGS) == (0.05, 1.0)
+    assert _split(0.3, CAMERA, SETTINGS) == (0.066, pytest.approx(0.3 / 0.066))
+    assert _split(1e-9, CAMERA, SETTINGS) == (1e-4, 1.0)
+    assert _split(9.0, CAMERA, SETTINGS) == (0.066, 8.0)
 
 
 def test_what_is_always_clipped_or_dark_is_refused():
@@ -79,10 +80,10 @@ def test_levels_count_black_and_the_brightest_channel():
 def test_a_pixel_is_clipped_if_two_channels_are():
     pixels = np.zeros((20, 20, 3), dtype=np.uint8)
     pixels[5:10, 5:15, 0] = 255
-    assert clipped_fraction(pixels, REGION) == 0.0
+    assert _clipped_fraction(pixels, REGION) == 0.0
     pixels[5:10, 5:15, 1] = 254
-    assert clipped_fraction(pixels, REGION) == 0.5
-    assert clipped_fraction(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
+    assert _clipped_fraction(pixels, REGION) == 0.5
+    assert _clipped_fraction(np.full((20, 20, 1), 255, dtype=np.uint8), REGION) == 1.0
 
 
 @pytest.mark.parametrize("wrong", [{"target": 0.0}, {"target": 0.99}, {"longest_s": 0}])

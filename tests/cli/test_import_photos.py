@@ -11,9 +11,9 @@ from PIL import Image
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import read_height_tiff
 from splitknit.io.results import read_fields, read_result
 from splitknit.model import surface_of
+from written_files import read_height_tiff
 
 AZIMUTH = 2 * np.pi * np.arange(5) / 5
 LIGHTS = np.stack([0.5 * np.cos(AZIMUTH), 0.5 * np.sin(AZIMUTH), np.full(5, 0.87)], axis=1)

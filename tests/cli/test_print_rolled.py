@@ -14,11 +14,12 @@ from splitknit.cli.main import main
 from splitknit.cli.print import _words
 from splitknit.io.capture import write_capture
 from splitknit.io.minutiae3d import read_minutiae3d
-from splitknit.io.ply import read_ply
 from splitknit.model import Capture
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "mirrors"))
 import rolled_scene as scene
+
+from written_files import read_ply
 
 sys.path.pop(0)
 QUICK = [

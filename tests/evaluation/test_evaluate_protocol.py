@@ -10,16 +10,17 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.evaluation.protocol import (
     Exclusion,
+    _session_pairs,
     average_sessions,
     by_session_pair,
     comparisons,
     exclude,
     pair_up,
     scores_of_comparisons,
-    session_pairs,
 )
 from splitknit.evaluation.rates import histograms
-from splitknit.evaluation.scores import Ids, Scores, fingers_of_subjects, ids_of
+from splitknit.evaluation.scores import Ids, Scores, ids_of
+from splitknit.evaluation.study import _fingers_of_subjects
 
 
 def small(score: list[float] | None = None) -> Scores:
@@ -31,7 +32,7 @@ def small(score: list[float] | None = None) -> Scores:
 
 
 def test_the_thesis_has_six_pairs_of_sessions() -> None:
-    assert session_pairs([3, 1, 2, 4, 1]) == [(1, 2), (1, 3), (1, 4), (2, 3), (2, 4), (3, 4)]
+    assert _session_pairs([3, 1, 2, 4, 1]) == [(1, 2), (1, 3), (1, 4), (2, 3), (2, 4), (3, 4)]
     finger, session = np.tile(np.arange(170), 4), np.repeat(np.arange(4), 170)
     pairs = comparisons(finger, session)
     assert (int(pairs.genuine.sum()), int((~pairs.genuine).sum())) == (1020, 172_380)
@@ -136,7 +137,7 @@ def test_systems_without_ids_are_paired_by_place() -> None:
 
 def test_fingers_are_named_within_subjects() -> None:
     finger, subject = ids_of(["thumb", "thumb"], ["thumb", "index"]), ids_of(["s", "s"], ["t", "s"])
-    named = fingers_of_subjects(finger, subject)
+    named = _fingers_of_subjects(finger, subject)
     assert [tuple(named.names[k] for k in codes) for codes in named.codes] == [
         ("s/thumb", "t/thumb"),
         ("s/thumb", "s/index"),

@@ -41,7 +41,8 @@ from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.store import Store, open_store
 from splitknit.batch.surfaces import pack_surface, unpack_surface
 from splitknit.calibration.camera_photos import _read_photo
-from splitknit.calibration.light_table import COLUMNS, check_tips, read_tips
+from splitknit.calibration.light_table import COLUMNS, read_tips
+from splitknit.calibration.lights_found import _check_tips
 from splitknit.calibration.nail_photos import read_stack
 from splitknit.calibration.radiometry_folder import _read_radiometry_plan
 from splitknit.capture.enrolment import open_enrolment
@@ -57,11 +58,11 @@ from splitknit.gallery.key import Key, ScryptSettings, key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.finger_image import encode_finger_images
-from splitknit.io.float_tiff import read_height_tiff, read_light_tiff, write_height_tiff, write_light_tiff
+from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
-from splitknit.io.mesh import read_glb, surface_mesh, write_glb
+from splitknit.io.mesh import surface_mesh
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     decode_ansi378,
@@ -73,7 +74,6 @@ from splitknit.io.minutiae_files import (
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
 from splitknit.io.plain import capture_from_photographs, capture_from_plain_images, read_lights_txt
-from splitknit.io.ply import read_ply, write_ply
 from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
@@ -100,7 +100,7 @@ from splitknit.matching.template import VERSION, Template, make_template, pack, 
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.presets import preset_settings
-from splitknit.prints.from_file import minutiae_of, read_one_finger, read_print_file, ridge_period_px
+from splitknit.prints.from_file import _ridge_period_px, minutiae_of, read_one_finger, read_print_file
 from splitknit.prints.sources import read_source
 from splitknit.rig.assembly import read_stl, write_stl
 from splitknit.rig.candidates import Candidate, Study
@@ -110,7 +110,7 @@ from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
 from splitknit.training.separation import SeparationSettings
 from splitknit.training.separation_data import SeparationData
-from splitknit.training.trainer import load_data, open_folder, plain
+from splitknit.training.trainer import _plain, load_data, open_folder
 from splitknit.viewer.people import People
 from splitknit.viewer.server import open_paths, start
 from splitknit.viewer.service import Service
@@ -701,7 +701,7 @@ def _training(folder: Path) -> None:
     open_folder(folder, SeparationData(), SeparationSettings(), False)
     (folder / "data").mkdir()
     np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
-    (folder / "data" / "finger_0000001.json").write_text(json.dumps(plain({"finger": 1, "light": [1, 2]})))
+    (folder / "data" / "finger_0000001.json").write_text(json.dumps(_plain({"finger": 1, "light": [1, 2]})))
 
 
 def _trained(folder: Path, files: Files) -> object:
@@ -740,7 +740,7 @@ def _tips() -> list[Files]:
 
 
 def _tipped(data: bytes) -> None:
-    check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
+    _check_tips(read_tips(data.decode("utf-8", "replace")), (480, 640))
 
 
 def _radiometry() -> list[Files]:
@@ -869,19 +869,6 @@ def put(folder: Path, files: Files) -> None:
             os.truncate(path, 3 << 30)
 
 
-def _tiffs(path: Path) -> object:
-    return _any(lambda: read_height_tiff(path), lambda: read_light_tiff(path))
-
-
-def _tiff_samples() -> list[Files]:
-    height = np.where(_arrays()["mask"], _arrays()["height_mm"], np.nan)[30:50, 40:60].astype(np.float32)
-    return _written(
-        "x.tiff",
-        lambda path: write_height_tiff(path, height, 0.25, {"a": 1}),
-        lambda path: write_light_tiff(path, np.stack([height] * 3, axis=-1), "linear light", {"b": [1, 2]}),
-    )
-
-
 def _prints() -> list[Files]:
     return _written("print.png", lambda path: write_print_png(path, _print(), 500.0, {"a": "b"})) + _written(
         "print.png", lambda path: path.write_bytes(encode_image(_print(), ".png"))
@@ -912,23 +899,9 @@ def _print_file(folder: Path, files: Files) -> object:
         return None
 
     def measured() -> object:
-        return [ridge_period_px(one.image) for one in read_prints(path) if isinstance(one, PrintFile)]
+        return [_ridge_period_px(one.image) for one in read_prints(path) if isinstance(one, PrintFile)]
 
     return _any(lambda: read(None), lambda: read(700.0), lambda: read_one_finger(path, 500.0), measured)
-
-
-def _glbs() -> list[Files]:
-    vertices, normals, shade, faces = _meshes()
-    return _written("x.glb", lambda path: write_glb(path, vertices, normals, shade, faces, {"a": 1}))
-
-
-def _plys() -> list[Files]:
-    vertices, normals, shade, faces = _meshes()
-    return _written(
-        "x.ply",
-        lambda path: write_ply(path, vertices, normals, shade, faces, ("mm",)),
-        lambda path: write_ply(path, vertices, normals, shade),
-    )
 
 
 def _stls() -> list[Files]:
@@ -944,9 +917,6 @@ TARGETS = (
     Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
-    Target("float_tiff", _tiff_samples, _of_files("x.tiff", _tiffs)),
-    Target("ply", _plys, _of_files("x.ply", read_ply)),
-    Target("glb", _glbs, _of_files("x.glb", read_glb)),
     Target("stl", _stls, _of_files("x.stl", read_stl)),
     Target("print_png", _prints, _of_files("print.png", read_print_png, read_one_finger)),
     Target("print_file", _print_files, _print_file),

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.io.templates import HEADER_BYTES, MAGIC, decode_template, encode_template, read_template, write_template
+from splitknit.io.templates import HEADER_BYTES, MAGIC, _decode_template, encode_template, read_template, write_template
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
 @given(data=st.binary(max_size=80))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     with contextlib.suppress(BadInput):
-        assert decode_template(data, 1) == b""
+        assert _decode_template(data, 1) == b""
         assert data == b""
 
 
@@ -69,10 +69,10 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
 @given(payload=st.binary(min_size=1, max_size=50), place=st.integers(0, 10_000), change=st.integers(1, 255))
 def test_every_changed_byte_is_noticed(payload: bytes, place: int, change: int) -> None:
     data = bytearray(encode_template(payload, 1))
-    assert decode_template(bytes(data), 1) == payload
+    assert _decode_template(bytes(data), 1) == payload
     data[place % len(data)] ^= change
     with pytest.raises(BadInput):
-        decode_template(bytes(data), 1)
+        _decode_template(bytes(data), 1)
 
 
 def test_header_of_nothing_is_refused() -> None:
@@ -80,4 +80,4 @@ def test_header_of_nothing_is_refused() -> None:
 
     empty = MAGIC + b"\x01\0\0\0\0\0\0\0" + hashlib.sha256(b"").digest()
     with pytest.raises(BadInput, match="no content"):
-        decode_template(empty, 1)
+        _decode_template(empty, 1)

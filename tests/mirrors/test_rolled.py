@@ -10,7 +10,6 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled.blend import coverage_deg
 from splitknit.mirrors.rolled.finger import Rolled, _apart, _base, rolled_finger
 from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.search import SearchSettings
@@ -19,6 +18,7 @@ from splitknit.mirrors.rolled.views import _check_mirrors, _notes
 from splitknit.mirrors.rolled.work import _lit
 from splitknit.model import Capture
 from splitknit.presets import preset_settings
+from splitknit.prints.rolled import _coverage_deg
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import FineLight
 
@@ -55,8 +55,8 @@ def test_ridges_are_found_around_the_finger_the_right_way_round(finger: Rolled) 
 def test_it_reaches_further_than_the_front(finger: Rolled) -> None:
     normals = finger.normals.astype(np.float64)
     rows = (finger.chart.length_mm < 0) & (finger.chart.length_mm > -12)
-    around = coverage_deg(finger.chart, finger.blended.known, normals)[rows]
-    front = coverage_deg(finger.chart, finger.blended.fractions[0] > 0.001, normals)[rows]
+    around = _coverage_deg(finger.chart, finger.blended.known, normals)[rows]
+    front = _coverage_deg(finger.chart, finger.blended.fractions[0] > 0.001, normals)[rows]
     assert np.median(around) > 180
     assert np.median(front) < 150
     assert finger.names == ("front", "left", "right")

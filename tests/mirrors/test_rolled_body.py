@@ -9,8 +9,8 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled.body import ROLL_OF_SHEAR, body_between_mirrors, outside, radius_of, rolled_pad
-from splitknit.mirrors.rolled.work import shape_of
+from splitknit.mirrors.rolled.body import body_between_mirrors, outside
+from splitknit.mirrors.rolled.work import ROLL_OF_SHEAR, _radius_of, _rolled_pad, _shape_of
 from splitknit.mirrors.views import Views
 
 RIG = scene.rig()
@@ -33,7 +33,7 @@ def views(front: np.ndarray, **sides: np.ndarray) -> Views:
 
 def off_surface(body) -> np.ndarray:
     """Distance from the drawn finger, mm, around its straight part."""
-    shape = shape_of(body)
+    shape = _shape_of(body)
     points = shape.chart.points(shape.radius_mm) - np.array([0.0, 2.0, 0.0])
     x, y, z = np.moveaxis(points, -1, 0)
     value = np.sqrt(
@@ -81,8 +81,8 @@ def test_a_cut_view_still_tells_where_its_mirror_lies(drawn) -> None:
 
 def test_the_radius_is_where_the_body_ends(drawn) -> None:
     body = body_between_mirrors(views(drawn["front"], right=drawn["right"]), RIG.camera, MIRRORS).body
-    chart = shape_of(body).chart.coarser(8)
-    radius = radius_of(body, chart)
+    chart = _shape_of(body).chart.coarser(8)
+    radius = _radius_of(body, chart)
     assert not outside(body, chart.points(radius - 0.05)).any()
     assert outside(body, chart.points(radius + 0.05)).all()
 
@@ -91,14 +91,14 @@ def test_a_rolled_finger_is_flat_where_it_rolled_to(drawn) -> None:
     body = body_between_mirrors(
         views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG.camera, MIRRORS
     ).body
-    chart = shape_of(body).chart
+    chart = _shape_of(body).chart
     radius = np.full(chart.shape, 7.0)
     flat, roll = 0.16, 0.1
-    more = rolled_pad(replace(body, squareness=flat, shear=roll / ROLL_OF_SHEAR), chart, radius)
+    more = _rolled_pad(replace(body, squareness=flat, shear=roll / ROLL_OF_SHEAR), chart, radius)
     # of a circle with four flat corners, r (1 + k sin^2(2 w) / 4), turned to the right by the roll
     angle = chart.angle_rad
     turned, still = (7.0 * flat / 4.0 * np.sin(2.0 * (angle - by)) ** 2 for by in (roll, 0.0))
     front = np.abs(np.rad2deg(angle)) < 80
     assert np.abs(more[:, front] - (turned - still)[front]).max() < 0.02
-    assert not rolled_pad(replace(body, shear=0.0), chart, radius).any()
+    assert not _rolled_pad(replace(body, shear=0.0), chart, radius).any()
     assert not more[:, np.abs(np.rad2deg(angle)) > 90].any()

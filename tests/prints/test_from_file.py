@@ -16,12 +16,12 @@ from splitknit.errors import BadInput
 from splitknit.io.minutiae_record import pixels_per_cm
 from splitknit.io.prints import PrintFile
 from splitknit.prints.from_file import (
+    _ridge_period_px,
     minutiae_of,
     pressed_print,
     read_one_finger,
     read_print_file,
     resampled,
-    ridge_period_px,
 )
 from splitknit.prints.make import enhance, minutiae_by_phase
 
@@ -107,8 +107,8 @@ def test_pictures_without_ridges_have_no_period() -> None:
     random = np.random.default_rng(1)
     noise = random.integers(0, 256, (400, 400)).astype(np.uint8)
     for picture in (noise, np.full((300, 300), 9, np.uint8), np.repeat(np.repeat(noise[:20, :20], 20, 0), 20, 1)):
-        assert ridge_period_px(picture) is None
-    assert ridge_period_px(spiral_print()[200:250]) is None  # too small to tell
+        assert _ridge_period_px(picture) is None
+    assert _ridge_period_px(spiral_print()[200:250]) is None  # too small to tell
 
 
 @pytest.mark.parametrize(

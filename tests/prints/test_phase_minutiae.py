@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.prints.enhance import gabor_enhance
-from splitknit.prints.phase_minutiae import PhaseMinutiaeSettings, phase_minutiae
+from splitknit.prints.phase_minutiae import phase_minutiae
 from splitknit.simulator.finger.master_print import MasterPrintSettings, ink_print, master_print
 
 PERIOD_PX = 9.0
@@ -56,7 +56,7 @@ def test_a_finger_has_its_own() -> None:
     master = master_print("left_loop", 52, MasterPrintSettings(half_width_mm=8.0, distal_mm=25.0, proximal_mm=1.0))
     border = 20
     image = np.pad(ink_print(master), border, constant_values=255)
-    found = phase_minutiae(image, gabor_enhance(image), settings=PhaseMinutiaeSettings(edge_mm=0.8))
+    found = phase_minutiae(image, gabor_enhance(image))
     step = 25.4 / 500
     u, v, _ = master.minutiae.T
     true = np.stack([(7.5 - u) / step - 0.5 + border, (24.0 - v) / step - 0.5 + border], axis=1)
@@ -68,14 +68,14 @@ def test_a_finger_has_its_own() -> None:
     assert (apart.min(axis=0)[inner] < half).mean() > 0.8
 
 
-def test_quality_and_outline_leave_out() -> None:
+def test_quality_and_outline_leave_out(monkeypatch: pytest.MonkeyPatch) -> None:
     image = with_dislocations([(60.0, 133.0), (200.0, 120.0)], [1, -1], 0.4)
     enhanced = gabor_enhance(image)
     every = phase_minutiae(image, enhanced)
     assert len(every.kind) == 2
-    assert len(phase_minutiae(image, enhanced, settings=PhaseMinutiaeSettings(edge_mm=4.0)).kind) == 0
-    assert len(phase_minutiae(image, enhanced, settings=PhaseMinutiaeSettings(least_quality=100)).kind) == 0
     with pytest.raises(BadInput, match="one print"):
         phase_minutiae(image[1:], enhanced)
-    with pytest.raises(BadInput, match="least_quality"):
-        PhaseMinutiaeSettings(least_quality=101)
+    for name, value in (("_EDGE_MM", 4.0), ("_MIN_QUALITY", 100)):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"splitknit.prints.phase_minutiae.{name}", value)
+            assert len(phase_minutiae(image, enhanced).kind) == 0

@@ -11,13 +11,12 @@ import pytest
 
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import read_height_tiff
 from splitknit.io.npz import read_npz
-from splitknit.io.ply import read_ply
 from splitknit.io.prints import read_print_png
 from splitknit.io.results import _upright_mesh
 from splitknit.report import result as result_files
 from splitknit.report.result import FILES, write_results
+from written_files import read_height_tiff, read_ply
 
 Written = tuple[Path, dict[str, Any]]
 

@@ -18,7 +18,7 @@ from scipy import ndimage
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.rig.board import Board, _Router, lay_out
-from splitknit.rig.board_files import gerber_zip, gerbers, kicad_board, wiring_svg
+from splitknit.rig.board_files import _gerbers, gerber_zip, kicad_board, wiring_svg
 from splitknit.rig.circuit import Circuit, CircuitSettings
 from splitknit.rig.circuit_files import design_circuit
 
@@ -108,7 +108,7 @@ def pads_in_kicad(text: str) -> dict[tuple[str, str], tuple[float, float, str]]:
 
 @pytest.mark.slow
 def test_the_copper_joins_what_the_netlist_joins_and_nothing_else(circuit, board):
-    files = gerbers(board)
+    files = _gerbers(board)
     layers = [drawn(files[f"board-{name}_Cu.gbr"], board.size_mm) for name in ("F", "B")]
     labels = [ndimage.label(layer)[0] for layer in layers]
     group: dict[tuple[int, int], tuple[int, int]] = {}
@@ -189,7 +189,7 @@ def test_the_board_fits_the_printed_box_and_parts_do_not_touch(board):
 
 
 def test_mask_edge_and_screw_holes(board):
-    files = gerbers(board)
+    files = _gerbers(board)
     assert holes_of(files["board-NPTH.drl"], board.size_mm) == [(*hole, 3.2) for hole in board.holes_mm]
     mask = drawn(files["board-F_Mask.gbr"], board.size_mm)
     for pad in board.pads:
@@ -221,7 +221,7 @@ def test_equal_circuits_give_equal_bytes(board):
     assert gerber_zip(again) == gerber_zip(board)
     assert kicad_board(again, "1") == kicad_board(board, "1")
     with zipfile.ZipFile(io.BytesIO(gerber_zip(board))) as archive:
-        assert sorted(archive.namelist()) == sorted(gerbers(board))
+        assert sorted(archive.namelist()) == sorted(_gerbers(board))
         assert len(archive.namelist()) == 8
 
 

@@ -220,7 +220,7 @@ def test_mirrors_stand_beside_the_finger_at_45_deg(rig):
     for first, second in itertools.combinations(placed, 2):
         assert shared_volume(first, second) < 1e-6
     mirror = dimensions.settings.mirror
-    u, v = _mirror_front(dimensions.settings)
+    u, v = _mirror_front()
     foot = dimensions.floor_z_mm - dimensions.pocket_mm
     glass = build123d.Solid.make_box(mirror.wide_mm, MIRROR_LONG_MM, MIRROR_THICK_MM)
     glass = (

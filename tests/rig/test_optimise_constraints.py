@@ -167,16 +167,15 @@ def test_depth_of_field_drops_the_height_and_follows_the_stop():
 
 
 def test_tremor_blurs_more_the_longer_and_never_beyond_its_amplitude():
-    photons = PhotonSettings()
     times = np.linspace(1e-4, 0.055, 20)
-    blurs = [_tremor_blur_mm(float(t), photons) for t in times]
+    blurs = [_tremor_blur_mm(float(t)) for t in times]
     assert np.all(np.diff(blurs) > 0) and blurs[0] < 1e-4
-    assert max(_tremor_blur_mm(float(t), photons) for t in np.linspace(0, 2, 200)) <= 0.030 / np.sqrt(2) + 1e-9
+    assert max(_tremor_blur_mm(float(t)) for t in np.linspace(0, 2, 200)) <= 0.030 / np.sqrt(2) + 1e-9
     # the mean of the variance over random phases, by sampling
     rng, t = np.random.default_rng(0), 0.03
     phases = rng.random(4000)[:, None] * 2 * np.pi
     places = 0.030 * np.sin(2 * np.pi * 9.0 * np.linspace(0, t, 400)[None] + phases)
-    assert _tremor_blur_mm(t, photons) == pytest.approx(np.sqrt(places.var(axis=1).mean()), rel=0.03)
+    assert _tremor_blur_mm(t) == pytest.approx(np.sqrt(places.var(axis=1).mean()), rel=0.03)
 
 
 def test_grid_names_and_bad_candidates():

@@ -8,7 +8,7 @@ from scipy import stats
 
 from splitknit.errors import BadInput
 from splitknit.rig.evaluate_rig import _both_ways, _surface_distances
-from splitknit.rig.optimise import _compare_with_best, _mean_interval, pareto_front
+from splitknit.rig.optimise import _compare_with_best, _mean_interval, _pareto_front
 
 
 def _brute(first, second):
@@ -59,17 +59,17 @@ def test_points_that_are_none_are_refused():
 
 def test_front_is_what_nothing_beats_everywhere():
     costs = np.array([[1.0, 5.0], [2.0, 2.0], [5.0, 1.0], [3.0, 3.0], [2.0, 2.0], [1.0, 6.0]])
-    assert pareto_front(costs).tolist() == [True, True, True, False, True, False]
+    assert _pareto_front(costs).tolist() == [True, True, True, False, True, False]
     rng = np.random.default_rng(0)
     many = rng.integers(0, 6, (60, 3)).astype(float)
-    front = pareto_front(many)
+    front = _pareto_front(many)
     for k, row in enumerate(many):
         beaten = any(
             all(o <= r for o, r in zip(other, row, strict=True)) and tuple(other) != tuple(row) for other in many
         )
         assert front[k] == (not beaten)
     with pytest.raises(BadInput, match="finite"):
-        pareto_front(np.array([[np.nan]]))
+        _pareto_front(np.array([[np.nan]]))
 
 
 def test_interval_is_students():

@@ -147,7 +147,7 @@ def test_a_shadow_lies_on_the_line_from_the_led_through_the_tip():
 
 def test_a_mirror_leans_by_45_deg_and_fits_its_holder():
     parts = PartSettings()
-    front = np.array(_mirror_front(parts))
+    front = np.array(_mirror_front())
     profile = np.array(mirror_profile(parts))
     along, behind = np.array([1, 1]) / math.sqrt(2), np.array([1, -1]) / math.sqrt(2)
     fractions = (profile - front) @ np.stack([along, behind], axis=1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.rig.cad import Body, View, draw
+from splitknit.rig.cad import _Body, _draw, _View
 
-FROM_ABOVE = View(-90.0, 90.0)
+FROM_ABOVE = _View(-90.0, 90.0)
 
 
 def square(x, y, z, size):
@@ -23,15 +23,15 @@ def fraction(picture, colour):
 
 
 def test_the_nearer_surface_hides_the_farther():
-    below = Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1))
-    above = Body(square(0, 0, 5, 5), (0.1, 1.0, 0.1))
+    below = _Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1))
+    above = _Body(square(0, 0, 5, 5), (0.1, 1.0, 0.1))
     for bodies in ([below, above], [above, below]):
-        picture = draw(bodies, FROM_ABOVE, (200, 200), margin=0.0)
+        picture = _draw(bodies, FROM_ABOVE, (200, 200), margin=0.0)
         assert picture.shape == (200, 200, 3)
         assert fraction(picture, "red") == pytest.approx(0.75, abs=0.02)
         assert fraction(picture, "green") == pytest.approx(0.25, abs=0.02)
         assert picture[150, 50, 1] > picture[150, 50, 0]  # x to the right, y up
-    picture = draw([below, above], View(-90.0, -90.0), (200, 200), margin=0.0)
+    picture = _draw([below, above], _View(-90.0, -90.0), (200, 200), margin=0.0)
     assert fraction(picture, "green") == 0  # from below
 
 
@@ -42,17 +42,17 @@ def test_small_triangles_hide_each_other_too():
         first, second = (
             np.concatenate([square(a, b, z, 10 / n) for a, b in zip(x, y, strict=True)]) for z in (high, low)
         )
-        picture = draw(
-            [Body(first, (1.0, 0.1, 0.1)), Body(second, (0.1, 1.0, 0.1))], FROM_ABOVE, (120, 120), margin=0.0
+        picture = _draw(
+            [_Body(first, (1.0, 0.1, 0.1)), _Body(second, (0.1, 1.0, 0.1))], FROM_ABOVE, (120, 120), margin=0.0
         )
         assert fraction(picture, "red") == pytest.approx(float(high > low), abs=0.05)
 
 
 def test_turning_the_viewer_shows_another_side():
-    body = Body(np.concatenate([square(0, 0, 0, 10), square(0, 0, 0, 10)[..., [0, 2, 1]]]), (1.0, 0.1, 0.1))
-    flat = draw([body], View(-90.0, 0.0), (100, 100), margin=0.0)  # along +y: the upright square fills it
+    body = _Body(np.concatenate([square(0, 0, 0, 10), square(0, 0, 0, 10)[..., [0, 2, 1]]]), (1.0, 0.1, 0.1))
+    flat = _draw([body], _View(-90.0, 0.0), (100, 100), margin=0.0)  # along +y: the upright square fills it
     assert fraction(flat, "red") > 0.95
-    lying = draw([Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1))], View(-90.0, 30.0), (100, 100), margin=0.0)
+    lying = _draw([_Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1))], _View(-90.0, 30.0), (100, 100), margin=0.0)
     assert fraction(lying, "red") == pytest.approx(0.5, abs=0.05)  # half as high: sin 30 deg
 
 
@@ -62,14 +62,14 @@ def test_large_and_small_triangles_meet():
     x, y = np.meshgrid(np.arange(n) / n * 10, np.arange(n) / n * 10)
     fine = np.concatenate([square(a, b, 0, 10 / n) for a, b in zip(x.ravel(), y.ravel(), strict=True)])
     coarse, many = (
-        draw([Body(t, (1.0, 0.1, 0.1))], View(-70.0, 40.0), (150, 150)) for t in (square(0, 0, 0, 10), fine)
+        _draw([_Body(t, (1.0, 0.1, 0.1))], _View(-70.0, 40.0), (150, 150)) for t in (square(0, 0, 0, 10), fine)
     )
     assert np.mean(np.abs(coarse.astype(int) - many) > 8) < 0.01
 
 
 def test_labels_keep_their_place_and_their_distance():
-    bodies = [Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1), name, (9.0, 5.0, 0.0)) for name in ("one", "two")]
-    plain = draw(bodies, FROM_ABOVE, (200, 300), labels=0.3)
+    bodies = [_Body(square(0, 0, 0, 10), (1.0, 0.1, 0.1), name, (9.0, 5.0, 0.0)) for name in ("one", "two")]
+    plain = _draw(bodies, FROM_ABOVE, (200, 300), labels=0.3)
     written = np.flatnonzero((plain[:, 220:] < 120).all(axis=-1).any(axis=1))
     assert written.size > 10
     assert np.ptp(written) > 26  # two lines of text

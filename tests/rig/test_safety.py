@@ -17,7 +17,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.model import Led, default_rig
 from splitknit.rig.circuit import NIR_LED, WHITE_LED, CircuitSettings, LedPart, design_stage
-from splitknit.rig.safety import blue_weight, burn_weight, check_hazards, hazards, radiant_intensity, rig_hazards
+from splitknit.rig.safety import _blue_weight, _burn_weight, _hazards, _radiant_intensity, check_hazards, rig_hazards
 
 POINT = replace(NIR_LED, intensity_w_sr=1.0, half_angle_deg=5.0, source_mm=0.1, forward_v=20.0)
 
@@ -33,8 +33,8 @@ POINT = replace(NIR_LED, intensity_w_sr=1.0, half_angle_deg=5.0, source_mm=0.1, 
     ],
 )  # fmt: skip
 def test_the_weighting_functions_are_the_tables(nm, blue, burn):
-    assert blue_weight(np.array([float(nm)]))[0] == pytest.approx(blue, rel=0.01)
-    assert burn_weight(np.array([float(nm)]))[0] == pytest.approx(burn, rel=0.005)
+    assert _blue_weight(np.array([float(nm)]))[0] == pytest.approx(blue, rel=0.01)
+    assert _burn_weight(np.array([float(nm)]))[0] == pytest.approx(burn, rel=0.005)
 
 
 def named(found, clause):
@@ -42,12 +42,12 @@ def named(found, clause):
 
 
 def test_limits_of_the_exempt_group_are_table_6_1():
-    white = hazards("white", WHITE_LED, 0.1, 149.5)  # source of 2 mm: 13.4 mrad
+    white = _hazards("white", WHITE_LED, 0.1, 149.5)  # source of 2 mm: 13.4 mrad
     assert named(white, "4.3.3").limit == 100.0
     assert named(white, "4.3.5").limit == pytest.approx(28000 / (2 / 149.5))
-    small = hazards("white", replace(WHITE_LED, source_mm=1.0), 0.1, 200.0)  # 5 mrad: a small source
+    small = _hazards("white", replace(WHITE_LED, source_mm=1.0), 0.1, 200.0)  # 5 mrad: a small source
     assert named(small, "4.3.4").limit == 1.0
-    nir = hazards("nir", POINT, 0.1, 200.0)
+    nir = _hazards("nir", POINT, 0.1, 200.0)
     assert named(nir, "4.3.6").limit == pytest.approx(545_455, rel=1e-5)  # 545.5 mW/mm2/sr in ams OSRAM's note
     everything = rig_hazards(default_rig(), {"nir": design_stage("nir")})
     assert named(everything, "4.3.7").limit == 100.0
@@ -57,25 +57,27 @@ def test_limits_of_the_exempt_group_are_table_6_1():
 def test_limits_of_shorter_exposures():
     stages = {"nir": design_stage("nir")}
     assert named(rig_hazards(default_rig(), stages, exposure_s=100.0), "4.3.7").limit == pytest.approx(569.2, rel=1e-4)
-    short = hazards("white", WHITE_LED, 0.1, 149.5, exposure_s=100.0)
+    short = _hazards("white", WHITE_LED, 0.1, 149.5, exposure_s=100.0)
     assert named(short, "4.3.3").limit == pytest.approx(1e4)
-    assert named(hazards("white", replace(WHITE_LED, source_mm=1.0), 0.1, 200.0, exposure_s=50.0), "4.3.4").limit == 2.0
+    assert (
+        named(_hazards("white", replace(WHITE_LED, source_mm=1.0), 0.1, 200.0, exposure_s=50.0), "4.3.4").limit == 2.0
+    )
     with pytest.raises(BadInput, match="10 s or more"):
-        hazards("nir", POINT, 0.1, 200.0, exposure_s=1.0)
+        _hazards("nir", POINT, 0.1, 200.0, exposure_s=1.0)
 
 
 def test_a_point_of_one_watt_per_steradian_at_20_cm():
     """By hand: 25 W/m2; spread over 11 mrad (9.503e-5 sr) 263 kW/m2/sr, weighted by about half at 850 nm."""
-    burn = named(hazards("nir", POINT, 0.1, 200.0), "4.3.6")
+    burn = named(_hazards("nir", POINT, 0.1, 200.0), "4.3.6")
     assert burn.value == pytest.approx(25 / 9.503e-5 * 0.5027, rel=2e-3)
-    twice = named(hazards("nir", POINT, 0.2, 200.0, duty=0.25), "4.3.6")
+    twice = named(_hazards("nir", POINT, 0.2, 200.0, duty=0.25), "4.3.6")
     assert twice.value == pytest.approx(2 * burn.value)  # flashes are not averaged
 
 
 def test_an_extended_source_has_its_own_radiance():
     """A round spot of 4 mm with 1 W/sr has 79.6 kW/m2/sr at any distance at which it is over 11 mrad."""
     for distance in (100.0, 300.0):
-        burn = named(hazards("nir", replace(POINT, source_mm=4.0), 0.1, distance), "4.3.6")
+        burn = named(_hazards("nir", replace(POINT, source_mm=4.0), 0.1, distance), "4.3.6")
         assert burn.value == pytest.approx(1 / (math.pi * 0.002**2) * 0.5027, rel=2e-3)
         assert burn.limit == pytest.approx(6000 / (4 / distance))
 
@@ -83,20 +85,20 @@ def test_an_extended_source_has_its_own_radiance():
 def test_blue_light_by_hand():
     """100 cd of 7900 K at 1 m are 100 lx and 0.103 W/m2 of blue; over 0.1 rad (7.854e-3 sr) 13.1 W/m2/sr."""
     lamp = replace(WHITE_LED, intensity_cd=100.0, half_angle_deg=10.0, source_mm=20.0)
-    blue = named(hazards("white", lamp, 0.1, 1000.0), "4.3.3")
+    blue = named(_hazards("white", lamp, 0.1, 1000.0), "4.3.3")
     assert blue.value == pytest.approx(100 * 1.03e-3 / 7.854e-3, rel=0.01)
-    assert named(hazards("white", lamp, 0.1, 1000.0, together=3), "4.3.3").value == pytest.approx(3 * blue.value)
-    assert named(hazards("white", lamp, 0.1, 1000.0, duty=0.25), "4.3.3").value == pytest.approx(blue.value / 4)
-    narrow = named(hazards("white", lamp, 0.1, 1000.0, exposure_s=100.0), "4.3.3")  # the source itself: 20 mrad
+    assert named(_hazards("white", lamp, 0.1, 1000.0, together=3), "4.3.3").value == pytest.approx(3 * blue.value)
+    assert named(_hazards("white", lamp, 0.1, 1000.0, duty=0.25), "4.3.3").value == pytest.approx(blue.value / 4)
+    narrow = named(_hazards("white", lamp, 0.1, 1000.0, exposure_s=100.0), "4.3.3")  # the source itself: 20 mrad
     assert narrow.value == pytest.approx(100 * 1.03e-3 / (math.pi / 4 * 0.02**2), rel=0.01)
 
 
 def test_the_white_spectrum_is_as_hazardous_as_a_cool_white_led():
     """IEC TR 62778 allows 500 lx where E_B is 1 W/m2 from 5750 to 8000 K, with a factor of two in hand: 1.0 mW/lm."""
     lamp = replace(WHITE_LED, intensity_cd=1000.0, forward_v=100.0, source_mm=1.0)
-    per_lux = named(hazards("white", lamp, 0.1, 1000.0), "4.3.4").value / 1000.0
+    per_lux = named(_hazards("white", lamp, 0.1, 1000.0), "4.3.4").value / 1000.0
     assert 0.9e-3 < per_lux < 1.1e-3
-    assert 1000 / radiant_intensity(lamp, "white") == pytest.approx(313, rel=0.02)  # lm/W of the light
+    assert 1000 / _radiant_intensity(lamp, "white") == pytest.approx(313, rel=0.02)  # lm/W of the light
 
 
 def test_seven_leds_of_each_kind_by_hand():
@@ -152,7 +154,7 @@ def test_designs_above_a_limit_are_refused_by_their_worst():
 )
 def test_data_that_cannot_be_are_refused(band: str, part: LedPart, words: str):
     with pytest.raises(BadInput, match=words):
-        radiant_intensity(part, band)
+        _radiant_intensity(part, band)
 
 
 def test_the_page_has_the_figures():

@@ -8,8 +8,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import _packed_fields
-from splitknit.training.networks import fields_network, network_from
+from splitknit.training.fields import _network_from, _packed_fields
+from splitknit.training.networks import fields_network
 from splitknit.training.relief import (
     NAME,
     PARTS,
@@ -190,7 +190,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
     # in tiles, and of a size that is no multiple of the stride
     whole = run_network(network, fields[None, :, :38, :35])
     np.testing.assert_allclose(run_network(network, fields[None, :, :38, :35], tile=12), whole, atol=1e-5)
-    again = network_from(trainer.network.state_dict())
+    again = _network_from(trainer.network.state_dict())
     np.testing.assert_allclose(again(torch.from_numpy(fields[None])).detach()[0].numpy(), wanted, atol=1e-5)
 
 

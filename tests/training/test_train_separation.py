@@ -16,8 +16,8 @@ from splitknit.separation.direct import direct_light
 from splitknit.simulator.light.skin import SkinRanges
 from splitknit.training import networks
 from splitknit.training.networks import load_torch, unet, unet_reach
-from splitknit.training.separation import SeparationSettings, SeparationTrainer, _learning_factor
-from splitknit.training.separation_data import Patches, Photograph, SeparationData, levelled, photographs
+from splitknit.training.separation import SeparationSettings, SeparationTrainer, _learning_factor, _levelled
+from splitknit.training.separation_data import Patches, Photograph, SeparationData, photographs
 
 SMALL = SeparationData(palms=1, patches=6, image_size=(150, 146), pitch_um=(39.0, 40.0), labels="truth", held_out=1)
 
@@ -66,7 +66,7 @@ def test_a_photograph_holds_image_and_direct_light_on_one_scale(by_truth: Photog
 
 
 def test_a_levelled_photograph_has_one_brightness_everywhere(by_truth: Photograph) -> None:
-    ready = levelled(by_truth).pixels.astype(np.float32)
+    ready = _levelled(by_truth).pixels.astype(np.float32)
     for part in (ready[..., :3], ready[..., 6:7]):
         blocks = part[:144, :144].reshape(3, 48, 3, 48, -1).mean(axis=(1, 3, 4))
         np.testing.assert_allclose(blocks, 1.0, atol=0.05)

@@ -22,7 +22,7 @@ from splitknit.training.shape import (
     WEIGHT,
     WHAT,
     ShapeSettings,
-    network_metrics,
+    _network_metrics,
     train_shape,
 )
 from splitknit.training.shape_data import ShapeData
@@ -191,7 +191,7 @@ def test_the_cards_figures_are_of_what_the_network_draws(tmp_path) -> None:
     state["out.bias"][:] = torch.tensor([1.0, -2.0])
     sample = made_up(3, DATA)[0].astype(np.float32)
     sample[SLOPES] = np.array([2.0, -1.0])[:, None, None]
-    found = network_metrics(state, {3: sample, 4: sample})
+    found = _network_metrics(state, {3: sample, 4: sample})
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["before"] == pytest.approx(0.1 * np.sqrt(2.5), abs=1e-4)
     assert found["mean"]["after"] == pytest.approx(0.1, abs=1e-4) == found["mean"]["wide_after"]

@@ -17,10 +17,10 @@ from viewer_server import Asking, started
 
 from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.gallery.gallery import Gallery
-from splitknit.io.mesh import read_glb
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.matching.template import Template, pack
 from splitknit.viewer import service
+from written_files import read_glb
 
 pytestmark = [
     pytest.mark.slow,

@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.viewer.catalogue import open_below, read_below
-from splitknit.viewer.server import POLICY, _new_token, refusal
+from splitknit.viewer.server import POLICY, _new_token, _refusal
 
 TOKEN, PORT = "t0ken", 8123
 
@@ -18,7 +18,7 @@ def ask(path: str = "/t0ken/api/catalogue", method: str = "GET", **headers: str)
     message = Message()
     for name, value in {"host": f"127.0.0.1:{PORT}", **headers}.items():
         message[name.replace("_", "-")] = value
-    found = refusal(method, path, message, TOKEN, PORT)
+    found = _refusal(method, path, message, TOKEN, PORT)
     return 200 if found is None else found[0]
 
 
@@ -58,7 +58,7 @@ def test_a_header_that_decides_comes_once(name: str) -> None:
     message[name] = same = {"Host": message["Host"], "Origin": f"http://127.0.0.1:{PORT}"}.get(name, "same-origin")
     if name != "Host":
         message[name] = same
-    found = refusal("GET", "/t0ken/api/catalogue", message, TOKEN, PORT)
+    found = _refusal("GET", "/t0ken/api/catalogue", message, TOKEN, PORT)
     assert found is not None and found[0] == 400
 
 

@@ -11,7 +11,6 @@ import pytest
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.io.npz import read_npz, write_npz
-from splitknit.io.ply import read_ply
 from splitknit.io.results import _upright_mesh
 from splitknit.report.result import write_results
 from splitknit.viewer.measure import section
@@ -25,6 +24,7 @@ from splitknit.viewer.surface import (
     strides,
     tile_bytes,
 )
+from written_files import read_ply
 
 
 @pytest.fixture(scope="module")

@@ -72,7 +72,7 @@ class Exposure:
     """LED to the finger's median level (fraction of full scale) that the previews promise."""
 
 
-def split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -> tuple[float, float]:
+def _split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -> tuple[float, float]:
     """Exposure time and gain whose product is `product_s`, or as near as the camera can: time first, then gain."""
     longest = min(max(settings.longest_s, camera.shortest_s), camera.longest_s)
     time_s = float(np.clip(product_s / camera.lowest_gain, camera.shortest_s, longest))
@@ -97,7 +97,7 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
     """
     product = _START_S
     while True:
-        time_s, gain = split(product, camera, settings)
+        time_s, gain = _split(product, camera, settings)
         frames = {}
         for led in leds:
             frames[led] = look(led, time_s, gain)
@@ -107,13 +107,13 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
         if max(levels) >= _CLIPPED:
             shorter = product / 4
             require(
-                split(shorter, camera, settings) != (time_s, gain),
+                _split(shorter, camera, settings) != (time_s, gain),
                 "the picture is overexposed even with the shortest exposure: another light is on; close the lid, or "
                 "lower the LEDs' current.",
             )
             product = shorter
             continue
-        at_limit = split(2 * product, camera, settings) == (time_s, gain)
+        at_limit = _split(2 * product, camera, settings) == (time_s, gain)
         require(
             not at_limit or max(levels) >= 0.01,
             "nothing is seen under any LED, even with the longest exposure; check the LEDs' supply and the lens.",
@@ -161,7 +161,7 @@ def find_exposure(
         if abs(level / settings.target - 1.0) <= _TOLERANCE:
             break
         factor = 0.3 if level >= _CLIPPED else float(np.clip(settings.target / max(level, 1e-3), 0.1, 8.0))
-        wanted = split(time_s * gain * factor, camera, settings)
+        wanted = _split(time_s * gain * factor, camera, settings)
         if np.allclose(wanted, (time_s, gain), rtol=1e-6):
             break  # the camera's limit
         time_s, gain = wanted
@@ -190,13 +190,6 @@ def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -
     full = float(np.iinfo(frame.pixels.dtype).max)
     stored = float(np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
     return (stored - frame.black_level) / (full - frame.black_level)
-
-
-def clipped_fraction(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
-    """Fraction of the region's pixels in which two channels (or the one) are at full scale."""
-    full = float(np.iinfo(pixels.dtype).max)
-    inside = pixels[region] >= 0.995 * full
-    return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0
 
 
 _DETAIL_MM = 0.02

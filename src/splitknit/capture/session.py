@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 from splitknit.capture.exposure import (
@@ -29,7 +30,7 @@ from splitknit.capture.exposure import (
     typical_level,
 )
 from splitknit.capture.pins import led_names
-from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Examiner, Shooting, Shot, shrink_region
+from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Examiner, Shooting, Shot
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_mask
@@ -192,7 +193,7 @@ def _focus(
     exposure = metering.exposures["white"]
     camera.lock(exposure.exposure_s, exposure.gain, "white")
     rows, columns = camera.image_size
-    inner = shrink_region(metering.region, 1.0 * px_per_mm * metering.region.shape[1] / columns)
+    inner = _shrink_region(metering.region, 1.0 * px_per_mm * metering.region.shape[1] / columns)
     box = bounding_box(inner)
     part = []
     for one, small, full in zip(box, inner.shape, (rows, columns), strict=True):
@@ -323,3 +324,10 @@ def _check_lit(levels: Mapping[int, float], dark: float, names: Sequence[str]) -
 
 def _listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1] if names else "no LED"
+
+
+def _shrink_region(region: BoolArray, margin_px: float) -> BoolArray:
+    """The region without a rim, or as it is where nothing would be left."""
+    depth = cv2.distanceTransform(np.pad(region.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    inner = np.asarray(depth > margin_px)
+    return inner if inner.any() else region

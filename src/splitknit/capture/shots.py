@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.capture.exposure import MEDIAN, Exposure, clipped_fraction, grey_light
+from splitknit.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
 from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
@@ -89,7 +89,7 @@ class Examiner:
         relative = np.asarray(grey / local, dtype=np.float32)
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
         sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-        return _Look(grey, details, level, clipped_fraction(full, np.asarray(sparse)))
+        return _Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
 
     @property
     def moved_mm(self) -> float:
@@ -132,13 +132,6 @@ class Examiner:
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
             self._masks[shape] = (inside if inside.any() else np.ones(shape, dtype=np.bool_)), window
         return self._masks[shape]
-
-
-def shrink_region(region: BoolArray, margin_px: float) -> BoolArray:
-    """The region without a rim, or as it is where nothing would be left."""
-    depth = cv2.distanceTransform(np.pad(region.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    inner = np.asarray(depth > margin_px)
-    return inner if inner.any() else region
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,3 +300,10 @@ def _as_band(name: str, pixels: PixelArray, leds: Sequence[int], frames: Sequenc
         ambient_exposure=relative_exposure(room),
         ambient_black_level=room.black_level,
     )
+
+
+def _clipped_fraction(pixels: NDArray[np.unsignedinteger], region: BoolArray) -> float:
+    """Fraction of the region's pixels in which two channels (or the one) are at full scale."""
+    full = float(np.iinfo(pixels.dtype).max)
+    inside = pixels[region] >= 0.995 * full
+    return float(np.mean(inside.sum(axis=1) >= min(2, pixels.shape[2]))) if inside.size else 0.0

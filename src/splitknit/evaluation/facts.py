@@ -32,7 +32,7 @@ class _Cmc:
     """Probes that were not compared with their whole gallery, or have no finger in it."""
 
 
-def cmc(scores: Scores) -> _Cmc | None:
+def _cmc(scores: Scores) -> _Cmc | None:
     """Cumulative match characteristic, closed set; None where the scores are not those of probes with galleries.
 
     Side b of a comparison is the gallery, one for each session b (the fingers seen there); side a is the
@@ -158,7 +158,7 @@ def system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
         },
         "roc": _curve(result),
         "session_pairs": [_session_pair(names, part, settings) for names, part in by_session_pair(scores).items()],
-        "cmc": _cmc_facts(cmc(scores), settings),
+        "cmc": _cmc_facts(_cmc(scores), settings),
     }
     return facts
 

@@ -25,7 +25,7 @@ class Comparisons:
     genuine: NDArray[np.bool_]
 
 
-def session_pairs(sessions: Iterable[Any]) -> list[tuple[Any, Any]]:
+def _session_pairs(sessions: Iterable[Any]) -> list[tuple[Any, Any]]:
     """All pairs of different sessions, the earlier first: six of four."""
     return list(combinations(sorted(set(sessions)), 2))
 
@@ -52,7 +52,7 @@ def comparisons(finger: Sequence[Any], session: Sequence[Any]) -> Comparisons:
     require(fingers.ndim == 1 and fingers.shape == sessions.shape, "fingers and sessions must be lists of one length.")
     captures = list(zip(fingers.tolist(), sessions.tolist(), strict=True))
     require(len(set(captures)) == len(captures), "a finger has two captures in one session; keep one of them.")
-    pairs = session_pairs(sessions.tolist())
+    pairs = _session_pairs(sessions.tolist())
     require(len(pairs) > 0, "captures of two sessions at least are needed.")
     a, b = [], []
     for early, late in pairs:

@@ -112,11 +112,3 @@ def contradiction(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | N
     if subject is not None:
         wrong |= label & ~subject.same
     return int(np.argmax(wrong)) if bool(wrong.any()) else None
-
-
-def fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:
-    """Fingers named with their subject, so that everybody's ``right_index`` is a finger of its own."""
-    pairs = subject.codes.astype(np.int64) * len(finger.names) + finger.codes
-    used, codes = np.unique(pairs, return_inverse=True)
-    names = [f"{subject.names[k // len(finger.names)]}/{finger.names[k % len(finger.names)]}" for k in used]
-    return Ids(codes.reshape(pairs.shape).astype(np.int64), tuple(names))

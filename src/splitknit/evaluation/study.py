@@ -18,7 +18,7 @@ from splitknit.evaluation.facts import Result, difference_facts, notes_of, syste
 from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude, pair_up
-from splitknit.evaluation.scores import Ids, Scores, contradiction, fingers_of_subjects
+from splitknit.evaluation.scores import Ids, Scores, contradiction
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores
 from splitknit.model import Progress, no_progress
@@ -312,7 +312,7 @@ def _read_exclusion_list(path: Path, scores: Scores) -> tuple[list[Exclusion], s
 def _systems_of(path: Path, table: ScoreFile, turn: bool) -> list[Scores]:
     finger, subject, session = (Ids(*table.ids[kind]) if kind in table.ids else None for kind in _KINDS)
     if finger is not None and subject is not None:
-        finger = fingers_of_subjects(finger, subject)
+        finger = _fingers_of_subjects(finger, subject)
     wrong = contradiction(table.label, finger, subject)
     if wrong is not None:
         said = "genuine (label 1), but its ids differ" if table.label[wrong] else "an impostor's (label 0), but its "
@@ -333,3 +333,11 @@ def _systems_of(path: Path, table: ScoreFile, turn: bool) -> list[Scores]:
 
 
 _KINDS = ("finger", "subject", "session")
+
+
+def _fingers_of_subjects(finger: Ids, subject: Ids) -> Ids:
+    """Fingers named with their subject, so that everybody's ``right_index`` is a finger of its own."""
+    pairs = subject.codes.astype(np.int64) * len(finger.names) + finger.codes
+    used, codes = np.unique(pairs, return_inverse=True)
+    names = [f"{subject.names[k // len(finger.names)]}/{finger.names[k % len(finger.names)]}" for k in used]
+    return Ids(codes.reshape(pairs.shape).astype(np.int64), tuple(names))

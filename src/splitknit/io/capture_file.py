@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
-from splitknit.io.content import check_light_list
+from splitknit.errors import BadInput, check_lights, require
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.rig import rig_from_json
 from splitknit.model import Rig
@@ -134,7 +133,7 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
         f"{fields.name}: {fields.where} has {len(images)} images but {len(leds)} entries in leds; "
         f"name the LEDs of every image.",
     )
-    check_light_list(rig, band, leds, f"{fields.name}: {fields.path('leds')}")
+    _check_light_list(rig, band, leds, f"{fields.name}: {fields.path('leds')}")
     entries = [_entry(fields, item, folder, f"{fields.path('images')}[{k}]") for k, item in enumerate(images)]
     names = [entry.name for entry in entries]
     if len(set(names)) < len(names):
@@ -202,3 +201,40 @@ def _group(fields: Fields, item: Any, k: int) -> tuple[int, ...]:
         f"or a list of different ones.",
     )
     return tuple(group)
+
+
+def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
+    """Refuse LEDs that are not in the rig, are of another band, or do not determine a normal.
+
+    Parameters
+    ----------
+    rig : the whole rig
+    band : name of the band
+    leds : the LEDs of every image
+    where : file and field, for messages
+
+    Raises
+    ------
+    BadInput
+    """
+    for k, group in enumerate(leds):
+        for index in group:
+            require(
+                0 <= index < len(rig.leds),
+                f"{where}[{k}] names LED {index}, but the rig has {len(rig.leds)} LEDs (0 to {len(rig.leds) - 1}).",
+            )
+            require(
+                rig.leds[index].band == band,
+                f"{where}[{k}] names LED {index}, which is a '{rig.leds[index].band}' LED in the rig, not '{band}'; "
+                f"correct the list or the rig.",
+            )
+    for k, names in enumerate(rig.colours_of(leds)):
+        require(
+            all(names) or not any(names),
+            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
+        )
+    lights = rig.lights_of(leds)
+    try:
+        check_lights(rig.select(lights).light_vectors(), len(lights))
+    except BadInput as error:
+        raise BadInput(f"{where}: {error}") from error

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, require
-from splitknit.model import Band, BoolArray, PixelArray, Rig
+from splitknit.errors import require
+from splitknit.model import Band, BoolArray, PixelArray
 
 # When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as stored.
 _DARK_FRACTION = 0.01
@@ -30,43 +30,6 @@ _SATURATED_AREA = 0.005
 """It must be more than this part of the whole image too: a dark object with a small highlight is no overexposure."""
 _SAMPLE_PIXELS = 200_000
 """Pixels that are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
-
-
-def check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
-    """Refuse LEDs that are not in the rig, are of another band, or do not determine a normal.
-
-    Parameters
-    ----------
-    rig : the whole rig
-    band : name of the band
-    leds : the LEDs of every image
-    where : file and field, for messages
-
-    Raises
-    ------
-    BadInput
-    """
-    for k, group in enumerate(leds):
-        for index in group:
-            require(
-                0 <= index < len(rig.leds),
-                f"{where}[{k}] names LED {index}, but the rig has {len(rig.leds)} LEDs (0 to {len(rig.leds) - 1}).",
-            )
-            require(
-                rig.leds[index].band == band,
-                f"{where}[{k}] names LED {index}, which is a '{rig.leds[index].band}' LED in the rig, not '{band}'; "
-                f"correct the list or the rig.",
-            )
-    for k, names in enumerate(rig.colours_of(leds)):
-        require(
-            all(names) or not any(names),
-            f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
-        )
-    lights = rig.lights_of(leds)
-    try:
-        check_lights(rig.select(lights).light_vectors(), len(lights))
-    except BadInput as error:
-        raise BadInput(f"{where}: {error}") from error
 
 
 def check_content(band: Band) -> None:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from splitknit.errors import read_bytes, refusing, require
+from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
-from splitknit.io.images import DEFAULTS
 from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import SIGNATURES, decode_page, quiet_tifffile, tiff_page
+from splitknit.io.tiff import quiet_tifffile
 from splitknit.model import FloatArray
 
 
@@ -39,25 +37,6 @@ def _write_float_tiff(
     )
     with atomic_file(path) as file:
         file.write(stream.getbuffer())
-
-
-def _read_float_tiff(path: str | os.PathLike[str], what: str) -> tuple[FloatArray, dict[str, Any]]:
-    """Read what :func:`_write_float_tiff` wrote: (H, W) or (H, W, 3) float32, and the description.
-
-    `path`: the file; `what`: it should be, for messages: "a height map". Raises BadInput if the file is missing,
-    damaged or not written by this package.
-    """
-    data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
-    wrong = f"{name} is not {what} of splitknit"
-    require(data.startswith(SIGNATURES), f"{wrong}, or it is damaged; write it again.")
-    page = tiff_page(data, name)
-    require(page.dtype.kind == "f" and page.dtype.itemsize == 4, f"{wrong}.")
-    with refusing(f"{wrong}, or it is damaged; write it again."):
-        description = json.loads(page.description)
-    require(isinstance(description, dict) and isinstance(description.get("unit"), str), f"{wrong}.")
-    field = np.empty((page.rows, page.columns, page.channels), dtype=np.float32)
-    decode_page(data, page, name, field)
-    return field[..., 0] if page.channels == 1 else field, description
 
 
 # Height maps as float32 TIFF: mm, NaN outside the mask, the pitch in the tags and the metadata.
@@ -99,20 +78,6 @@ def write_height_tiff(
     _write_float_tiff(path, height, description, resolution=(per_cm, per_cm), resolutionunit="CENTIMETER")
 
 
-def read_height_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, float, dict[str, Any]]:
-    """Read a height map that :func:`write_height_tiff` wrote.
-
-    Returns `height_mm`: (H, W) float32, NaN outside the mask; `pitch_mm`: size of one pixel; `metadata`: all of the
-    description. Raises BadInput if the file is missing, damaged or not written by this package.
-    """
-    height, metadata = _read_float_tiff(path, "a height map")
-    pitch_mm: Any = metadata.get("pitch_mm")
-    sound = type(pitch_mm) in (int, float) and 0 < pitch_mm < np.inf
-    good = height.ndim == 2 and metadata["unit"] == "mm" and sound
-    require(good, f"{os.fspath(path)} is not a height map of splitknit.")
-    return height, float(pitch_mm), metadata
-
-
 # Images of linear light as float32 TIFF: grey or RGB, NaN where nothing is known, where they came from in the tags.
 
 
@@ -136,10 +101,3 @@ def write_light_tiff(
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
     require(good, f"light must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
     _write_float_tiff(path, image, {**(metadata or {}), "unit": unit})
-
-
-def read_light_tiff(path: str | os.PathLike[str]) -> tuple[FloatArray, dict[str, Any]]:
-    """Read what :func:`write_light_tiff` wrote: (H, W) or (H, W, 3) float32, and all of the description. Raises
-    BadInput if the file is missing, damaged or not written by this package.
-    """
-    return _read_float_tiff(path, "a light image")

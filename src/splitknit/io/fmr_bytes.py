@@ -148,17 +148,6 @@ def check_writable(record: MinutiaeRecord, standard: str, device_bits: int, cert
     )
 
 
-def checked_product(record: MinutiaeRecord) -> tuple[int, int]:
-    """Owner and type of the product, as every ANSI record names them."""
-    owner, kind = record.product
-    require(
-        0 < owner <= 65535 and 0 <= kind <= 65535,
-        f"the product's owner must lie between 1 and 65535 (0x0103: not registered) and its type between 0 and 65535, "
-        f"but they are {record.product}.",
-    )
-    return owner, kind
-
-
 def common_image(record: MinutiaeRecord, standard: str) -> tuple[tuple[int, int], tuple[int, int]]:
     """Size and resolution that all views share, as standards with one of them in their header need."""
     first = record.views[0]

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import read_bytes, refusing, require
-from splitknit.io.atomic import atomic_file
-from splitknit.io.fields import parse_json
+from splitknit.errors import require
 from splitknit.model import BoolArray, FloatArray
 
 
@@ -128,16 +124,6 @@ def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Itera
         yield records.tobytes()
 
 
-def write_mesh_stl(
-    path: str | os.PathLike[str], vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = ""
-) -> None:
-    """Write what :func:`stl_chunks` yields; equal meshes give equal bytes."""
-    chunks = stl_chunks(vertices_mm, faces, title)
-    with atomic_file(path) as stream:
-        for chunk in chunks:
-            stream.write(chunk)
-
-
 # Binary glTF 2.0 (``.glb``) of a surface.
 #
 # glTF's unit is the metre. The buffer holds millimetres, exactly as the result does, and the node that places the
@@ -152,25 +138,6 @@ _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT, _UBYTE = 5126, 5125, 5121
 _VERTICES, _INDICES = 34962, 34963
 _METRES_PER_MM = 0.001
-_MAX_BYTES = 700_000_000
-"""A mesh of ten million vertices."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _GlbMesh:
-    """What a ``.glb`` file written here holds."""
-
-    vertices_mm: FloatArray
-    """(N, 3)."""
-    normals: FloatArray
-    """(N, 3)."""
-    intensity: NDArray[np.uint8]
-    """(N,)."""
-    faces: NDArray[np.int32]
-    """(M, 3)."""
-    metres_per_unit: float
-    """Scale of the node: 0.001."""
-    extras: dict[str, Any]
 
 
 def glb_chunks(
@@ -247,46 +214,3 @@ def _document(blocks: list[Any], extras: dict[str, Any]) -> dict[str, Any]:
         "bufferViews": views,
         "buffers": [{"byteLength": offset}],
     }
-
-
-def write_glb(  # noqa: PLR0917 - a mesh is these arrays
-    path: str | os.PathLike[str],
-    vertices_mm: FloatArray,
-    normals: FloatArray,
-    intensity: NDArray[np.uint8],
-    faces: NDArray[np.int32],
-    extras: dict[str, Any] | None = None,
-) -> None:
-    """Write what :func:`glb_chunks` returns; equal meshes give equal bytes."""
-    _, chunks = glb_chunks(vertices_mm, normals, intensity, faces, extras)
-    with atomic_file(path) as stream:
-        for chunk in chunks:
-            stream.write(chunk)
-
-
-def read_glb(path: str | os.PathLike[str]) -> _GlbMesh:
-    """Read a file that :func:`write_glb` wrote.
-
-    Raises BadInput if it is missing, damaged, or laid out differently.
-    """
-    data, name = read_bytes(path, _MAX_BYTES), os.fspath(path)
-    damaged = f"{name} is no glTF file of splitknit, or it is damaged; export it again."
-    with refusing(damaged):
-        magic, version, total, length, kind = struct.unpack_from("<5I", data)
-        require((magic, version, total, kind) == (_MAGIC, 2, len(data), _JSON), f"{name} is no glTF 2.0, or cut short.")
-        document = parse_json(data[20 : 20 + length], name)
-        body = memoryview(data)[28 + length :]
-        blocks = []
-        for accessor, (dtype, columns) in zip(
-            document["accessors"], (("<f4", 3), ("<f4", 3), ("u1", 4), ("<u4", 1)), strict=True
-        ):
-            view = document["bufferViews"][accessor["bufferView"]]
-            count = accessor["count"] * columns
-            blocks.append(np.frombuffer(body, dtype, count, view["byteOffset"]).reshape(-1, columns))
-        require(sum(block.nbytes for block in blocks) <= len(body), damaged)
-        scale = float(document["nodes"][0]["scale"][0])
-        extras = dict(document["asset"]["extras"])
-        faces = blocks[3].reshape(-1, 3)
-        require(faces.max(initial=0) < len(blocks[0]) == len(blocks[1]) == len(blocks[2]), damaged)
-    places, normals, colours = (block.copy() for block in blocks[:3])
-    return _GlbMesh(places, normals, colours[:, 0], faces.astype(np.int32), scale, extras)

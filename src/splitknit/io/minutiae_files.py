@@ -22,7 +22,6 @@ from splitknit.io.fmr_bytes import (
     check_length,
     check_rest,
     check_writable,
-    checked_product,
     common_image,
     decode_minutiae,
     decode_views,
@@ -76,7 +75,7 @@ def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byte
     """
     standard, magic = (ANSI_2009_AM1, MAGIC_035) if amendment else (ANSI_2009, MAGIC_030)
     check_writable(record, standard, 16, 8)
-    owner, kind = checked_product(record)
+    owner, kind = _checked_product(record)
     body = b"".join(_encode_view(view) for view in record.views)
     length = _HEADER.size + len(body)
     return _HEADER.pack(magic, length, owner, kind, record.certification, record.device, len(record.views), 0) + body
@@ -174,7 +173,7 @@ def encode_ansi378(record: MinutiaeRecord) -> bytes:
     """
     check_writable(record, ANSI_2004, 12, 4)
     (rows, columns), resolution = common_image(record, ANSI_2004)
-    owner, kind = checked_product(record)
+    owner, kind = _checked_product(record)
     body = encode_views(record.views, _CODES)
     device = record.certification << 12 | record.device
     rest = _REST.pack(owner, kind, device, columns, rows, *resolution, len(record.views), 0)
@@ -249,3 +248,14 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRec
 def read_minutiae_record(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a file of minutiae; see :func:`decode_minutiae_record`."""
     return decode_minutiae_record(read_record_bytes(path), os.fspath(path))
+
+
+def _checked_product(record: MinutiaeRecord) -> tuple[int, int]:
+    """Owner and type of the product, as every ANSI record names them."""
+    owner, kind = record.product
+    require(
+        0 < owner <= 65535 and 0 <= kind <= 65535,
+        f"the product's owner must lie between 1 and 65535 (0x0103: not registered) and its type between 0 and 65535, "
+        f"but they are {record.product}.",
+    )
+    return owner, kind

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
 from splitknit.model import FloatArray
 
@@ -30,21 +29,6 @@ _FACE_LINES = ("property list uchar int vertex_indices",)
 _MAX_BYTES = 700_000_000
 """A mesh of ten million vertices."""
 _LONGEST_HEADER = 1_000_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Mesh:
-    """What a PLY file written here holds."""
-
-    vertices_mm: FloatArray
-    """(N, 3)."""
-    normals: FloatArray
-    """(N, 3)."""
-    quality: FloatArray
-    """(N,) in [0, 1]."""
-    faces: NDArray[np.int32]
-    """(M, 3), M = 0 for a cloud of points."""
-    comments: tuple[str, ...]
 
 
 def write_ply(  # noqa: PLR0917 - a mesh is these arrays
@@ -117,40 +101,3 @@ def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
         part = corners[start : start + _CHUNK]
         buffer["corners"][: len(part)] = part
         stream.write(buffer[: len(part)].data)
-
-
-def read_ply(path: str | os.PathLike[str]) -> _Mesh:
-    """Read a PLY file that :func:`write_ply` wrote. Raises BadInput if the file is missing, truncated, or laid out in
-    another way.
-    """
-    data = read_bytes(path, _MAX_BYTES)
-    name = os.fspath(path)
-    end = data.find(b"end_header\n", 0, _LONGEST_HEADER)
-    require(data.startswith(b"ply\n") and end > 0, f"{name} is not a PLY file.")
-    lines = data[:end].decode("ascii", "replace").splitlines()
-    comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
-    layout = [line for line in lines[1:] if not line.startswith("comment ")]
-    counts = [line.split()[-1] for line in layout if line.startswith("element ")]
-    if len(counts) != 2 or not all(count.isdigit() and len(count) < 12 for count in counts):
-        raise BadInput(f"{name} is not a PLY file of vertices and faces.")
-    vertices, faces = int(counts[0]), int(counts[1])
-    expected = [
-        "format binary_little_endian 1.0",
-        f"element vertex {vertices}",
-        *_VERTEX_LINES,
-        f"element face {faces}",
-        *_FACE_LINES,
-    ]
-    require(layout == expected, f"{name} is a PLY file of another layout than splitknit writes.")
-    start = end + len(b"end_header\n")
-    split = start + vertices * _VERTEX.itemsize
-    require(len(data) == split + faces * _FACE.itemsize, f"{name} is truncated; write it again.")
-    points = np.frombuffer(data, dtype=_VERTEX, count=vertices, offset=start)
-    corners = np.frombuffer(data, dtype=_FACE, count=faces, offset=split)
-    whole = bool((corners["count"] == 3).all()) and (
-        faces == 0 or bool(0 <= corners["corners"].min() <= corners["corners"].max() < vertices)
-    )
-    require(whole, f"{name} is damaged: its faces refer to vertices that are not there; write it again.")
-    return _Mesh(
-        points["place"].copy(), points["normal"].copy(), points["quality"].copy(), corners["corners"].copy(), comments
-    )

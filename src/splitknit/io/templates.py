@@ -32,14 +32,11 @@ def encode_template(payload: bytes, version: int) -> bytes:
     return _HEAD.pack(MAGIC, version, 0, len(payload), hashlib.sha256(payload).digest()) + payload
 
 
-def decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
+def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
     """Payload of a template file's content, empty for a failure to acquire.
 
     `data`: the whole file; `version`: the only one that is accepted; `name`: of the file, for errors. Raises BadInput
     if it is no template, of another version, incomplete or damaged.
-
-    >>> decode_template(encode_template(b"ridges", 1), 1)
-    b'ridges'
     """
     if not data:
         return b""
@@ -72,9 +69,9 @@ def read_template(path: str | os.PathLike[str], version: int) -> bytes:
     Raises
     ------
     BadInput
-        If the file cannot be read, or as :func:`decode_template`.
+        If the file cannot be read, or as :func:`_decode_template`.
     """
-    return decode_template(read_bytes(path, _LARGEST + HEADER_BYTES), version, os.fspath(path))
+    return _decode_template(read_bytes(path, _LARGEST + HEADER_BYTES), version, os.fspath(path))
 
 
 def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:

@@ -101,7 +101,7 @@ def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
 
 
 def _suggestion(image: NDArray[np.uint8]) -> str:
-    period = ridge_period_px(image)
+    period = _ridge_period_px(image)
     if period is None:
         return "it shows no ridges to measure it by: give it in pixels per inch, such as --input-ppi 500"
     ppi = period * 25.4 / USUAL_PERIOD_MM
@@ -137,7 +137,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
     return Print(image, weight, there, light, in_mm=False, even=even)
 
 
-def ridge_period_px(image: NDArray[np.uint8]) -> float | None:
+def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
     """Distance of the ridges of a print (H, W) of unknown resolution, in pixels; None where none stand out.
 
     The peak of the spectrum's mean over all directions, times the frequency to the power 2.5, which makes up for what

@@ -7,7 +7,6 @@ the ridges' wave grows or falls by 2 pi. No thinning, no tracing; needs no packa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -17,7 +16,6 @@ from splitknit.errors import require
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.model import FloatArray
 from splitknit.prints.enhance import Enhanced
-from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
 ENDING, BIFURCATION = 1, 2
@@ -25,14 +23,10 @@ _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 """Of a square of pixels, row and column, counter-clockwise as seen."""
 
 
-@dataclass(frozen=True, slots=True)
-class PhaseMinutiaeSettings(Checked):
-    """How minutiae are read off the phase."""
-
-    edge_mm: Annotated[float, Limits(0, 5)] = 0.6
-    """Nearer to the print's outline none is taken: every ridge ends there."""
-    least_quality: Annotated[int, Limits(0, 100)] = 70
-    """Minutiae of less quality are left out."""
+_EDGE_MM = 0.6
+"""Nearer to the print's outline none is taken: every ridge ends there."""
+_MIN_QUALITY = 70
+"""Minutiae of less quality are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,9 +43,7 @@ class _PhaseMinutiae:
     """(N,) 0 to 100: how well the print about it follows the wave."""
 
 
-def phase_minutiae(
-    image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0, settings: PhaseMinutiaeSettings | None = None
-) -> _PhaseMinutiae:
+def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> _PhaseMinutiae:
     """Find the minutiae of a print whose enhancement is at hand.
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
@@ -66,7 +58,6 @@ def phase_minutiae(
         Of the same print.
     ppi : float
         Pixels per inch.
-    settings : PhaseMinutiaeSettings, optional
 
     Returns
     -------
@@ -83,7 +74,6 @@ def phase_minutiae(
     K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?", Optics
     Express 15, 2007.
     """
-    settings = settings or PhaseMinutiaeSettings()
     require(
         image.shape == enhanced.wave.shape,
         f"the print has {image.shape} pixels, but its enhancement {enhanced.wave.shape}; give those of one print.",
@@ -96,7 +86,7 @@ def phase_minutiae(
     inside = np.pad(enhanced.mask.astype(np.uint8), 1)  # beyond the picture is no print
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
     quality = np.round(100 * np.clip(_likeness(image, ridges), 0, 1)).astype(np.uint8)[rows, columns]
-    kept = (distance[rows, columns] >= settings.edge_mm) & (quality >= settings.least_quality)
+    kept = (distance[rows, columns] >= _EDGE_MM) & (quality >= _MIN_QUALITY)
     rows, columns, place, quality = rows[kept], columns[kept], place[kept], quality[kept]
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])

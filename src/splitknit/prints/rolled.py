@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from splitknit.errors import naming, require
 from splitknit.io.capture import read_capture
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.ply import write_ply
-from splitknit.mirrors.rolled.blend import coverage_deg, seam_lines, seam_steps
-from splitknit.model import FloatArray, Progress
+from splitknit.mirrors.rolled.blend import seam_lines, seam_steps
+from splitknit.mirrors.rolled.chart import Chart
+from splitknit.model import BoolArray, FloatArray, Progress
 from splitknit.prints.print_map import PrintMap, unrolled_map
 from splitknit.prints.sources import Source
 from splitknit.prints.unroll import Unrolled, UnrollSettings, unroll
@@ -112,7 +114,7 @@ def laid_flat(rolled: Rolled, kind: str, ppi: float, settings: UnrollSettings) -
 def rolled_facts(rolled: Rolled) -> dict[str, Any]:
     """Coverage, seams, views: for ``report.json``."""
     chart = rolled.chart
-    around = coverage_deg(chart, rolled.blended.known, rolled.normals.astype(np.float64))
+    around = _coverage_deg(chart, rolled.blended.known, rolled.normals.astype(np.float64))
     rows = (chart.length_mm <= TIP_MM) & (chart.length_mm >= -SIDE_MM) & (around > 0)
     every = max(1, round(1.0 / chart.pitch_mm))
     seams = {}
@@ -173,3 +175,22 @@ def _write_rolled_mesh(path: Path, rolled: Rolled) -> int:
     shade = np.clip(0.5 + relief / np.float32(6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
     write_ply(path, vertices, normals, shade, faces, ["rolled-equivalent finger, mm; quality is the relief"])
     return len(vertices)
+
+
+def _coverage_deg(chart: Chart, known: BoolArray, normals: Array) -> Array:
+    """(n,) range of directions, around the finger, of the skin's normals that each row shows without a gap; degrees.
+
+    A row over the straight part of the finger counts its longest run of known pixels. The direction is that of the
+    normal about the finger's axis, not that of the ray: what a flat view calls slant.
+    """
+    local = normals @ chart.axes.T
+    around = np.rad2deg(np.arctan2(local[..., 0], local[..., 2]))
+    result = np.zeros(chart.shape[0])
+    for row in range(chart.shape[0]):
+        labels, count = ndimage.label(known[row])
+        if count == 0:
+            continue
+        longest = 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
+        places = np.flatnonzero(labels == longest)
+        result[row] = float(np.ptp(np.unwrap(np.deg2rad(around[row, places])))) * 180.0 / np.pi
+    return result

@@ -164,7 +164,7 @@ def _drill(board: Board, holes: Sequence[tuple[Point, float]], plated: bool) -> 
     return "\n".join([*lines, "M30"]) + "\n"
 
 
-def gerbers(board: Board) -> dict[str, str]:
+def _gerbers(board: Board) -> dict[str, str]:
     """Return the files that a maker of boards wants, by name: two of copper, solder mask and print, edge, drills."""
     files = {"board-F_Cu.gbr": _copper(board, 0), "board-B_Cu.gbr": _copper(board, 1)}
     for side, name in ((0, "F"), (1, "B")):
@@ -192,7 +192,7 @@ def gerber_zip(board: Board) -> bytes:
     """Return the Gerbers in the archive that is sent to a maker; equal boards give equal bytes."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in gerbers(board).items():
+        for name, text in _gerbers(board).items():
             archive.writestr(zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0)), text, zipfile.ZIP_DEFLATED)
     return stream.getvalue()
 

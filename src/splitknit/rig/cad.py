@@ -59,7 +59,7 @@ _CANDIDATES = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class _Body:
     """Something to draw."""
 
     triangles: NDArray[np.float32]
@@ -72,7 +72,7 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class _View:
     """Where the viewer stands."""
 
     azimuth_deg: float = -60.0
@@ -81,8 +81,8 @@ class View:
     """Above the horizon; negative looks up from below."""
 
 
-def draw(
-    bodies: Sequence[Body], view: View, size: tuple[int, int] = (640, 800), margin: float = 0.06, labels: float = 0.0
+def _draw(
+    bodies: Sequence[_Body], view: _View, size: tuple[int, int] = (640, 800), margin: float = 0.06, labels: float = 0.0
 ) -> ColourArray:
     """Draw bodies so that they fill the picture.
 
@@ -136,7 +136,7 @@ def _placed(
     return float(column), float((rows / 2 - scale * (point[1] - centre[1])) / _SUPERSAMPLING)
 
 
-def _basis(view: View) -> NDArray[np.float64]:
+def _basis(view: _View) -> NDArray[np.float64]:
     """Rows: right, up, and towards the viewer."""
     azimuth, elevation = np.deg2rad(view.azimuth_deg), np.deg2rad(view.elevation_deg)
     towards = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
@@ -376,11 +376,11 @@ _TITLES = {
     "lid": "lid",
 }
 _GAP_MM = 32.0
-_EXPLODED = View(-58.0, 24.0)
-_EXPLODED_BELOW = View(58.0, 24.0)
+_EXPLODED = _View(-58.0, 24.0)
+_EXPLODED_BELOW = _View(58.0, 24.0)
 """Turned over, the hand's side is +y."""
-_SECTION = View(-28.0, 12.0)
-_SECTION_BELOW = View(28.0, 12.0)
+_SECTION = _View(-28.0, 12.0)
+_SECTION_BELOW = _View(28.0, 12.0)
 
 
 def _write_pictures(
@@ -412,8 +412,8 @@ def _write_pictures(
 
 def _part_picture(triangles: Triangles, colour: str) -> ColourArray:
     """Return a part seen from above, and from below beside it."""
-    body = Body(triangles, _PALE if colour == "white" else _DARK)
-    return np.hstack([draw([body], View(-60.0, 42.0), (480, 600)), draw([body], View(-60.0, -35.0), (480, 600))])
+    body = _Body(triangles, _PALE if colour == "white" else _DARK)
+    return np.hstack([_draw([body], _View(-60.0, 42.0), (480, 600)), _draw([body], _View(-60.0, -35.0), (480, 600))])
 
 
 def _exploded_picture(placed: Mapping[str, Triangles], stack: Sequence[str], *, below: bool) -> ColourArray:
@@ -426,14 +426,14 @@ def _exploded_picture(placed: Mapping[str, Triangles], stack: Sequence[str], *, 
         low, high = triangles.reshape(-1, 3).min(axis=0), triangles.reshape(-1, 3).max(axis=0)
         radius = 0.88 * float(high[0])
         middle = (radius * np.cos(azimuth), radius * np.sin(azimuth), float(low[2] + high[2]) / 2)
-        bodies.append(Body(triangles, _COLOURS[name], _TITLES[name], middle))
-    return draw(bodies, view, (1000, 860), labels=0.26)
+        bodies.append(_Body(triangles, _COLOURS[name], _TITLES[name], middle))
+    return _draw(bodies, view, (1000, 860), labels=0.26)
 
 
 def _section_picture(cut: Mapping[str, Triangles], *, below: bool) -> ColourArray:
     """Return the assembled rig cut open along the finger."""
-    bodies = [Body(_turned(triangles, below), _COLOURS[name]) for name, triangles in cut.items()]
-    return draw(bodies, _SECTION_BELOW if below else _SECTION, (900, 640))
+    bodies = [_Body(_turned(triangles, below), _COLOURS[name]) for name, triangles in cut.items()]
+    return _draw(bodies, _SECTION_BELOW if below else _SECTION, (900, 640))
 
 
 def _turned(triangles: Triangles, below: bool) -> NDArray[np.float32]:

@@ -310,10 +310,10 @@ def _sink(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     series = _preferred(spare / top, up=False) if spare / top >= 1.0 else 0.0
     over_led = led.forward_v - led.spread_v
     heat = max(i * (max_v - over_led - i * (emitter + series)) for i in (low, middle, top))
-    resistors = [_resistor("base", base, 0.0, s), _resistor("emitter", emitter, top * top * emitter, s)]
+    resistors = [_resistor("base", base, 0.0), _resistor("emitter", emitter, top * top * emitter)]
     if series:
-        resistors.append(_resistor("series", series, top * top * series, s))
-    resistors.append(_resistor("pull_down", _PULL_DOWN_OHM, 0.0, s))
+        resistors.append(_resistor("series", series, top * top * series))
+    resistors.append(_resistor("pull_down", _PULL_DOWN_OHM, 0.0))
     line = max(c / g for c in (top,) for g in t.gain) + high[1] / _PULL_DOWN_OHM
     fault = (high[1] - t.base_v[0]) / ((base + emitter) * (1 - s.resistor_spread))
     shorted = (max_v - over_led) / ((emitter + series) * (1 - s.resistor_spread))
@@ -341,16 +341,16 @@ def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     top = max(corners)
     line = (high[1] - t.base_v[0]) / (base * (1 - s.resistor_spread)) + high[1] / _PULL_DOWN_OHM
     resistors = (
-        _resistor("base", base, line * line * base, s),
-        _resistor("series", series, top * top * series, s),
-        _resistor("pull_down", _PULL_DOWN_OHM, 0.0, s),
+        _resistor("base", base, line * line * base),
+        _resistor("series", series, top * top * series),
+        _resistor("pull_down", _PULL_DOWN_OHM, 0.0),
     )
     heat = top * t.saturation_v[1] + line * t.base_v[1]
     shorted = (max_v - voltages[0]) / (series * (1 - s.resistor_spread))
     return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat, shorted)
 
 
-def _resistor(role: str, ohm: float, heat_w: float, s: CircuitSettings) -> _Resistor:
+def _resistor(role: str, ohm: float, heat_w: float) -> _Resistor:
     return _Resistor(role, ohm, _rating_for(heat_w, _MAX_HEAT), heat_w)
 
 

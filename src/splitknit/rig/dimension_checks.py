@@ -41,7 +41,7 @@ def check_dimensions(dimensions: RigDimensions) -> None:
     _check_height(dimensions)
     _check_finger(dimensions)
     for first, second in itertools.combinations(dimensions.holes, 2):
-        _check_pair(first, second, dimensions)
+        _check_pair(first, second)
     for hole in dimensions.holes:
         _check_hole(hole, dimensions)
         _check_camera(hole, dimensions)
@@ -92,7 +92,7 @@ def _check_height(dimensions: RigDimensions) -> None:
     )
 
 
-def _check_pair(first: LedHole, second: LedHole, dimensions: RigDimensions) -> None:
+def _check_pair(first: LedHole, second: LedHole) -> None:
     least = MIN_WALL_MM
     for place, radius in (("shoulder_mm", "pocket_radius_mm"), ("back_mm", "pocket_radius_mm")):
         gap = float(np.linalg.norm(first.at(getattr(first, place)) - second.at(getattr(second, place))))

@@ -341,7 +341,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
     lug_room = 2 * JOINT_LUG_MM + JOINT_INSERT_DEPTH_MM + _gusset(settings)
     box_z = max(highest + WIRE_ROOM_MM, frame_z + lug_room)
-    lid_z = max(box_z + joint.plate_mm + _boards_high(settings), box_z + lug_room)
+    lid_z = max(box_z + joint.plate_mm + _boards_high(), box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,
@@ -387,14 +387,14 @@ def _gusset(settings: PartSettings) -> float:
     return JOINT_RIDGE_MM + 2 * JOINT_LUG_RADIUS_MM + 0.1 - joint.wall_mm
 
 
-def _boards_high(settings: PartSettings) -> float:
+def _boards_high() -> float:
     return PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM + 1.6 + PCB_PARTS_MM
 
 
 _LIP_WALL_MM = 1.2
 
 
-def _mirror_front(settings: PartSettings) -> tuple[float, float]:
+def _mirror_front() -> tuple[float, float]:
     """Return the lower front edge of a mirror: distance from its holder's front, height over the holder's foot, mm."""
     slack = JOINT_CLEARANCE_MM
     return (slack + _LIP_WALL_MM) * _HALF + 0.2, (MIRROR_THICK_MM + slack) * _HALF + _LIP_WALL_MM
@@ -407,7 +407,7 @@ def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
     its lower edge.
     """
     mirror, slack, wall = settings.mirror, JOINT_CLEARANCE_MM, settings.joint.wall_mm
-    front = np.array(_mirror_front(settings))
+    front = np.array(_mirror_front())
     along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
     low = front + (MIRROR_THICK_MM + slack) * behind
     high = low + mirror.wide_mm * along
@@ -439,7 +439,7 @@ def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
     A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
     """
     d, mirror = dimensions, dimensions.settings.mirror
-    (front, foot), (side, _, _), (_, tip, _) = _mirror_front(d.settings), holder_places(d)[0], holder_places(d)[2]
+    (front, foot), (side, _, _), (_, tip, _) = _mirror_front(), holder_places(d)[0], holder_places(d)[2]
     floor, length = d.floor_z_mm - d.pocket_mm + foot, mirror.wide_mm * _HALF
     view = {}
     for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):

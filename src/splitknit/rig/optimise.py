@@ -108,7 +108,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
     figure = OBJECTIVES[objective]
     compared = _compare_with_best(done, figure)
     costs = [[one["mean"][figure], one["candidate"]["power_w"], Candidate(**_fields(one)).volume_l] for one in done]
-    front = pareto_front(np.array(costs, dtype=np.float64))
+    front = _pareto_front(np.array(costs, dtype=np.float64))
     names = [one["candidate"]["name"] for one in done]
     best = next(name for name, row in compared.items() if row["best"])
     return {
@@ -197,7 +197,7 @@ OBJECTIVES = {
 """Names on the command line, and of the figures; all are minimised."""
 
 
-def pareto_front(costs: Array) -> NDArray[np.bool_]:
+def _pareto_front(costs: Array) -> NDArray[np.bool_]:
     """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere.
 
     Raises

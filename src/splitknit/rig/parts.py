@@ -232,7 +232,7 @@ def _frame_part(dimensions: RigDimensions) -> Shape:
     return _cut(body, holes)
 
 
-def _camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+def _camera_holes() -> list[tuple[float, float]]:
     """Return x and y of the camera board's four holes; its connector lies on the hand's side (-y)."""
     x = CAMERA_HOLE_X_MM / 2
     rows = (-CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM)
@@ -242,13 +242,13 @@ def _camera_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
 def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
     radius = CAMERA_POST_MM / 2
-    return [_cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes(dimensions)]
+    return [_cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes()]
 
 
 def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + 1.2
     radius = CAMERA_POST_HOLE_MM / 2
-    return [_cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes(dimensions)]
+    return [_cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes()]
 
 
 def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
@@ -285,7 +285,7 @@ def _box_part(dimensions: RigDimensions) -> Shape:
     lugs = _head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
     posts, screws = [], []
     sets = (
-        (_pi_holes(dimensions), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
+        (_pi_holes(), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
         (_pcb_holes(dimensions), floor + PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM, PCB_POST_HOLE_MM),
     )
     for places, top, hole in sets:
@@ -300,7 +300,7 @@ def _box_part(dimensions: RigDimensions) -> Shape:
     return _cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
 
 
-def _pi_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
+def _pi_holes() -> list[tuple[float, float]]:
     """Return x and y of the Raspberry Pi's holes: the board in the middle, USB sockets at -x, power socket at +y."""
     first = PI_X_MM / 2 - PI_HOLE_EDGE_MM
     y = PI_HOLE_Y_MM / 2
@@ -498,14 +498,14 @@ def _ridge(dimensions: RigDimensions, z: float) -> Shape:
     )
 
 
-def _groove_depth(dimensions: RigDimensions) -> float:
+def _groove_depth() -> float:
     """Return the width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
     return JOINT_RIDGE_MM + JOINT_CLEARANCE_MM
 
 
 def _groove(dimensions: RigDimensions, z: float) -> Shape:
     """Return what to cut from the lower face of a floor: a groove for the ridge below, without a flat roof."""
-    bore, depth = dimensions.bore_mm, _groove_depth(dimensions)
+    bore, depth = dimensions.bore_mm, _groove_depth()
     inside = bore - 0.3
     outside = bore + depth
     below = 0.5
@@ -526,13 +526,13 @@ def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 
     if floor_mm > 0:
         body = _turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
         return _cut(body, [_groove(dimensions, low)])
-    depth = _groove_depth(dimensions)
+    depth = _groove_depth()
     return _turned([(bore + depth, low), *outside, (bore, low + depth)])
 
 
 def _head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return lugs under the heads of screws, at a part's lower face."""
-    start = dimensions.bore_mm + _groove_depth(dimensions) + 0.3
+    start = dimensions.bore_mm + _groove_depth() + 0.3
     return [_turned_to(angle, _lug_outline(dimensions, start, z, z + thickness)) for angle in azimuths_deg]
 
 

@@ -137,7 +137,7 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> _Exposure:
     return _Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
 
 
-def _tremor_blur_mm(time_s: float, settings: PhotonSettings) -> float:
+def _tremor_blur_mm(time_s: float) -> float:
     """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
 
     A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
@@ -219,7 +219,7 @@ def photograph(
                 bits=16,
             )
         gain = np.float32(exposure.level / brightest)
-        blur_px = _tremor_blur_mm(exposure.time_s, photons) * rig.camera.px_per_mm
+        blur_px = _tremor_blur_mm(exposure.time_s) * rig.camera.px_per_mm
         images = []
         for frame, one in zip(frames, band_seed.spawn(len(frames)), strict=True):
             light = _trembled(defocus(frame, sharpness), blur_px) * gain

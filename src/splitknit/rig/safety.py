@@ -41,7 +41,7 @@ _TABLE_B = np.array([
 ])  # fmt: skip
 
 
-def blue_weight(nm: _Array) -> _Array:
+def _blue_weight(nm: _Array) -> _Array:
     """Return the blue-light hazard function B at wavelengths in nm (same shape; IEC 62471:2006, table 4.2).
 
     >>> blue_weight(np.array([440.0, 470.0, 550.0, 650.0, 850.0])).tolist()
@@ -53,7 +53,7 @@ def blue_weight(nm: _Array) -> _Array:
     return np.where(nm < 300, 0.0, np.where(nm <= 500, short, np.where(nm <= 600, middle, long)))
 
 
-def burn_weight(nm: _Array) -> _Array:
+def _burn_weight(nm: _Array) -> _Array:
     """Return the burn hazard function R at wavelengths in nm (same shape; IEC 62471:2006, table 4.2).
 
     >>> burn_weight(np.array([440.0, 550.0, 850.0])).round(3).tolist()
@@ -108,7 +108,7 @@ class _Hazard:
         return self.limit / self.value if self.value > 0 else float("inf")
 
 
-def radiant_intensity(part: LedPart, band: str) -> float:
+def _radiant_intensity(part: LedPart, band: str) -> float:
     """Return an LED's radiant intensity on its axis at its data sheet's current, W/sr.
 
     Raises
@@ -140,7 +140,7 @@ def radiant_intensity(part: LedPart, band: str) -> float:
     return intensity
 
 
-def hazards(
+def _hazards(
     band: str,
     part: LedPart,
     current_a: float,
@@ -177,10 +177,10 @@ def hazards(
     irradiance = _irradiance(band, part, current_a, distance_mm)
     alpha = min(part.source_mm / distance_mm, _ALPHA_MAX)
     thermal_alpha = max(alpha, _SMALL)
-    burn = irradiance * float(_SPECTRA[band] @ burn_weight(_NM)) / _solid_angle(thermal_alpha)
+    burn = irradiance * float(_SPECTRA[band] @ _burn_weight(_NM)) / _solid_angle(thermal_alpha)
     if band == "nir":
         return (_Hazard(band, "retina, heat, nothing seen", "4.3.6", burn, 6000.0 / thermal_alpha, "W/m2/sr"),)
-    blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ blue_weight(_NM))
+    blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ _blue_weight(_NM))
     if alpha < _SMALL:
         limit = 100.0 / exposure_s if exposure_s < 100 else 1.0
         blue = _Hazard(band, "retina, blue light, small source", "4.3.4", blue_irradiance * together, limit, "W/m2")
@@ -204,13 +204,13 @@ def rig_hazards(
     rig : where the LEDs are
     stages : by band, whose largest currents flow
     duty : fraction of the time that each LED is on
-    exposure_s : see :func:`hazards`
+    exposure_s : see :func:`_hazards`
     shorted : with the current that flows if a transistor is shorted, instead of the largest of all tolerances
 
     Raises
     ------
     BadInput
-        If an LED's data are none; see :func:`radiant_intensity`.
+        If an LED's data are none; see :func:`_radiant_intensity`.
     """
     found: list[_Hazard] = []
     infrared = skin = 0.0
@@ -223,7 +223,7 @@ def rig_hazards(
         nearest = min(float(distances.min()), EYE_MM)
         towards = places / distances[:, None]
         together = int((towards @ towards.T > np.cos(_ALPHA_MAX)).sum(axis=1).max())
-        found += hazards(band, stage.led, current, nearest, together=together, duty=duty, exposure_s=exposure_s)
+        found += _hazards(band, stage.led, current, nearest, together=together, duty=duty, exposure_s=exposure_s)
         everywhere = len(places) * duty * _irradiance(band, stage.led, current, nearest)
         infrared += everywhere * float(_SPECTRA[band][_NM >= 780].sum())
         skin += everywhere
@@ -252,7 +252,7 @@ def check_hazards(found: tuple[_Hazard, ...]) -> None:
 
 def _irradiance(band: str, part: LedPart, current_a: float, distance_mm: float) -> float:
     """W/m2 of one LED at a distance on its axis."""
-    return radiant_intensity(part, band) * current_a / part.current_a / (distance_mm * 1e-3) ** 2
+    return _radiant_intensity(part, band) * current_a / part.current_a / (distance_mm * 1e-3) ** 2
 
 
 def _solid_angle(alpha: float) -> float:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
 from splitknit.settings import Limits, check_fields
-from splitknit.training.networks import fields_network, load_torch, network_from
+from splitknit.training.networks import fields_network, load_torch
 from splitknit.training.trainer import Entry, Step, Trainer, TrainerSettings, packed, write_network
 
 FIELDS = 32
@@ -184,7 +184,7 @@ def _packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mappin
     BadInput
         If `state` belongs to another network.
     """
-    network = network_from(state)
+    network = _network_from(state)
     widths = [int(level[0].out_channels) for level in network.down]
     channels = int(network.down[0][0].in_channels), int(network.out.out_channels)
     architecture = f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}"
@@ -204,7 +204,7 @@ def write_fields(out: Path, name: str, what: str, state: Mapping[str, Any], fact
 def runner_of(state: Mapping[str, Any]) -> Callable[[FloatArray], FloatArray]:
     """The network whose ``state_dict`` this is, as a function of fields (n, h, w), on the processor."""
     torch = load_torch()
-    network = network_from({name: part.cpu() for name, part in state.items()})
+    network = _network_from({name: part.cpu() for name, part in state.items()})
 
     def run(fields: FloatArray) -> FloatArray:
         with torch.no_grad():
@@ -216,7 +216,7 @@ def runner_of(state: Mapping[str, Any]) -> Callable[[FloatArray], FloatArray]:
 
 def stride_of(state: Mapping[str, Any]) -> int:
     """What the sides of that network's input are multiples of."""
-    return int(2 ** (len(network_from(state).down) - 1))
+    return int(2 ** (len(_network_from(state).down) - 1))
 
 
 def rounded(entry: Mapping[str, float]) -> dict[str, float | None]:
@@ -231,3 +231,23 @@ def mean_figures(figures: Sequence[Mapping[str, float]]) -> Entry:
         values = [entry[name] for entry in figures if math.isfinite(entry[name])]
         found[name] = float(np.mean(values)) if values else math.nan
     return found
+
+
+def _network_from(state: Mapping[str, Any]) -> Any:
+    """The network whose ``state_dict`` this is; widths follow from the weights' shapes.
+
+    Raises
+    ------
+    BadInput
+        If it is not the state of a :func:`fields_network`.
+    """
+    try:
+        levels = sum(name.startswith("down.") and name.endswith(".0.weight") for name in state)
+        widths = [int(state[f"down.{number}.0.weight"].shape[0]) for number in range(levels)]
+        fields, outputs = int(state["down.0.0.weight"].shape[1]), int(state["out.weight"].shape[0])
+        network = fields_network(widths, fields, outputs)
+        network.load_state_dict(dict(state))
+    except (KeyError, AttributeError, IndexError, RuntimeError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise BadInput(f"these are not the weights of a relief or shape network ({reason}).") from error
+    return network.eval()

@@ -12,7 +12,7 @@ import copy
 import importlib
 import io
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -173,26 +173,6 @@ def fields_network(widths: Sequence[int], fields: int, outputs: int) -> Any:
             return self.out(image)
 
     return FieldsNetwork()
-
-
-def network_from(state: Mapping[str, Any]) -> Any:
-    """The network whose ``state_dict`` this is; widths follow from the weights' shapes.
-
-    Raises
-    ------
-    BadInput
-        If it is not the state of a :func:`fields_network`.
-    """
-    try:
-        levels = sum(name.startswith("down.") and name.endswith(".0.weight") for name in state)
-        widths = [int(state[f"down.{number}.0.weight"].shape[0]) for number in range(levels)]
-        fields, outputs = int(state["down.0.0.weight"].shape[1]), int(state["out.weight"].shape[0])
-        network = fields_network(widths, fields, outputs)
-        network.load_state_dict(dict(state))
-    except (KeyError, AttributeError, IndexError, RuntimeError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise BadInput(f"these are not the weights of a relief or shape network ({reason}).") from error
-    return network.eval()
 
 
 def unet_reach(depth: int) -> int:

@@ -309,7 +309,7 @@ def train_relief(
             "whole_fingers_used": len(fingers),
             "fingers_refused": len(refused),
         },
-        "metrics": network_metrics(trainer.network.state_dict(), judges),
+        "metrics": _network_metrics(trainer.network.state_dict(), judges),
     }
     written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
@@ -324,7 +324,7 @@ def _numbers(data: ReliefData) -> tuple[range, range, range]:
     )
 
 
-def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
+def _network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
     """The card's figures of a network on fingers that it was not trained on.
 
     Parameters

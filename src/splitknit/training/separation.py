@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import Progress, no_progress
+from splitknit.finger.contrast import ClaheSettings, clahe
+from splitknit.model import BoolArray, FloatArray, Progress, no_progress
+from splitknit.separation.direct import local_level
 from splitknit.settings import Limits, check_fields
 from splitknit.training.networks import unet
 from splitknit.training.separation_data import (
@@ -27,8 +29,6 @@ from splitknit.training.separation_data import (
     Photograph,
     SeparationData,
     enhance,
-    enhance_linear,
-    levelled,
     photographs,
 )
 from splitknit.training.trainer import (
@@ -241,10 +241,10 @@ def _subjects(data: SeparationData) -> list[Subject]:
 
 def _shoot(kind: str, index: int, data: SeparationData, seed: int) -> Iterable[Sample]:
     """Every second palm and finger is equalised in linear light, so that the network knows both."""
-    for photograph in photographs(kind, index, seed, data, enhance_linear if index % 2 else enhance):
+    for photograph in photographs(kind, index, seed, data, _enhance_linear if index % 2 else enhance):
         facts = photograph.facts
         stored = {**facts, "skin": asdict(facts["skin"]), "corners": photograph.corners.tolist()}
-        yield levelled(photograph).pixels, stored
+        yield _levelled(photograph).pixels, stored
 
 
 def _fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
@@ -257,3 +257,17 @@ def _fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
 def _psnr(loss: float) -> float:
     """Of a mean squared error, in dB, for a peak of one: the local level."""
     return float(-10.0 * np.log10(max(loss, 1e-12)))
+
+
+def _enhance_linear(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
+    """Enhance the contrast in linear light, as ``enhance.cells.grey=linear`` does."""
+    return clahe(grey, px_per_mm, ClaheSettings(grey="linear"), mask=mask)
+
+
+def _levelled(photograph: Photograph) -> Photograph:
+    """The photograph divided by its local level, as the network is given it."""
+    pixels = photograph.pixels.astype(np.float32)
+    level = local_level(np.ascontiguousarray(pixels[..., :3].transpose(2, 0, 1)))[..., None]
+    enhanced_level = local_level(np.ascontiguousarray(pixels[..., 6]))[..., None]
+    divided = np.concatenate([pixels[..., :6] / level, pixels[..., 6:] / enhanced_level], axis=2)
+    return replace(photograph, pixels=divided.astype(np.float16))

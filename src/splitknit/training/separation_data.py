@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.finger.contrast import ClaheSettings, clahe
+from splitknit.finger.contrast import clahe
 from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import BoolArray, Camera, FloatArray, Led, default_rig
 from splitknit.separation.checkerboard import checkerboard
-from splitknit.separation.direct import exposure_level, local_level
+from splitknit.separation.direct import exposure_level
 from splitknit.separation.stacks import StackSettings
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.camera.sensor import SensorSettings, record
@@ -130,11 +130,6 @@ def enhance(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
     return clahe(grey, px_per_mm, mask=mask)
 
 
-def enhance_linear(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
-    """Enhance the contrast in linear light, as ``enhance.cells.grey=linear`` does."""
-    return clahe(grey, px_per_mm, ClaheSettings(grey="linear"), mask=mask)
-
-
 def surface_of(kind: str, index: int, seed: int, settings: SeparationData) -> Surface:
     """The palm or finger itself, before its camera: what :func:`photographs` takes pictures of."""
     require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
@@ -228,15 +223,6 @@ def _record(
     parts = [image / level, kept / level]
     parts += [(part / enhanced_level)[..., None] for part in (enhanced, enhanced * fraction)]
     return np.concatenate(parts, axis=2).astype(np.float16)
-
-
-def levelled(photograph: Photograph) -> Photograph:
-    """The photograph divided by its local level, as the network is given it."""
-    pixels = photograph.pixels.astype(np.float32)
-    level = local_level(np.ascontiguousarray(pixels[..., :3].transpose(2, 0, 1)))[..., None]
-    enhanced_level = local_level(np.ascontiguousarray(pixels[..., 6]))[..., None]
-    divided = np.concatenate([pixels[..., :6] / level, pixels[..., 6:] / enhanced_level], axis=2)
-    return replace(photograph, pixels=divided.astype(np.float16))
 
 
 def _patch_corners(mask: BoolArray, settings: SeparationData, rng: np.random.Generator) -> NDArray[np.int32]:

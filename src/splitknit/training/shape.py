@@ -294,13 +294,13 @@ def train_shape(
         "command": command,
         "training": {**asdict(settings), "iterations_done": trainer.done},
         "data": {**asdict(data), "fingers_used": len(fingers), "fingers_refused": len(refused)},
-        "metrics": network_metrics(trainer.network.state_dict(), judges),
+        "metrics": _network_metrics(trainer.network.state_dict(), judges),
     }
     written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
     return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
 
 
-def network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
+def _network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
     """The card's figures of a network on fingers that it was not trained on.
 
     Parameters

@@ -270,7 +270,7 @@ def open_folder(
     BadInput
         If `out` is a file or holds something else, a training that shall not be resumed, or one with other settings.
     """
-    run = plain({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)})
+    run = _plain({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)})
     file = out / "run.json"
     require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to train in.")
     if not out.is_dir() or not any(out.iterdir()):
@@ -294,7 +294,7 @@ def open_folder(
         _write(file, (json.dumps(run, indent=1) + "\n").encode())
 
 
-def plain(facts: Mapping[str, Any]) -> Any:
+def _plain(facts: Mapping[str, Any]) -> Any:
     """`facts` as they come back from a JSON file: lists for tuples."""
     return json.loads(json.dumps(facts))
 
@@ -497,7 +497,7 @@ def packed(
         "licence": "Apache-2.0",
         "software": f"splitknit {__version__}",
     }
-    return weights, card_bytes(name, weights, plain({**head, **facts}))
+    return weights, card_bytes(name, weights, _plain({**head, **facts}))
 
 
 def write_network(

@@ -65,7 +65,7 @@ def _new_token() -> str:
     return secrets.token_urlsafe(24)
 
 
-def refusal(method: str, path: str, headers: Message, token: str, port: int) -> tuple[int, str] | None:
+def _refusal(method: str, path: str, headers: Message, token: str, port: int) -> tuple[int, str] | None:
     """Return the status and the reason for which a request is refused, or None if it is let in.
 
     Parameters
@@ -342,7 +342,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _respond(self) -> None:
         path, _, query = self.path.partition("?")
-        refused = refusal(self.command, self.path, self.headers, self.server.token, self.server.server_port)
+        refused = _refusal(self.command, self.path, self.headers, self.server.token, self.server.server_port)
         if refused is None and len(self.path) > _LONGEST_PATH:
             refused = 414, "the address is too long"
         if refused is not None:

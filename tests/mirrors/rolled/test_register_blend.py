@@ -7,20 +7,15 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.rolled.blend import (
-    STEEPEST_DEG,
-    BlendSettings,
-    blend,
-    coverage_deg,
-    seam_lines,
-    seam_steps,
-    view_weight,
-)
-from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, surface_normals
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG, BlendSettings, blend, seam_lines, seam_steps
+from splitknit.mirrors.rolled.chart import Chart, Sight, surface_normals
+from splitknit.mirrors.rolled.finger import _view_weight
 from splitknit.mirrors.rolled.reflection import Plane
 from splitknit.mirrors.rolled.register import Seen, align, ridge_band, shifts_by
 from splitknit.mirrors.rolled.search import SearchSettings, search
+from splitknit.mirrors.rolled.work import _chart_over
 from splitknit.model import Camera
+from splitknit.prints.rolled import _coverage_deg
 
 CAMERA = Camera(12.0, (420, 900))
 LEAN = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2.0)
@@ -42,7 +37,7 @@ def test_the_ridge_band_has_no_mean() -> None:
 
 
 def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
-    chart = chart_over(np.array([0.0, 0.0, -7.0]), np.eye(3), (-100.0, 100.0), (-14.0, 0.0), 7.0, 0.1, 7.0)
+    chart = _chart_over(np.array([0.0, 0.0, -7.0]), np.eye(3), (-100.0, 100.0), (-14.0, 0.0), 7.0, 0.1, 7.0)
     return chart, np.full(chart.shape, radius)
 
 
@@ -114,8 +109,8 @@ def test_ridges_move_as_surface_and_mirror_do() -> None:
     _, rays = chart.rays()
     at = np.array([70]), np.array([np.abs(chart.angle_rad - np.pi / 4).argmin()])
     steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
-    front, no_pose = shifts_by(FRONT, chart, points[at], rays[at], steps)
-    mirror, by_pose = shifts_by(RIGHT, chart, points[at], rays[at], steps)
+    front, no_pose = shifts_by(FRONT, points[at], rays[at], steps)
+    mirror, by_pose = shifts_by(RIGHT, points[at], rays[at], steps)
     column_mm = np.linalg.norm(steps[0])
     # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side, the mirror's back
     assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
@@ -131,7 +126,7 @@ def test_views_fade_into_each_other() -> None:
     known = np.ones(chart.shape, dtype=bool)
     deviation = np.full(chart.shape, 0.004, np.float32)
     weights = np.stack(
-        [view_weight(sight.cosine(normals), known, deviation, 0.1, settings) for sight in (FRONT, RIGHT)]
+        [_view_weight(sight.cosine(normals), known, deviation, 0.1, settings) for sight in (FRONT, RIGHT)]
     )
     degrees = np.rad2deg(chart.angle_rad)
     assert not weights[0][:, np.abs(degrees) > STEEPEST_DEG].any()
@@ -149,7 +144,7 @@ def test_views_fade_into_each_other() -> None:
     assert np.allclose(seam_steps(hard, line, 0.1), 1.0)
     assert np.abs(seam_steps(np.ones(chart.shape), line, 0.1)).max() == 0
     # from -72 deg of the front to the chart's end, less what fades out
-    around = coverage_deg(chart, made.known, normals)
+    around = _coverage_deg(chart, made.known, normals)
     assert np.median(around) == pytest.approx(72 + 100, abs=12)
 
 
@@ -157,10 +152,10 @@ def test_what_is_as_uncertain_as_ridges_are_deep_is_not_shown() -> None:
     known = np.ones((60, 60), dtype=bool)
     deviation = np.full((60, 60), 0.010, np.float32)
     deviation[:, 30:] = 0.060
-    weight = view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1))
+    weight = _view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1))
     assert (weight[:, :20] > 0).all()
     assert not weight[:, 40:].any()
-    spared = view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1, most_deviation_um=100.0))
+    spared = _view_weight(np.ones((60, 60)), known, deviation, 0.1, BlendSettings(fade_mm=0.1, most_deviation_um=100.0))
     assert (spared[:, 40:] > 0).all()
 
 

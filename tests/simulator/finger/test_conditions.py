@@ -15,10 +15,10 @@ from splitknit.simulator.finger.conditions import (
     _dried,
     _ridge_angle,
     _scale_reflectance,
+    _scarred,
     _water_level,
     _water_of,
     conditioned_surface,
-    scarred,
 )
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings, master_print
@@ -244,7 +244,7 @@ def test_scars_have_no_ridges_and_grow_with_the_severity(master):
     relief = -0.065 * (1 - master.ridge.astype(np.float64))
     fractions = []
     for severity in (0.1, 0.5, 1.0):
-        scar = scarred(relief, master, severity, np.random.default_rng(2))
+        scar = _scarred(relief, master, severity, np.random.default_rng(2))
         fractions.append(float(scar.fraction.mean()))
         inside = scar.fraction > 0.99
         if severity == 1.0:

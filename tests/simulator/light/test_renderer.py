@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, default_rig
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus
 from splitknit.simulator.light.lighting import cut_out, white_card
-from splitknit.simulator.light.renderer import Diffusion, RenderSettings, Sheet, render_ambient, render_band
+from splitknit.simulator.light.renderer import Diffusion, RenderSettings, _Sheet, render_ambient, render_band
 from splitknit.simulator.light.skin import (
     CHANNELS,
     Boundary,
@@ -322,7 +322,7 @@ def test_skin_is_laid_out_to_its_length_and_back():
     x, arc = _arch()
     slope = np.broadcast_to(-x / np.sqrt(4.5**2 - x**2), (90, x.size))
     mask = np.ones(slope.shape, dtype=bool)
-    sheet = Sheet(slope, np.zeros_like(slope), mask, np.s_[5:-5, 5:-5])
+    sheet = _Sheet(slope, np.zeros_like(slope), mask, np.s_[5:-5, 5:-5])
     assert abs(sheet.shape[1] * 0.05 - (arc[-1] - arc[0])) < 0.3 and sheet.shape[0] == 90
     field = np.broadcast_to(np.cos(2 * np.pi * arc / 0.8), mask.shape).astype(np.float32)
     flat = sheet.laid_out(field)[20]

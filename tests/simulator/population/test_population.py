@@ -17,9 +17,9 @@ from splitknit.simulator.population.sessions import (
     LARGE,
     PopulationSettings,
     SessionRanges,
+    _drifted,
     _skin_of_today,
     draw_impression,
-    drifted,
     finger_of_today,
     population_capture,
 )
@@ -170,7 +170,7 @@ def test_the_finger_of_today_is_swollen_flat_and_moist(people, impressions):
 
 def test_leds_drift_a_little():
     rig = default_rig(0.1, 0)
-    changed = drifted(rig, np.random.default_rng(0), 0.01)
+    changed = _drifted(rig, np.random.default_rng(0), 0.01)
     ratios = np.array([a.intensity / b.intensity for a, b in zip(changed.leds, rig.leds, strict=True)])
     assert 0.003 < ratios.std() < 0.02
     assert np.abs(ratios - 1).max() <= 0.025 + 1e-9

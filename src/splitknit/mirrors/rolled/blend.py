@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from splitknit.mirrors.rolled.chart import Chart
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -19,10 +16,6 @@ Array = NDArray[np.float64]
 
 STEEPEST_DEG = 72.0
 """Slant, as a view sees it, from which it counts for nothing."""
-_POWER = 8.0
-"""Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
-_DEVIATION_FLOOR_UM = 4.0
-"""Added to the relief's standard deviation, so that no view is trusted without limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,32 +28,6 @@ class BlendSettings(Checked):
     most_deviation_um: Annotated[float, Limits(0, above=True)] = 35.0
     """Where the relief's standard deviation is as large as this, ridges are not known; from three quarters of it on, a
     view counts less."""
-
-
-def view_weight(
-    cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float, settings: BlendSettings
-) -> FloatArray:
-    """(n, m) weight of a view on the chart, zero where it shows nothing.
-
-    Parameters
-    ----------
-    cosine : (n, m) of the slant as the view sees it
-    known : (n, m) where it shows the finger
-    deviation_mm : (n, m) of its relief, along the skin's normal
-    """
-    least = np.cos(np.deg2rad(STEEPEST_DEG))
-    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER
-    inside = np.asarray(known & (facing > 0), dtype=np.uint8)
-    depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
-    fade = np.clip(depth / settings.fade_mm, 0.0, 1.0)
-    fade = fade * fade * (3.0 - 2.0 * fade)
-    floor = 1e-3 * _DEVIATION_FLOOR_UM
-    smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    fraction = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
-    deviation = smooth / np.maximum(fraction, np.float32(1e-3))
-    certain = floor**2 / (floor**2 + deviation**2)
-    sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * settings.most_deviation_um)), 0.0, 1.0)
-    return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,22 +77,3 @@ def seam_steps(values: FloatArray, line: BoolArray, pitch_mm: float, beside_mm: 
     left = (sums[rows, at] - sums[rows, at - reach]) / reach
     right = (sums[rows, at + reach] - sums[rows, at]) / reach
     return np.asarray(right - left)
-
-
-def coverage_deg(chart: Chart, known: BoolArray, normals: Array) -> Array:
-    """(n,) range of directions, around the finger, of the skin's normals that each row shows without a gap; degrees.
-
-    A row over the straight part of the finger counts its longest run of known pixels. The direction is that of the
-    normal about the finger's axis, not that of the ray: what a flat view calls slant.
-    """
-    local = normals @ chart.axes.T
-    around = np.rad2deg(np.arctan2(local[..., 0], local[..., 2]))
-    result = np.zeros(chart.shape[0])
-    for row in range(chart.shape[0]):
-        labels, count = ndimage.label(known[row])
-        if count == 0:
-            continue
-        longest = 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
-        places = np.flatnonzero(labels == longest)
-        result[row] = float(np.ptp(np.unwrap(np.deg2rad(around[row, places])))) * 180.0 / np.pi
-    return result

@@ -21,7 +21,6 @@ from splitknit.mirrors.fit import fit_body, refuse_misfit
 from splitknit.mirrors.mirror import TURN_DEG, MirrorShape, cap, first_body, turn_of_tips
 from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
-from splitknit.mirrors.rolled.chart import Chart
 from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
 from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, Camera, Mirror
@@ -36,8 +35,6 @@ MAX_MISSING = 0.4
 """Of the pad's outline; what is left of it then is not the mirror's edge."""
 NEAR_EDGE_MM = 3.0
 """A straight outline this near to where the mirror should end is the mirror's edge."""
-ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
-"""Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
 CUT_ROUNDS = 20
 """Corrections of the fit where views are cut."""
 CUT_TURN_DEG = 0.6
@@ -157,32 +154,6 @@ def _touching_both(camera: Camera, rows: Rows) -> Touching:
     """Planes that touch the finger along both sides of a view's outline."""
     parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in ("left", "right")]
     return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
-
-
-def radius_of(body: Body, chart: Chart) -> Array:
-    """(n, m) distance of the body's skin along the rays of a chart."""
-    start, directions = chart.rays()
-    low = np.zeros(chart.shape)
-    high = np.full(chart.shape, 1.5 * float(np.abs(body.coefficients[2:]).max()) + chart.cap_mm)
-    for _ in range(24):
-        middle = 0.5 * (low + high)
-        out = outside(body, start[:, None] + middle[..., None] * directions)
-        high, low = np.where(out, middle, high), np.where(out, low, middle)
-    return np.asarray(0.5 * (low + high))
-
-
-def rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
-    """(n, m) to be added to the skin's distance where a finger is rolled: its flat pad is rolled, too.
-
-    A body's sections shear when it rolls, but their flat side stays where it faces the camera. With squareness k and
-    roll phi the pad of k sin^2(2 w) / 4 of the radius turns by phi, to first order -phi k sin(4 w) / 2: nothing at the
-    outlines of front and sides, all of it between them.
-    """
-    expected = MirrorShapeSettings().squareness
-    flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
-    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MAX_ROLL_RAD, MAX_ROLL_RAD))
-    turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
-    return np.asarray(-0.5 * flat * roll * turned[None] * radius_mm)
 
 
 def outside(body: Body, points_mm: Array) -> BoolArray:

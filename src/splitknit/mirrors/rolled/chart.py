@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.interpolate import RectBivariateSpline
 
 from splitknit.errors import require
 from splitknit.mirrors.rolled.reflection import Plane, reflect_points, reflect_vectors
@@ -97,36 +96,12 @@ class Chart:
         return Chart(self.centre_mm, self.axes, self.angle_rad[::factor], self.length_mm[::factor], self.cap_mm)
 
 
-def chart_over(  # noqa: PLR0917
-    centre_mm: Array, axes: Array, angles_deg: tuple[float, float], lengths_mm: tuple[float, float], cap_mm: float,
-    pitch_mm: float, radius_mm: float,
-) -> Chart:  # fmt: skip
-    """A chart over ranges of angle and length (base, tip); `pitch_mm` along it, and around it at `radius_mm`."""
-    low, high = np.deg2rad(angles_deg[0]), np.deg2rad(angles_deg[1])
-    columns = max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1)
-    rows = max(2, int(np.ceil((lengths_mm[1] - lengths_mm[0]) / pitch_mm)) + 1)
-    length = _even(lengths_mm[1], lengths_mm[1] - pitch_mm * (rows - 1), rows)
-    return Chart(centre_mm, axes, _even(low, high, columns), length, cap_mm)
-
-
-def _even(low: float, high: float, count: int) -> Array:
-    return np.asarray(np.linspace(low, high, count), dtype=np.float64)
-
-
 def surface_normals(points_mm: Array) -> Array:
     """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
     down, right = np.gradient(points_mm, axis=(0, 1))
     normal = np.cross(right, -down)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.asarray(np.nan_to_num(normal / np.maximum(length, 1e-12)))
-
-
-def sampled(chart: Chart, radius_mm: Array, other: Chart) -> Array:
-    """(n, m) a surface of one chart on the rays of another with the same axis; held beyond the first's ends."""
-    spline = RectBivariateSpline(-chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3)
-    low, high = chart.length_mm[-1], chart.length_mm[0]
-    rows = -np.clip(other.length_mm, low, high)
-    return np.asarray(spline(rows, np.clip(other.angle_rad, chart.angle_rad[0], chart.angle_rad[-1])))
 
 
 def read(

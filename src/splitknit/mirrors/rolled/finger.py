@@ -6,16 +6,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled.blend import Blended, blend, view_weight
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, BlendSettings, blend
 from splitknit.mirrors.rolled.chart import Chart, surface_normals
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.mirrors.rolled.work import MIN_MEETING, MirrorViews, Work
 from splitknit.model import BoolArray, Capture, FloatArray
+
+_POWER = 8.0
+"""Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
+
+
+_DEVIATION_FLOOR_UM = 4.0
+"""Added to the relief's standard deviation, so that no view is trusted without limit."""
+
 
 if TYPE_CHECKING:  # the pipeline lies above
     from splitknit.presets import PipelineSettings
@@ -99,7 +108,7 @@ def _fused(work: Work) -> Rolled:
     reliefs, deviations, weights, places = [], [], [], []
     for name in names:
         relief, deviation, trust, known = work.seen(name, points, normals)
-        weight = view_weight(sights[name].cosine(normals), known, deviation, chart.pitch_mm, chosen.blend)
+        weight = _view_weight(sights[name].cosine(normals), known, deviation, chart.pitch_mm, chosen.blend)
         reliefs.append(relief)
         deviations.append(deviation)
         weights.append(weight * trust)
@@ -137,3 +146,29 @@ def _apart(work: Work) -> list[str]:
         for name, values in work.correlation.items()
         if values and values[-1] < SURE_MEETING
     ]
+
+
+def _view_weight(
+    cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float, settings: BlendSettings
+) -> FloatArray:
+    """(n, m) weight of a view on the chart, zero where it shows nothing.
+
+    Parameters
+    ----------
+    cosine : (n, m) of the slant as the view sees it
+    known : (n, m) where it shows the finger
+    deviation_mm : (n, m) of its relief, along the skin's normal
+    """
+    least = np.cos(np.deg2rad(STEEPEST_DEG))
+    facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER
+    inside = np.asarray(known & (facing > 0), dtype=np.uint8)
+    depth = cv2.distanceTransform(np.pad(inside, 1), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch_mm
+    fade = np.clip(depth / settings.fade_mm, 0.0, 1.0)
+    fade = fade * fade * (3.0 - 2.0 * fade)
+    floor = 1e-3 * _DEVIATION_FLOOR_UM
+    smooth = cv2.GaussianBlur(np.where(known, deviation_mm, 0.0).astype(np.float32), (0, 0), 0.5 / pitch_mm)
+    fraction = cv2.GaussianBlur(known.astype(np.float32), (0, 0), 0.5 / pitch_mm)
+    deviation = smooth / np.maximum(fraction, np.float32(1e-3))
+    certain = floor**2 / (floor**2 + deviation**2)
+    sure = np.clip(4.0 * (1.0 - deviation / (1e-3 * settings.most_deviation_um)), 0.0, 1.0)
+    return np.asarray(facing * fade * certain * sure * inside, dtype=np.float32)

@@ -75,9 +75,7 @@ class _Correction:
     after: tuple[float, ...]
 
 
-def shifts_by(
-    sight: Sight, chart: Chart, points: Array, rays: Array, steps: tuple[Array, Array]
-) -> tuple[Array, Array]:
+def shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
     """How a view's ridges move on the chart when the surface or the mirror does.
 
     Parameters
@@ -223,7 +221,7 @@ def _modes(
     _, rays = chart.rays()
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     (of_front, _), (of_mirror, by_pose) = (
-        shifts_by(sight, chart, points[at], rays[at], (right[at], down[at])) for sight in sights
+        shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
     )
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 

@@ -100,8 +100,8 @@ def search(  # noqa: PLR0917
     _, rays = chart.rays()
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     steps = right[rows, columns], down[rows, columns]
-    of_front, _ = shifts_by(front, chart, points[rows, columns], rays[rows, columns], steps)
-    of_mirror, by_pose = shifts_by(mirror, chart, points[rows, columns], rays[rows, columns], steps)
+    of_front, _ = shifts_by(front, points[rows, columns], rays[rows, columns], steps)
+    of_mirror, by_pose = shifts_by(mirror, points[rows, columns], rays[rows, columns], steps)
     angle = chart.angle_rad[columns]
     side = np.sign(float(np.median(angle)))
     hump = np.sin(2 * angle) ** 2

@@ -13,18 +13,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.interpolate import RectBivariateSpline
 
 from splitknit.imaging.band import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, shapelets
 from splitknit.mirrors.body import Body
-from splitknit.mirrors.rolled.body import radius_of, rolled_pad
-from splitknit.mirrors.rolled.chart import Chart, Sight, chart_over, heights, read, sampled, surface_normals
+from splitknit.mirrors.rolled.body import outside
+from splitknit.mirrors.rolled.chart import Chart, Sight, heights, read, surface_normals
 from splitknit.mirrors.rolled.register import Seen, align, ridge_band
 from splitknit.mirrors.rolled.search import MIN_CORRELATION, SearchSettings, search
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
@@ -32,6 +34,10 @@ from splitknit.skin.grid import BandImages, Grid, coarsen, refine
 from splitknit.skin.images import shipped_networks
 from splitknit.skin.learned import can_learn, relief_by_network
 from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
+
+ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
+"""Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
+
 
 if TYPE_CHECKING:
     from splitknit.presets import PipelineSettings
@@ -275,7 +281,7 @@ class _Shape:
     """Half its typical breadth."""
 
 
-def shape_of(body: Body) -> _Shape:
+def _shape_of(body: Body) -> _Shape:
     """A body on a chart whose axis runs through its sections' middles."""
     u = body.tip_mm - body.length_mm * np.linspace(0.1, 1.0, STATIONS)
     sections = body.sections(u)
@@ -286,9 +292,9 @@ def shape_of(body: Body) -> _Shape:
     centre = np.array([*body.origin_mm, float(np.median(sections.z))])
     centre = centre + (body.tip_mm - cap) * along + float(np.median(sections.t)) * right
     lengths = (cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)))
-    chart = chart_over(centre, axes, (-AROUND_DEG, AROUND_DEG), lengths, cap, SHAPE_PITCH_MM, cap)
-    radius = radius_of(body, chart)
-    return _Shape(chart, radius + rolled_pad(body, chart, radius), half)
+    chart = _chart_over(centre, axes, (-AROUND_DEG, AROUND_DEG), lengths, cap, SHAPE_PITCH_MM, cap)
+    radius = _radius_of(body, chart)
+    return _Shape(chart, radius + _rolled_pad(body, chart, radius), half)
 
 
 SEARCH_PITCH_MM = 0.1
@@ -342,7 +348,7 @@ class Work:
         self.glasses = {name: glass for name, glass in used.items() if name in self.masks}
         self.cut = {view.name for view in views if view.cut}
         self.lamps = [glass for name, glass in used.items() if name not in self.masks]
-        self.shape: _Shape = shape_of(views.body)
+        self.shape: _Shape = _shape_of(views.body)
         self.reliefs: dict[str, _ViewRelief] = {}
         self.correlation: dict[str, list[float]] = {}
         self.met: dict[str, bool] = {}
@@ -376,11 +382,11 @@ class Work:
         half = self.shape.half_mm
         around = (-self.rolled.around_deg, self.rolled.around_deg)
         lengths = (float(whole.length_mm[-1]), float(whole.length_mm[0]))
-        return chart_over(whole.centre_mm, whole.axes, around, lengths, whole.cap_mm, pitch_mm, half)
+        return _chart_over(whole.centre_mm, whole.axes, around, lengths, whole.cap_mm, pitch_mm, half)
 
     def radius_on(self, chart: Chart) -> Array:
         """The surface on a chart."""
-        return sampled(self.shape.chart, self.shape.radius_mm, chart)
+        return _sampled(self.shape.chart, self.shape.radius_mm, chart)
 
     def seen(self, name: str, points: Array, normals: Array) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Relief, deviation and weight-giving cosine of a view at points; and where it shows them."""
@@ -429,4 +435,54 @@ class Work:
         """A correction on a part of the finger, on the chart all around it."""
         whole = self.shape.chart
         beyond = np.maximum(np.abs(whole.angle_rad) - float(chart.angle_rad[-1]), 0.0) / np.deg2rad(30.0)
-        return np.asarray(sampled(chart, added, whole) * np.exp(-0.5 * beyond**2))
+        return np.asarray(_sampled(chart, added, whole) * np.exp(-0.5 * beyond**2))
+
+
+def _chart_over(  # noqa: PLR0917
+    centre_mm: Array, axes: Array, angles_deg: tuple[float, float], lengths_mm: tuple[float, float], cap_mm: float,
+    pitch_mm: float, radius_mm: float,
+) -> Chart:  # fmt: skip
+    """A chart over ranges of angle and length (base, tip); `pitch_mm` along it, and around it at `radius_mm`."""
+    low, high = np.deg2rad(angles_deg[0]), np.deg2rad(angles_deg[1])
+    columns = max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1)
+    rows = max(2, int(np.ceil((lengths_mm[1] - lengths_mm[0]) / pitch_mm)) + 1)
+    length = _even(lengths_mm[1], lengths_mm[1] - pitch_mm * (rows - 1), rows)
+    return Chart(centre_mm, axes, _even(low, high, columns), length, cap_mm)
+
+
+def _even(low: float, high: float, count: int) -> Array:
+    return np.asarray(np.linspace(low, high, count), dtype=np.float64)
+
+
+def _sampled(chart: Chart, radius_mm: Array, other: Chart) -> Array:
+    """(n, m) a surface of one chart on the rays of another with the same axis; held beyond the first's ends."""
+    spline = RectBivariateSpline(-chart.length_mm, chart.angle_rad, radius_mm, kx=3, ky=3)
+    low, high = chart.length_mm[-1], chart.length_mm[0]
+    rows = -np.clip(other.length_mm, low, high)
+    return np.asarray(spline(rows, np.clip(other.angle_rad, chart.angle_rad[0], chart.angle_rad[-1])))
+
+
+def _radius_of(body: Body, chart: Chart) -> Array:
+    """(n, m) distance of the body's skin along the rays of a chart."""
+    start, directions = chart.rays()
+    low = np.zeros(chart.shape)
+    high = np.full(chart.shape, 1.5 * float(np.abs(body.coefficients[2:]).max()) + chart.cap_mm)
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        out = outside(body, start[:, None] + middle[..., None] * directions)
+        high, low = np.where(out, middle, high), np.where(out, low, middle)
+    return np.asarray(0.5 * (low + high))
+
+
+def _rolled_pad(body: Body, chart: Chart, radius_mm: Array) -> Array:
+    """(n, m) to be added to the skin's distance where a finger is rolled: its flat pad is rolled, too.
+
+    A body's sections shear when it rolls, but their flat side stays where it faces the camera. With squareness k and
+    roll phi the pad of k sin^2(2 w) / 4 of the radius turns by phi, to first order -phi k sin(4 w) / 2: nothing at the
+    outlines of front and sides, all of it between them.
+    """
+    expected = MirrorShapeSettings().squareness
+    flat = 0.5 * (body.squareness + expected)  # the fit takes a rolled pad for a round one
+    roll = float(np.clip(ROLL_OF_SHEAR * body.shear, -MAX_ROLL_RAD, MAX_ROLL_RAD))
+    turned = np.where(np.abs(chart.angle_rad) < 0.5 * np.pi, np.sin(4.0 * chart.angle_rad), 0.0)
+    return np.asarray(-0.5 * flat * roll * turned[None] * radius_mm)

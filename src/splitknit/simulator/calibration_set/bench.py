@@ -307,33 +307,6 @@ def card_radiance(led: Led) -> float:
     return float(irradiance(led, origin, np.array([0.0, 0.0, 1.0]))[0]) / np.pi
 
 
-def positions_of(leds: Sequence[Led], what: str) -> NDArray[np.float64]:
-    """(L, 3) positions in mm of LEDs that all have one, or BadInput: `what` needs them."""
-    for index, led in enumerate(leds):
-        require(led.position_mm is not None, f"{what} needs LEDs with positions, but LED {index} is distant light.")
-    return np.array([led.position_mm for led in leds], dtype=np.float64)
-
-
-def disc_points(led: Led, radius_mm: float) -> NDArray[np.float64]:
-    """(N, 3) points in mm that stand for equal parts of an LED's bright face: its middle and rings of 6 and of 12.
-
-    Each ring has the mean squared radius of its part of the disc, so that the points have the disc's own spread.
-    """
-    middle = np.asarray(led.position_mm, dtype=np.float64)
-    if radius_mm == 0.0:
-        return middle[None]
-    axis = led.axis
-    across = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0))
-    across /= np.linalg.norm(across)
-    other = np.cross(axis, across)
-    points = [middle]
-    for count, fraction, turn in ((6, 4.0 / 19.0, 0.1), (12, 13.0 / 19.0, 0.36)):
-        angle = turn + 2.0 * np.pi * np.arange(count) / count
-        ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
-        points.extend(middle + radius_mm * np.sqrt(fraction) * ring)
-    return np.array(points)
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DarkScene:
     """The lens cap is on: no light, whatever is switched on."""

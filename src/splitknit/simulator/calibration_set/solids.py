@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,10 +22,8 @@ from splitknit.simulator.calibration_set.bench import (
     Window,
     base_plane,
     card_radiance,
-    disc_points,
     inside,
     irradiance,
-    positions_of,
     seen_at,
     steps,
 )
@@ -58,7 +56,7 @@ class NailScene(GroundScene):
             f"{self.base_radius_mm} mm.",
         )
         require(self.nail_mm > 0.0, f"the nail's height must be positive, but it is {self.nail_mm} mm.")
-        heights = self.plane.own(positions_of(self.leds, "a nail"))[:, 2]
+        heights = self.plane.own(_positions_of(self.leds, "a nail"))[:, 2]
         lowest = float(heights.min())
         require(
             self.nail_mm < lowest - 10.0,
@@ -83,7 +81,7 @@ class NailScene(GroundScene):
 
     def shadow_tips_mm(self) -> NDArray[np.float64]:
         """(L, 3) where the rays from the LEDs' middles through the tip's middle meet the base, in the rig's frame."""
-        places = self.plane.own(positions_of(self.leds, "a nail"))
+        places = self.plane.own(_positions_of(self.leds, "a nail"))
         return self.plane.points(*np.array([self._cast(place)[0] for place in places]).T)
 
     def tip_px(self) -> NDArray[np.float64]:
@@ -101,7 +99,7 @@ class NailScene(GroundScene):
     def fraction_lit(self, led: Led) -> Array:
         """Fraction (H, W) of the LED's face that the base sees past the nail: 0 in the core shadow, soft at its rim."""
         fraction = np.ones(self.camera.image_size)
-        places = self.plane.own(disc_points(led, self.bench.led_radius_mm))
+        places = self.plane.own(_disc_points(led, self.bench.led_radius_mm))
         casts = [self._cast(place) for place in places]
         window = self._window(casts)
         if window is None:
@@ -239,7 +237,7 @@ class SphereScene(GroundScene):
         for name, value in (("reflectance", self._reflectance), ("ground", self.ground), ("surround", self.surround)):
             require(0.0 <= value <= 1.0, f"the ball's {name} must lie in [0, 1], but it is {value}.")
         require(self.radius_mm > 0.0, f"the ball's radius must be positive, but it is {self.radius_mm} mm.")
-        room = float(positions_of(self.leds, "a ball")[:, 2].min())
+        room = float(_positions_of(self.leds, "a ball")[:, 2].min())
         room = min(room, self.camera.height_mm)
         require(
             2.0 * self.radius_mm < 0.5 * room,
@@ -268,7 +266,7 @@ class SphereScene(GroundScene):
 
     def highlights_mm(self) -> NDArray[np.float64]:
         """(L, 3) points of the ball that mirror the LEDs' middles to the camera."""
-        places = positions_of(self.leds, "a ball")
+        places = _positions_of(self.leds, "a ball")
         normals = np.tile((0.0, 0.0, 1.0), (len(places), 1))
         for _ in range(60):  # the ball is small beside the distances: each turn shrinks the error by their ratio
             points = self.middle_mm + self.radius_mm * normals
@@ -286,7 +284,7 @@ class SphereScene(GroundScene):
     def fraction_lit(self, led: Led) -> Array:
         """Fraction (H, W) of the LED's face that the base sees past the ball."""
         fraction = np.ones(self.camera.image_size)
-        places = disc_points(led, self.bench.led_radius_mm)
+        places = _disc_points(led, self.bench.led_radius_mm)
         window = self._shadow(places)
         if window is None:
             return fraction
@@ -484,3 +482,30 @@ def _finer_lines(sight: Sight, at: tuple[NDArray[Any], ...]) -> Iterator[Sight]:
                 for value, step in zip(values, slopes, strict=True)
             )
             yield Sight(*moved)
+
+
+def _positions_of(leds: Sequence[Led], what: str) -> NDArray[np.float64]:
+    """(L, 3) positions in mm of LEDs that all have one, or BadInput: `what` needs them."""
+    for index, led in enumerate(leds):
+        require(led.position_mm is not None, f"{what} needs LEDs with positions, but LED {index} is distant light.")
+    return np.array([led.position_mm for led in leds], dtype=np.float64)
+
+
+def _disc_points(led: Led, radius_mm: float) -> NDArray[np.float64]:
+    """(N, 3) points in mm that stand for equal parts of an LED's bright face: its middle and rings of 6 and of 12.
+
+    Each ring has the mean squared radius of its part of the disc, so that the points have the disc's own spread.
+    """
+    middle = np.asarray(led.position_mm, dtype=np.float64)
+    if radius_mm == 0.0:
+        return middle[None]
+    axis = led.axis
+    across = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0))
+    across /= np.linalg.norm(across)
+    other = np.cross(axis, across)
+    points = [middle]
+    for count, fraction, turn in ((6, 4.0 / 19.0, 0.1), (12, 13.0 / 19.0, 0.36)):
+        angle = turn + 2.0 * np.pi * np.arange(count) / count
+        ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
+        points.extend(middle + radius_mm * np.sqrt(fraction) * ring)
+    return np.array(points)

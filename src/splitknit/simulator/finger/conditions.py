@@ -47,11 +47,11 @@ class _Weathered:
     """(H, W) diffuse white reflectance of the scales."""
 
 
-def _scale_reflectance(plates: Array, index: float = KERATIN) -> Array:
+def _scale_reflectance(plates: Array) -> Array:
     """Reflectance of a pile of transparent plates with air between them, light falling straight on. Source: Stokes
     1862, On the intensity of the light reflected from or transmitted through a pile of plates.
     """
-    one = ((index - 1.0) / (index + 1.0)) ** 2
+    one = ((KERATIN - 1.0) / (KERATIN + 1.0)) ** 2
     return np.asarray(2.0 * plates * one / (1.0 + (2.0 * plates - 1.0) * one))
 
 
@@ -80,7 +80,7 @@ def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.ra
     new = smooth + relief * (1.0 - 0.25 * severity * calm)
     new = new + 1e-3 * 5.0 * severity * smooth_noise(rng, displacement.shape, 0.06 / pitch)
     angle = _ridge_angle(master.ridge, 0.5 / pitch)
-    new = new - severity * _fissures(rng, angle, master, pitch, 0.5 * severity)
+    new = new - severity * _fissures(rng, angle, pitch, 0.5 * severity)
     lumps = smooth_noise(rng, displacement.shape, 0.22 / pitch)
     coarse = smooth_noise(rng, displacement.shape, 1.5 / pitch)
     field = (lumps + 0.5 * coarse) / np.sqrt(1.25)
@@ -93,7 +93,7 @@ def _dried(displacement: Array, master: MasterPrint, severity: float, rng: np.ra
     return _Weathered(new, scale, _scale_reflectance(plates))
 
 
-def _fissures(rng: np.random.Generator, angle: Array, master: MasterPrint, pitch: float, per_mm2: float) -> Array:
+def _fissures(rng: np.random.Generator, angle: Array, pitch: float, per_mm2: float) -> Array:
     """(H, W) depth of short cracks across the ridges, mm."""
     rows, columns = angle.shape
     count = int(rng.poisson(per_mm2 * rows * columns * pitch * pitch))
@@ -119,7 +119,7 @@ def _fissures(rng: np.random.Generator, angle: Array, master: MasterPrint, pitch
     return canvas
 
 
-def scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
+def _scarred(displacement: Array, master: MasterPrint, severity: float, rng: np.random.Generator) -> _Weathered:
     """Draw up to three scars across the pad: strips without ridges or pores, sunken or raised, with soft edges.
 
     At severity 1 there are three, about 1.1 mm wide (0.1 mm at severity 0: a healed scratch), 6 to 14 mm long; three in
@@ -361,7 +361,7 @@ def conditioned_surface(  # noqa: PLR0917
     if condition.kind == "dry":
         weathered = _dried(relief, master, severity, rng)
     elif condition.kind == "scarred":
-        weathered = scarred(
+        weathered = _scarred(
             relief, master, severity, np.random.default_rng(np.random.SeedSequence([finger.seed, 0x5CA]))
         )
     elif condition.kind == "wet":
@@ -406,7 +406,6 @@ def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | Non
         skin,
         coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"),
         pigment=pigment,
-        deepest_mm=float(-displacement.min()),
     )
 
 

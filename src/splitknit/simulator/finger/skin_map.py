@@ -68,8 +68,6 @@ class SkinMap:
     u0_mm: float
     v0_mm: float
     pitch_mm: float
-    deepest_mm: float
-    """Largest depth anywhere on the map."""
     crease_lines: tuple[Array, ...]
     """(N, 2) u, v along the main groove of every crease."""
 
@@ -132,7 +130,6 @@ def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinM
         float(master.u_mm[0]),
         float(master.v_mm[0]),
         pitch,
-        float(-displacement.min()),
         tuple(lines),
     )
 

@@ -142,23 +142,6 @@ def light_on(patch: Patch, led: Led, roughness: float, led_radius_mm: float) -> 
     return entering, gloss
 
 
-def light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
-    """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to a power."""
-    total = np.zeros(patch.mask.shape, dtype=np.float32)
-    for one in (led, *led.also):
-        lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
-        cosine = np.maximum(lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2], 0.0)
-        total += strength * cosine * np.maximum(1.0 - fresnel(cosine), 0.02) ** entry_power
-    return np.where(patch.mask, total, 0.0).astype(np.float32)
-
-
-def obliquity(patch: Patch, normals: FloatArray, led: Led) -> FloatArray:
-    """(h, w) ln(1 / cos t), t the angle between skin's normals (h, w, 3) and an LED; at most ln 10."""
-    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
-    cosine = lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2]
-    return np.where(patch.mask, -np.log(np.clip(cosine, 0.1, 1.0)), 0.0).astype(np.float32)
-
-
 _GRAZING = 0.12
 """Cosine to the camera: facets that lean away further are not resolved by the picture's pixels."""
 _LARGEST = 3.0

@@ -20,7 +20,7 @@ from scipy import ndimage
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
-from splitknit.simulator.light.lighting import Patch, cut_out, light_below, light_on, obliquity
+from splitknit.simulator.light.lighting import Patch, cut_out, light_on, towards
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
@@ -231,7 +231,7 @@ class Diffusion:
         self.inner = tuple(slice(before, before + n) for before, n in zip(self.before, mask.shape, strict=True))
         self._area = None if blurred else patch.area
         along_x, along_y = (self._continued(slope) for slope in patch.slopes)
-        self._sheet = None if blurred else Sheet(along_x, along_y, self._continued(mask), self.inner)
+        self._sheet = None if blurred else _Sheet(along_x, along_y, self._continued(mask), self.inner)
         spread_over = self._continued(mask).shape if self._sheet is None else self._sheet.shape
         self.fft_shape = tuple(scipy.fft.next_fast_len(length + reach, True) for length in spread_over)
         self.transfers = [p.transfer_grid((self.fft_shape[0], self.fft_shape[1]), pitch_mm) for p in profiles]
@@ -255,11 +255,11 @@ class Diffusion:
 
         def entering(k: int) -> Iterator[FloatArray]:
             power = boundary.entry_power
-            ridged = self.spread(self.pad(light_below(self.patch, facets, leds[k], power)))
+            ridged = self.spread(self.pad(_light_below(self.patch, facets, leds[k], power)))
             if boundary.refraction == 0:
                 yield from ridged
                 return
-            smooth = self.spread(self._continued(light_below(self.patch, shape_normals, leds[k], power)))
+            smooth = self.spread(self._continued(_light_below(self.patch, shape_normals, leds[k], power)))
             for light, below, signal in zip(ridged, smooth, signals, strict=True):
                 yield np.asarray(below + np.float32(signal) * (light - below))
 
@@ -290,7 +290,7 @@ class Diffusion:
             yield np.ascontiguousarray(light[self.inner]) if self._sheet is None else self._sheet.laid_back(light)
 
 
-class Sheet:
+class _Sheet:
     """Skin laid out on a plane: distances there are those along the skin.
 
     Rows of the picture are laid out to their length from its middle column, and what they then show is laid out along
@@ -373,9 +373,26 @@ class Relief:
 
     def gains(self, led: Led | None = None) -> Iterator[FloatArray]:
         """(h, w) for each channel, under one LED or (None) under light from everywhere."""
-        slanted = None if led is None else obliquity(self._patch, self._normals, led)
+        slanted = None if led is None else _obliquity(self._patch, self._normals, led)
         for one, pigment in zip(self._optics, self._pigments, strict=True):
             gain: Any = np.float32(one.relief_gain_per_um)
             if slanted is not None and one.oblique_gain_per_um > 0.0:
                 gain = gain + np.float32(one.oblique_gain_per_um) * slanted
             yield pigment * np.clip(1.0 + gain * self._band, 0.2, 1.8)
+
+
+def _light_below(patch: Patch, normals: FloatArray, led: Led, entry_power: float) -> FloatArray:
+    """(h, w) light that enters skin with these `normals` (h, w, 3), with Fresnel's transmittance to a power."""
+    total = np.zeros(patch.mask.shape, dtype=np.float32)
+    for one in (led, *led.also):
+        lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
+        cosine = np.maximum(lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2], 0.0)
+        total += strength * cosine * np.maximum(1.0 - fresnel(cosine), 0.02) ** entry_power
+    return np.where(patch.mask, total, 0.0).astype(np.float32)
+
+
+def _obliquity(patch: Patch, normals: FloatArray, led: Led) -> FloatArray:
+    """(h, w) ln(1 / cos t), t the angle between skin's normals (h, w, 3) and an LED; at most ln 10."""
+    lx, ly, lz, _ = towards(led, patch.x, patch.y, patch.z)
+    cosine = lx * normals[..., 0] + ly * normals[..., 1] + lz * normals[..., 2]
+    return np.where(patch.mask, -np.log(np.clip(cosine, 0.1, 1.0)), 0.0).astype(np.float32)

@@ -271,7 +271,7 @@ def population_capture(
     surface = finger_surface(
         today, impression.pose(), rig.camera, master=deformed(master, deformation), workers=settings.render.workers
     )
-    lit = drifted(rig, np.random.default_rng(drift_seed), settings.sessions.led_drift_sd)
+    lit = _drifted(rig, np.random.default_rng(drift_seed), settings.sessions.led_drift_sd)
     capture, truth = photograph(
         surface, lit, _skin_of_today(own, impression), photo_seed, settings=_twin_settings(settings, impression)
     )
@@ -316,7 +316,7 @@ def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinSettings:
     )
 
 
-def drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
+def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
     """The rig as it is: LEDs a little brighter or darker than when they were calibrated."""
     changes = 1.0 + spread * np.clip(rng.standard_normal(len(rig.leds)), -2.5, 2.5)
     leds = tuple(

@@ -1,0 +1,86 @@
+"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY and GLB, floats as TIFF."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tifffile
+
+VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("quality", "<f4")])
+FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+
+
+class Ply(NamedTuple):
+    vertices_mm: np.ndarray
+    normals: np.ndarray
+    quality: np.ndarray
+    faces: np.ndarray
+    comments: tuple[str, ...]
+
+
+class Glb(NamedTuple):
+    vertices_mm: np.ndarray
+    normals: np.ndarray
+    intensity: np.ndarray
+    faces: np.ndarray
+    metres_per_unit: float
+    extras: dict[str, Any]
+
+
+def read_ply(path: Path) -> Ply:
+    """Vertices with normals and a quality, and triangles, binary and little-endian."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode("ascii").splitlines()
+    comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
+    layout = [line for line in lines if not line.startswith("comment ")]
+    vertices, faces = (int(line.split()[-1]) for line in layout if line.startswith("element "))
+    names = ("x", "y", "z", "nx", "ny", "nz", "quality")
+    assert layout == [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {vertices}",
+        *(f"property float {name}" for name in names),
+        f"element face {faces}",
+        "property list uchar int vertex_indices",
+    ]
+    assert len(body) == vertices * VERTEX.itemsize + faces * FACE.itemsize
+    points = np.frombuffer(body, VERTEX, vertices)
+    corners = np.frombuffer(body, FACE, faces, vertices * VERTEX.itemsize)
+    assert (corners["count"] == 3).all()
+    return Ply(points["place"], points["normal"], points["quality"], corners["corners"], comments)
+
+
+def read_glb(path: Path) -> Glb:
+    """Places, normals, colours and triangles, in this order."""
+    data = path.read_bytes()
+    magic, version, total, length, _ = struct.unpack_from("<4s4I", data)
+    assert (magic, version, total) == (b"glTF", 2, len(data))
+    document = json.loads(data[20 : 20 + length])
+    blocks = []
+    for accessor, (dtype, columns) in zip(
+        document["accessors"], (("<f4", 3), ("<f4", 3), ("u1", 4), ("<u4", 1)), strict=True
+    ):
+        start = 28 + length + document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        blocks.append(np.frombuffer(data, dtype, accessor["count"] * columns, start).reshape(-1, columns))
+    faces = blocks[3].reshape(-1, 3).astype(np.int32)
+    scale, extras = document["nodes"][0]["scale"][0], document["asset"]["extras"]
+    return Glb(blocks[0], blocks[1], blocks[2][:, 0], faces, scale, extras)
+
+
+def read_light_tiff(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """The floats of one page, and what its description tells."""
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        assert page.dtype == np.float32
+        return page.asarray(), json.loads(page.description)
+
+
+def read_height_tiff(path: Path) -> tuple[np.ndarray, float, dict[str, Any]]:
+    """A height map, its pitch, and all of its description."""
+    height, metadata = read_light_tiff(path)
+    assert height.ndim == 2 and metadata["unit"] == "mm"
+    return height, metadata["pitch_mm"], metadata
