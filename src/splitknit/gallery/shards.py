@@ -35,7 +35,7 @@ from splitknit.model import FloatArray
 ROWS_A_SHARD = 1 << 22
 """Row numbers that share a file: 1.1 GB if all are taken."""
 RESCORED = 10_000
-"""Fingers whose finer numbers are compared, at most; of a smaller gallery a fiftieth, but a thousand at least."""
+"""Fingers whose finer numbers are compared, at most; of a smaller gallery a hundredth, but a thousand at least."""
 _FORMAT, _VERSION, _HEADER = "splitknit-code-shard", 1, 4096
 _NAME = re.compile(r"codes-[0-9]{6}\.skc")
 _LARGEST = 1 << 40
@@ -267,7 +267,7 @@ class Shards:
 
 def rescored_count(fingers: int) -> int:
     """How many of so many fingers have their finer numbers compared."""
-    return min(fingers, RESCORED, max(1000, fingers // 50))
+    return min(fingers, RESCORED, max(1000, fingers // 100))
 
 
 def scan_shard(file: Path, probe: Probe, count: int) -> Found:

@@ -22,7 +22,7 @@ import hmac
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.matching.code import code_size
+from splitknit.matching.code import SCALE, code_size
 from splitknit.model import FloatArray
 
 BITS = 512
@@ -35,7 +35,8 @@ _BLOCK = 8192
 class RenewableCode:
     """The transform of one key.
 
-    Everything is integer arithmetic until the last division, so that a key gives the same bytes on every machine.
+    Everything is integer arithmetic until the numbers are scaled at last, so that a key gives the same bytes whatever
+    the machine and its threads.
     """
 
     def __init__(self, secret: bytes) -> None:
@@ -84,7 +85,10 @@ class RenewableCode:
         for start in range(0, len(codes), _BLOCK):
             turned = codes[start : start + _BLOCK].astype(np.float64) @ self._matrix.T  # sums of integers: exact
             bits[start : start + _BLOCK] = np.packbits(turned > 0, axis=1)
-            fine[start : start + _BLOCK] = np.clip(np.rint(turned[:, : code_size()] / self._length), -127, 127)
+            turned = turned[:, : code_size()]
+            # to one length: what rounding had left of it would be the same under every key
+            length = np.sqrt(np.maximum(np.sum(turned * turned, axis=1, keepdims=True), 1.0))
+            fine[start : start + _BLOCK] = np.clip(np.rint(SCALE * turned / length), -127, 127)
         return bits, fine
 
     def probe(self, variants: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
