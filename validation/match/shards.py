@@ -12,15 +12,16 @@ true surfaces of the subjects S01 to S05; reported are the others (``--first 6``
 (``field_fingers.py``, seed 7400, half of them mirrored), seen through the outlines of reconstructions of S01 to S05,
 and coded; a distractor is one of these codes, `NEAR` of it, and else a normal deviate of their covariance (a smoothed
 bootstrap), so that they keep classes and correlations of the fields. Their similarities to probes are reported beside
-those of the fields and of other fingers' reconstructions, to judge by.
+those of the fields and of other fingers' reconstructions, to judge by. FOLDER keeps fields, distractors and shards
+(5 GB of ten million) for the next run.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
-import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,9 +37,9 @@ from pressed_prints import finger, press
 
 from splitknit.batch.store import Store
 from splitknit.gallery.key import Key
-from splitknit.gallery.shards import Shards, write_shards
+from splitknit.gallery.shards import ROWS_A_SHARD, Shards, write_shards
 from splitknit.io.prints import read_print_png
-from splitknit.matching.code import SCALE, code_of, code_size, probe_codes
+from splitknit.matching.code import SCALE, ProbeSettings, code_of, code_size, probe_codes
 from splitknit.matching.renewable import RenewableCode
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.template import Template, make_template, unpack
@@ -48,6 +49,8 @@ RESULT = Path(__file__).with_name("shards.json")
 FIELDS, NEAR = 7400, 0.9
 KEY = Key(bytes(range(32)), raw=True)
 RANKS = (1, 50, 500)
+MORE = ProbeSettings(turn_deg=20.0, right_mm=4.0, down_mm=4.0)
+"""For prints, whose uppermost skin is not the finger's; chosen on 16 simulated presses of other seeds (from 97,000)."""
 DESIGNED_ON = 5
 """Subjects whose true surfaces choices were made on."""
 CHUNK = 50_000
@@ -67,9 +70,13 @@ def bases(work: Path, outlines: Sequence[Template], fields: int) -> NDArray[np.i
     return impostor_codes(load_fields(work, FIELDS, 2 * fields), list(outlines))
 
 
-def distractors(base: NDArray[np.int8], count: int, file: Path) -> NDArray[np.int8]:
-    """(count, K) codes like those of `base`, in a file: the first of many are those of few."""
-    many = np.memmap(file, np.int8, "w+", shape=(count, code_size()))
+def distractors(base: NDArray[np.int8], count: int, work: Path) -> Path:
+    """File of (count, K) codes like those of `base`, perhaps with others behind: the first of many are those of few."""
+    file = work / f"distractors-{hashlib.sha256(np.ascontiguousarray(base).data).hexdigest()[:12]}-{count}.i8"
+    if file.is_file():
+        return file
+    part = file.with_suffix(".part")
+    many = np.memmap(part, np.int8, "w+", shape=(count, code_size()))
     directions = base / np.linalg.norm(base.astype(np.float32), axis=1, keepdims=True)
     mean = directions.mean(axis=0)
     root = np.linalg.cholesky(np.cov(directions.T) + 1e-9 * np.eye(code_size())).T.astype(np.float32)
@@ -81,28 +88,34 @@ def distractors(base: NDArray[np.int8], count: int, file: Path) -> NDArray[np.in
         mixed *= SCALE / np.linalg.norm(mixed, axis=1, keepdims=True)
         many[start : start + CHUNK] = np.clip(np.rint(mixed), -127, 127)[: count - start]
     many.flush()
-    return many
+    part.rename(file)
+    return file
 
 
-def recall(work: Path, gallery: dict[str, Template], probes: dict[str, Template], sizes: Sequence[int],
-           base: NDArray[np.int8]) -> dict[str, Any]:  # fmt: skip
+def sharded(
+    work: Path, base: NDArray[np.int8], size: int, own: NDArray[np.int8], key: Key
+) -> tuple[Shards, NDArray[np.int64]]:
+    """Shards of so many distractors and a gallery's codes, and the rows of these, in files of their own."""
+    file = distractors(base, size, work)
+    codes = np.memmap(file, np.int8, "r+", shape=(size + len(own), code_size()))
+    codes[size:] = own
+    mine = 100 * ROWS_A_SHARD + np.arange(len(own))
+    folder = work / f"{file.stem}-{key.secret.hex()[-6:]}"
+    write_shards(folder, np.concatenate([np.arange(size), mine]), codes, key)
+    return Shards(folder, key), mine
+
+
+def recall(work: Path, gallery: dict[str, Template], probes: dict[str, Template], *, sizes: Sequence[int],
+           base: NDArray[np.int8], settings: ProbeSettings | None = None) -> dict[str, Any]:  # fmt: skip
     """How often the right finger is among the best of so many distractors and the gallery."""
     names = list(gallery)
     own = np.stack([code_of(gallery[name]) for name in names])
-    many = distractors(base, max(sizes), work / "distractors.i8")
     owners = [finger_of(name) for name in probes]
     found: dict[str, Any] = {"probes": len(probes), "fingers": len(set(owners)), "gallery": len(names), "sizes": {}}
     for size in sizes:
-        folder = work / f"shards-{size}"
-        shutil.rmtree(folder, ignore_errors=True)
-        codes = np.memmap(work / "codes.i8", np.int8, "w+", shape=(len(own) + size, code_size()))
-        codes[: len(own)], codes[len(own) :] = own, many[:size]
-        write_shards(folder, np.arange(len(codes)), codes, KEY)
-        shards, ranks, started = Shards(folder, KEY), [], time.process_time()
-        for name, template in probes.items():
-            rows = shards.search(template, max(RANKS)).rows
-            place = np.flatnonzero(rows == names.index(finger_of(name)))
-            ranks.append(int(place[0]) + 1 if len(place) else max(RANKS) + 1)
+        shards, mine = sharded(work, base, size, own, KEY)
+        started = time.process_time()
+        ranks = ranks_in(shards, probes, mine[[names.index(owner) for owner in owners]], settings)
         cpu_s = (time.process_time() - started) / max(1, len(probes))
         found["sizes"][str(size)] = {
             "within": {str(k): by_finger(np.array(ranks) <= k, owners) for k in RANKS},
@@ -110,20 +123,27 @@ def recall(work: Path, gallery: dict[str, Template], probes: dict[str, Template]
             "cpu_s_a_search": round(cpu_s, 4),
         }
         print(size, found["sizes"][str(size)], flush=True)
-        shutil.rmtree(folder)
-        (work / "codes.i8").unlink()
-    (work / "distractors.i8").unlink()
     few = list(probes.values())[:: max(1, len(probes) // 30)]
     other = np.concatenate([similarities(one, own[[names.index(n) for n in names if n != finger_of(name)]])
                             for name, one in list(probes.items())[:: max(1, len(probes) // 30)]])  # fmt: skip
-    sample = distractors(base, 20_000, work / "sample.i8")
+    sample = np.fromfile(distractors(base, 20_000, work), np.int8).reshape(-1, code_size())[:20_000]
     kinds = {"distractors": np.concatenate([similarities(one, sample) for one in few]),
              "fields": np.concatenate([similarities(one, base) for one in few]), "others": other}  # fmt: skip
-    (work / "sample.i8").unlink()
     found["similarity_quantiles_50_99_99.9"] = {
         kind: np.quantile(values, [0.5, 0.99, 0.999]).round(3).tolist() for kind, values in kinds.items()
     }
     return found
+
+
+def ranks_in(
+    shards: Shards, probes: dict[str, Template], rows: NDArray[np.int64], settings: ProbeSettings | None = None
+) -> list[int]:
+    """Rank of the right row of each probe; one more than is looked for where it is not found."""
+    ranks = []
+    for template, row in zip(probes.values(), rows.tolist(), strict=True):
+        place = np.flatnonzero(shards.search(template, max(RANKS), settings).rows == row)
+        ranks.append(int(place[0]) + 1 if len(place) else max(RANKS) + 1)
+    return ranks
 
 
 def similarities(probe: Template, codes: NDArray[np.int8]) -> FloatArray:
@@ -158,7 +178,8 @@ def prints(work: Path, base: NDArray[np.int8], size: int, fingers: int) -> dict[
         made = {name: make_template(print_band(image)) for name, image in images}
         made = {name: template for name, template in made.items() if not template.empty}
         if made:
-            found[kind] = recall(work, *split(made), [size], base)
+            found[kind] = recall(work, *split(made), sizes=[size], base=base)
+            found[f"{kind}, more variants"] = recall(work, *split(made), sizes=[size], base=base, settings=MORE)
     return found
 
 
@@ -203,17 +224,12 @@ def keys(work: Path, gallery: dict[str, Template], probes: dict[str, Template], 
         }
         links[what]["chance"] = round(d_sys(*np.split(pooled, 2)), 4)  # of a system that links nothing
         links[what]["scores"] = pairs * len(place)
-    codes = np.concatenate([own, distractors(base, size, work / "distractors.i8")])
-    plain = ranks_of(mine, [similarities(one, codes) for one in probes.values()])
-    folder, keyed = work / "shards-keys", []
+    plain_codes = np.fromfile(distractors(base, size, work), np.int8).reshape(-1, code_size())[:size]
+    plain = ranks_of(mine, [similarities(one, np.concatenate([own, plain_codes])) for one in probes.values()])
+    keyed = []
     for number in range(3):
-        shutil.rmtree(folder, ignore_errors=True)
-        write_shards(folder, np.arange(len(codes)), codes, Key(bytes([number] * 32), raw=True))
-        shards = Shards(folder, Key(bytes([number] * 32), raw=True))
-        hits = [shards.search(one, max(RANKS)).rows for one in probes.values()]
-        keyed.append([int(np.flatnonzero(rows == row)[0]) + 1 if row in rows else max(RANKS) + 1
-                      for rows, row in zip(hits, mine, strict=True)])  # fmt: skip
-    shutil.rmtree(folder)
+        shards, rows = sharded(work, base, size, own, Key(bytes([number] * 32), raw=True))
+        keyed.append(ranks_in(shards, probes, rows[mine]))
     return {
         "d_sys": links, "fingers": len(set(owners)), "probes": len(probes), "distractors": size,
         "plain_within": {str(k): by_finger(np.array(plain) <= k, owners) for k in RANKS},
@@ -263,7 +279,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     base = bases(options.work, outlines, options.fields)
     if options.what == "recall":
         sizes = [size for size in (10_000, 100_000, 1_000_000, 10_000_000) if size <= options.fingers]
-        found = recall(options.work, gallery, probes, sizes or [options.fingers], base)
+        found = recall(options.work, gallery, probes, sizes=sizes or [options.fingers], base=base)
     elif options.what == "prints":
         found = prints(options.work, base, options.fingers, fingers=24)
     else:
