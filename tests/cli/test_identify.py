@@ -227,6 +227,9 @@ def test_codes_in_shards_under_a_key_that_is_renewed(gallery: Path, probe: Path,
     assert [one["person"] for one in facts_of(capsys, "identify", file, probe, *with_key)["candidates"]] == ["Ann"]
     assert facts_of(capsys, "gallery", "index", file, *with_key)["shards"]["fingers"] == 3
     # what cannot be
+    for person in ("Ann", "Cid"):
+        facts_of(capsys, "gallery", "remove", file, "--person", person, "--key-file", key)
+    assert "there is no code to keep" in refusal_of(capsys, "gallery", "index", file, *with_key)
     assert "--renew is for shards" in refusal_of(capsys, "gallery", "index", file, "--key-file", key, "--renew")
     refused = refusal_of(capsys, "identify", file, probe, *with_key, "--person", "Ann")
     assert "--shards is for a search of the whole gallery" in refused

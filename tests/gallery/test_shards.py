@@ -220,6 +220,8 @@ def test_codes_that_are_none(codes: np.ndarray, tmp_path: Path) -> None:
     for rows, wrong in (([1, 1], codes[:2]), ([2, 1], codes[:2]), ([1], codes[:2]), ([1], codes[:1].astype(float))):
         with pytest.raises(BadInput):
             write_shards(tmp_path / "codes", np.array(rows), wrong)
+    with pytest.raises(BadInput, match="no code to keep"):
+        write_shards(tmp_path / "codes", np.zeros(0, np.int64), codes[:0])
     with pytest.raises(BadInput, match="k must be at least 1"):
         write_shards(tmp_path / "codes", np.arange(3), codes[:3])
         Shards(tmp_path / "codes").search(finger(1), 0)

@@ -27,7 +27,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
-from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.code import CODE_VERSION, code_of, code_size
 from splitknit.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
@@ -143,7 +143,7 @@ def index_gallery(
         facts = {"gallery": str(gallery), "coded": made, "code_version": CODE_VERSION, "shards": None}
         if shards is not None:
             kept = dict(sorted(opened.codes(CODE_VERSION).items()))
-            table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(len(kept), -1)
+            table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(-1, code_size())
             facts["shards"] = write_shards(shards, np.array(list(kept), dtype=np.int64), table, key, renew=renew)
     return facts
 

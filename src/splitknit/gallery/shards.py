@@ -97,9 +97,12 @@ def write_shards(
     Raises
     ------
     BadInput
-        If the codes are of another shape, the rows do not ascend, the folder holds shards under another key, or it
-        cannot be written.
+        If there is no code, the codes are of another shape, the rows do not ascend, the folder holds shards under
+        another key, or it cannot be written.
     """
+    require(
+        len(rows) > 0, f"there is no code to keep in shards; enrol fingers first (and remove '{folder}' if it is old)."
+    )
     wanted = (len(rows), code_size())
     require(codes.shape == wanted and codes.dtype == np.int8, f"codes must be int8 of the shape {wanted}.")
     require(bool((np.diff(rows) > 0).all()) and (len(rows) == 0 or rows[0] >= 0), "rows of shards must ascend from 0.")
