@@ -1,97 +1,171 @@
-"""1:N search: codes of 100,000 fingers, a glance at the best, the comparison of a few; time and memory, one thread.
+"""1:N search: codes of up to ten million fingers in shards, then the ridges of the best 500; time and memory, one core.
 
-    OPENBLAS_NUM_THREADS=1 python benchmarks/bench_search.py [--fingers 100000] [--rounds 5]
+    OPENBLAS_NUM_THREADS=1 python benchmarks/bench_search.py [--fingers 100000,1000000,10000000] [--rounds 5]
 
-For TIMING ONLY the gallery is made of the codes of a few simulated fingers with noise added, and every candidate's
-template is one of theirs (a fresh unpacking each time, as from a gallery on disk). How often a search finds the right
-finger is measured by ``validation/match/codes.py``.
+For TIMING ONLY the shards hold the codes of a few simulated fingers with noise added, and every candidate's template is
+one of theirs (a fresh unpacking each time, as from a gallery on disk). How often a search finds the right finger is
+measured by ``validation/match/shards.py``, and by ``validation/match/codes.py`` for codes alone. Ten million take
+5 GB of disk.
 """
 
 from __future__ import annotations
 
 import argparse
 import resource
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from splitknit.matching.code import code_model, code_of, code_size, probe_codes, ridge_field
-from splitknit.matching.ridge import Prepared
+from splitknit.gallery.key import Key
+from splitknit.gallery.shards import Shards, merged, rescored_count, scan_shard, write_shards
+from splitknit.matching.code import ProbeSettings, code_model, code_of, code_size, probe_codes, ridge_field
+from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.ridge_band import ridge_band
-from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.matching.template import make_template, pack, unpack
+from splitknit.matching.search import CodeIndex, SearchSettings, glance, identify
+from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.model import default_rig
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 SCALE = 0.15
+IN_MEMORY = 100_000
+"""Fingers of the index in memory, which galleries without shards are searched by."""
+KEY = Key(bytes(range(32)), raw=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fingers", type=int, default=100_000)
+    parser.add_argument("--fingers", default="100000,1000000,10000000", help="sizes of shards, with commas")
     parser.add_argument("--people", type=int, default=6, help="simulated fingers behind all codes")
     parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     cv2.setNumThreads(1)
+    probe, *others = drawn(options.people + 1)
+    stored = [pack(template) for template in others]
+    print(f"1:N, {machine()}, one thread; codes of {code_size()} bytes")
+    in_memory(probe, others, stored, options.rounds)
+    for number, count in enumerate(map(int, options.fingers.split(","))):
+        with tempfile.TemporaryDirectory() as folder:
+            in_shards(probe, others, stored, Path(folder), count=count, rounds=options.rounds, first=number == 0)
+
+
+def drawn(people: int) -> list[Template]:
+    """A probe, and fingers the first of which is the same."""
     camera = default_rig(SCALE).camera
     templates = []
-    for seed in range(options.people + 1):
+    for seed in range(people):
         finger, pose = draw_finger(max(seed, 1)), Pose(insertion_mm=26.0, roll_rad=0.1 if seed == 0 else 0.0)
         seen = finger_surface(finger, pose, camera)
         templates.append(
             make_template(ridge_band(seen.height_mm - seen.shape_mm, seen.mask, camera.pitch_mm, seen.shape_mm))
         )
-    probe, others = templates[0], templates[1:]
-    stored = [pack(template) for template in others]
-    start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return templates
+
+
+def noisy_codes(others: list[Template], many: NDArray[np.int8]) -> None:
+    """Fill in codes like those of the fingers; the one in the middle is the first finger's."""
     rng = np.random.default_rng(0)
     codes = np.stack([code_of(template) for template in others]).astype(np.float32)
-    many = np.empty((options.fingers, code_size()), dtype=np.int8)
-    for first in range(0, options.fingers, 10_000):
+    for first in range(0, len(many), 10_000):
         part = many[first : first + 10_000]
-        noisy = 0.5 * codes[rng.integers(len(codes), size=len(part))] + rng.normal(0, 22, part.shape)
-        part[...] = np.clip(np.rint(noisy), -127, 127)
-    many[options.fingers // 2] = code_of(others[0])
-    index = CodeIndex([f"{n:06d}" for n in range(options.fingers)], many)
-    del many, noisy, part
-    right = f"{options.fingers // 2:06d}"
+        noise = rng.standard_normal(part.shape, dtype=np.float32)
+        part[...] = np.clip(np.rint(0.5 * codes[rng.integers(len(codes), size=len(part))] + 22 * noise), -127, 127)
+    many[len(many) // 2] = code_of(others[0])
+
+
+def in_memory(probe: Template, others: list[Template], stored: list[bytes], rounds: int) -> None:
+    many = np.empty((IN_MEMORY, code_size()), dtype=np.int8)
+    noisy_codes(others, many)
+    index = CodeIndex([f"{n:06d}" for n in range(IN_MEMORY)], many)
+    right = f"{IN_MEMORY // 2:06d}"
 
     def fetch(identity: str) -> Prepared:
         number = int(identity)
         return Prepared(unpack(stored[0 if identity == right else 1 + number % (len(stored) - 1)]))
 
-    variants = probe_codes(probe)
-    settings = SearchSettings()
+    variants, settings = probe_codes(probe), SearchSettings()
 
     def whole() -> str:
         return identify(probe, fetch, index, settings=settings)[0].id
 
     assert whole() == right
-
-    work = {
-        "code of a gallery finger": lambda: code_of(others[0]),
-        "its ridge field alone": lambda: ridge_field(others[0]),
-        f"codes of a probe ({len(variants)} variants)": lambda: probe_codes(probe),
-        f"{options.fingers} codes compared": lambda: index.nearest(variants, settings.candidates),
-        "search by codes, from the template": lambda: index.search(probe, settings.candidates),
-        f"whole search, {settings.candidates} candidates, {settings.finalists} finalists": whole,
-    }
-    rows = race(work, options.rounds)
+    show(
+        f"{IN_MEMORY} codes in memory",
+        {
+            "code of a gallery finger": lambda: code_of(others[0]),
+            "its ridge field alone": lambda: ridge_field(others[0]),
+            f"codes of a probe ({len(variants)} variants)": lambda: probe_codes(probe),
+            "all codes compared with them": lambda: index.nearest(variants, settings.candidates),
+            "search by codes, from the template": lambda: index.search(probe, settings.candidates),
+            f"whole search, {settings.candidates} candidates, {settings.finalists} finalists": whole,
+        },
+        rounds,
+    )
     model = sum(part.nbytes for part in (code_model().loading, code_model().weighted, code_model().precision))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(f"1:N among {options.fingers} fingers, {machine()}, one thread; codes of {code_size()} bytes")
     print(
-        f"Memory: codes {index.nbytes / 1e6:.1f} MB, model {model / 1e6:.1f} MB; ids and all else raise the process by"
+        f"Memory: codes {index.nbytes / 1e6:.1f} MB, model {model / 1e6:.1f} MB, 1.6 times that while it is laid out."
     )
-    print(f"{(peak - start) / 1e3:.0f} MB at its peak (making the noisy codes included).")
-    used = {row.name: cpu_s(work[row.name], options.rounds) for row in rows}
-    print_table(
-        "1:N search", [replace(row, result=row.name) for row in rows], lambda name: f"{used[name]:.4f}", "CPU s"
-    )
+
+
+def in_shards(
+    probe: Template, others: list[Template], stored: list[bytes], folder: Path, *, count: int, rounds: int, first: bool
+) -> None:
+    many = np.memmap(folder / "codes.i8", np.int8, "w+", shape=(count, code_size()))
+    noisy_codes(others, many)
+    started = time.process_time()
+    write_shards(folder / "shards", np.arange(count), many, KEY)
+    written_s = time.process_time() - started
+    del many
+    (folder / "codes.i8").unlink()
+    shards, settings, variants = Shards(folder / "shards", KEY), SearchSettings(), ProbeSettings()
+    ready = shards.probe(probe)
+    top = rescored_count(count)
+    hits = shards.search(probe, settings.shortlist)
+    assert hits.rows[0] == count // 2
+
+    def scanned() -> object:
+        return merged([scan_shard(file, ready, top) for file in shards.files], settings.shortlist, count)
+
+    side = Prepared(probe)
+    side.value  # noqa: B018 - made when first used
+
+    def ridges() -> float:
+        worth = {}
+        for row, variant in zip(hits.rows.tolist(), hits.variant.tolist(), strict=True):
+            number = 0 if row == count // 2 else 1 + row % (len(stored) - 1)
+            worth[row] = glance(side, Prepared(unpack(stored[number])), variants, variant), number
+        best = sorted(worth, key=lambda row: (-worth[row][0], row))[: settings.candidates]
+        return max(ridge_match(side, Prepared(unpack(stored[worth[row][1]]))).similarity for row in best)
+
+    work: dict[str, Callable[[], object]] = {
+        "probe: 45 codes, turned by the key": lambda: shards.probe(probe),
+        f"bits of {len(ready.bits)} variants, {top} rescored, the best {settings.shortlist}": scanned,
+        "the whole first stage, from the template": lambda: shards.search(probe, settings.shortlist),
+    }
+    if first:  # they cost the same however many fingers there are
+        work[f"a glance at the ridges of {settings.shortlist}, {settings.candidates} compared"] = ridges
+    used = show(f"{count} fingers in {len(shards.files)} shards", work, rounds)
+    size = sum(file.stat().st_size for file in shards.files)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    scan_s = list(used.values())[1]
+    print(f"Shards {size / 1e9:.2f} GB, written in {1e6 * written_s / count:.1f} us a finger (CPU). Memory: at most")
+    print(f"{peak / 1e9:.2f} GB of this process so far, mapped pages and the writing of the shards included.")
+    paper_s = 1e8 / 8 * scan_s / count
+    print(f"Scan: {1e9 * scan_s / count:.2f} ns a finger. On paper, 10^8 on eight workers: {paper_s:.2f} s")
+    print(f"of each, 26.4 GB of shards in all, {24 * top * 28 / 1e6:.0f} MB of candidates to merge (24 shards).")
+
+
+def show(title: str, work: dict[str, Callable[[], object]], rounds: int) -> dict[str, float]:
+    rows = race(work, rounds)
+    used = {row.name: cpu_s(work[row.name], rounds) for row in rows}
+    print_table(title, [replace(row, result=row.name) for row in rows], lambda name: f"{used[name]:.4f}", "CPU s")
+    return used
 
 
 def cpu_s(run: Callable[[], object], rounds: int) -> float:

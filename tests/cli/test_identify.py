@@ -193,3 +193,54 @@ def test_an_encrypted_gallery_finds_the_same(gallery: Path, probe: Path, tmp_pat
 def test_bad_input_is_one_sentence(gallery: Path, probe: Path, tmp_path: Path, capsys, *, arguments, words) -> None:
     names = {"GALLERY": gallery, "PROBE": probe, "NOWHERE": tmp_path / "NOWHERE"}
     assert words in refusal_of(capsys, "identify", *(names.get(word, word) for word in arguments))
+
+
+def test_codes_in_shards_under_a_key_that_is_renewed(gallery: Path, probe: Path, tmp_path: Path, capsys) -> None:
+    key, shards = tmp_path / "key", tmp_path / "shards"
+    key.write_text("ab" * 32)
+    key.chmod(0o600)
+    file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
+    facts_of(capsys, "gallery", "rekey", file, "--new-key-file", key)
+    with_key = ("--key-file", key, "--shards", shards)
+    facts = facts_of(capsys, "gallery", "index", file, *with_key)
+    assert facts["shards"] | {"fingers": 4, "written": 1, "kept": 0, "keyed": True} == facts["shards"]
+    plain = facts_of(capsys, "identify", file, probe, "--key-file", key)
+    facts = facts_of(capsys, "identify", file, probe, *with_key)
+    assert facts["searched"]["method"] == "shards"
+    assert facts["searched"] | {"captures": 4, "failures": 1, "without_code": 0, "compared": 4} == facts["searched"]
+    named = ("person", "finger", "session", "similarity")
+    assert [[one[name] for name in named] for one in facts["candidates"]] == [
+        [one[name] for name in named] for one in plain["candidates"]
+    ]
+    # nothing changed: nothing is written; renewed: everything is another
+    before = {one.name: one.read_bytes() for one in shards.iterdir()}
+    assert facts_of(capsys, "gallery", "index", file, *with_key)["shards"]["kept"] == 1
+    assert "wrote 1 shard" in words_of(capsys, "gallery", "index", file, *with_key, "--renew")
+    assert {one.name for one in shards.iterdir()} == before.keys()
+    assert all(one.read_bytes() != before[one.name] for one in shards.iterdir())
+    again = facts_of(capsys, "identify", file, probe, *with_key)["candidates"]
+    assert [[one[name] for name in named] for one in again] == [
+        [one[name] for name in named] for one in plain["candidates"]
+    ]
+    # who left is not found, though the shards still hold the code
+    facts_of(capsys, "gallery", "remove", file, "--person", "Bob", "--key-file", key)
+    assert [one["person"] for one in facts_of(capsys, "identify", file, probe, *with_key)["candidates"]] == ["Ann"]
+    assert facts_of(capsys, "gallery", "index", file, *with_key)["shards"]["fingers"] == 3
+    # what cannot be
+    for person in ("Ann", "Cid"):
+        facts_of(capsys, "gallery", "remove", file, "--person", person, "--key-file", key)
+    assert "there is no code to keep" in refusal_of(capsys, "gallery", "index", file, *with_key)
+    assert "--renew is for shards" in refusal_of(capsys, "gallery", "index", file, "--key-file", key, "--renew")
+    refused = refusal_of(capsys, "identify", file, probe, *with_key, "--person", "Ann")
+    assert "--shards is for a search of the whole gallery" in refused
+    assert "were made with a key" in refusal_of(capsys, "identify", gallery, probe, "--shards", shards)
+    assert "without a key anyone" in words_of(capsys, "gallery", "index", gallery, "--shards", tmp_path / "plain")
+
+
+def test_rows_that_the_shards_lack_are_counted(gallery: Path, probe: Path, tmp_path: Path, capsys) -> None:
+    file = Path(shutil.copy(gallery, tmp_path / "g.skg"))
+    facts_of(capsys, "gallery", "index", file, "--shards", tmp_path / "shards")
+    facts_of(capsys, "enroll", file, probe, "--person", "Dan", "--finger", "right_index")
+    facts = facts_of(capsys, "identify", file, probe, "--shards", tmp_path / "shards")
+    assert facts["searched"]["without_code"] == 1
+    assert facts["candidates"][0]["person"] == "Bob"

@@ -33,8 +33,14 @@ def add_gallery_verbs(verbs: Any) -> None:
     imported.add_argument("--replace", action="store_true", help="let captures take the place of others")
     _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
     _kind(kinds, "repair", "take out rows that cannot be opened, and accept the others as they are", _repair)
-    _kind(
+    indexed = _kind(
         kinds, "index", "make the codes that a search through very many fingers needs, where they are missing", _index
+    )
+    indexed.add_argument(
+        "--shards", type=Path, default=None, metavar="DIR", help="keep them here as well, for searches through millions"
+    )
+    indexed.add_argument(
+        "--renew", action="store_true", help="transform all in --shards anew: a stolen copy is worthless beside them"
     )
     changed = _kind(kinds, "rekey", "encrypt it, change its key, or take the encryption away", _rekey)
     changed.add_argument(
@@ -160,8 +166,19 @@ def _index(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.gallery.manage import index_gallery  # noqa: PLC0415
 
     with Progress(options) as progress:
-        facts = index_gallery(options.gallery, key=key, progress=progress.update)
-    return facts, [f"Made {facts['coded']} codes of version {facts['code_version']}."]
+        facts = index_gallery(
+            options.gallery, key=key, shards=options.shards, renew=options.renew, progress=progress.update
+        )
+    lines = [f"Made {facts['coded']} codes of version {facts['code_version']}."]
+    if facts["shards"] is not None:
+        written = count(facts["shards"]["written"], "shard")
+        lines.append(
+            f"{facts['shards']['shards']} holds {count(facts['shards']['fingers'], 'code')}; wrote {written}, "
+            f"{facts['shards']['kept']} were up to date."
+        )
+        if not facts["shards"]["keyed"]:
+            lines.append("Please note: without a key anyone can undo the codes' transform.")
+    return facts, lines
 
 
 def _rekey(options: argparse.Namespace, key: Any) -> Outcome:

@@ -37,6 +37,13 @@ def add_identify(verbs: Any) -> None:
         default="auto",
         help="compare all ridges, or only of those that short codes choose (default: auto, by the gallery's size)",
     )
+    verb.add_argument(
+        "--shards",
+        type=Path,
+        default=None,
+        metavar="DIR",
+        help="compare the codes that 'splitknit gallery index --shards' keeps here, with the gallery's key",
+    )
     add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
@@ -63,6 +70,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         facts = identify_file(
             options.gallery, options.probe, question, settings,
             key=key, preset=options.preset, progress=progress.update, input_ppi=options.input_ppi,
+            shards=options.shards,
         )  # fmt: skip
     lines = [*_words(facts), *(f"Please note: {note}" for note in key_notes(options.key_file))]
     return facts, lines
@@ -87,7 +95,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
         whose = f" ({count(searched['fingers'], 'finger')} of {count(searched['people'], 'person', 'people')})"
     lines.append(
         f"Searched: {count(searched['captures'], 'capture')}{whose}, {searched['compared']} compared {how}"
-        + (" (chosen by their codes)." if searched["method"] == "codes" else ".")
+        + (" (chosen by their codes)." if searched["method"] in ("codes", "shards") else ".")
     )
     if facts["candidates"] and facts["candidates"][0]["fmr"] is not None:
         first, decision = facts["candidates"][0], facts["decision"]
@@ -99,8 +107,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
         )
     if searched["without_code"]:
         lines.append(
-            f"Please note: {searched['without_code']} captures had no code of this version; 'splitknit gallery index' "
-            "keeps them for the next search."
+            f"Please note: {searched['without_code']} captures had no code of this version, or none in the shards; "
+            "'splitknit gallery index' keeps them for the next search."
         )
     if searched["failures"]:
         lines.append(f"Please note: {searched['failures']} failures to acquire in the gallery match nobody.")

@@ -16,6 +16,7 @@ from splitknit.gallery.enrol import MINUTIAE_HASH, known_finger, templates_hash
 from splitknit.gallery.entry import Enrolled, check_person, session_order
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
+from splitknit.gallery.shards import Shards
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import read_side
@@ -24,7 +25,7 @@ from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import Minutiae, unpack_minutiae
 from splitknit.matching.ridge import RidgeMatchSettings, prepared, ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings
-from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings
+from splitknit.matching.search import EXHAUSTIVE, CodeIndex, SearchSettings, glance
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.template import Template, TemplateSettings, unpack
 from splitknit.model import Capture, Progress, Reconstruction, no_progress
@@ -83,6 +84,7 @@ def identify_file(
     preset: str = "metric",
     progress: Progress = no_progress,
     input_ppi: float | None = None,
+    shards: Path | None = None,
 ) -> dict[str, Any]:
     """Who is it? Returns facts for ``--json``; that nobody is found is a fact, no error.
 
@@ -93,6 +95,7 @@ def identify_file(
         A gallery that keeps minutiae is searched by minutiae, one that keeps ridges by ridges.
     preset : by which a capture is reconstructed
     input_ppi : resolution of a print whose file does not state it
+    shards : folder of the gallery's shards (:func:`splitknit.gallery.manage.index_gallery`), where codes are compared
 
     Raises
     ------
@@ -102,13 +105,21 @@ def identify_file(
     """
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)
+    mapped = None if shards is None else Shards(shards, key)
+    require(
+        mapped is None or (person is None and finger is None and question.search != "exhaustive"),
+        "--shards is for a search of the whole gallery by codes; leave out --person, --finger and --search.",
+    )
     with Gallery.open(gallery, key) as opened:
         of_minutiae = opened.settings_sha256 == MINUTIAE_HASH
         opened.require_comparable(MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching))
+        require(
+            mapped is None or not of_minutiae, f"'{gallery}' keeps minutiae, which have no codes; leave out --shards."
+        )
         calibrated = as_calibrated(settings.matching) and not of_minutiae
         if calibrated:
             similarity_at(question.fmr)  # refused here, before anything is made, where no such rate was measured
-        pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else question.search)
+        pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else "codes" if mapped else question.search)
         side = read_side(
             probe, preset, settings.matching, lambda stage, fraction: progress(stage, 0.5 * fraction), input_ppi
         )
@@ -120,7 +131,7 @@ def identify_file(
         acquired = made.acquired if isinstance(made, Minutiae) else not made.empty
         area_mm2 = 0.0 if isinstance(made, Minutiae) else made.area_mm2
         started = time.perf_counter()
-        found, facts = _search(opened, made, pool, settings=settings, progress=progress)
+        found, facts = _search(opened, made, pool, mapped, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
     by = facts["compared_by"]
     threshold = similarity_at(question.fmr, by) if calibrated else None
@@ -178,6 +189,7 @@ def _search(
     gallery: Gallery,
     probe: Template | Minutiae,
     pool: list[Enrolled] | None,
+    shards: Shards | None = None,
     *,
     settings: IdentifySettings,
     progress: Progress,
@@ -191,7 +203,11 @@ def _search(
         "fingers": None,
         "people": None,
     }
-    if pool is None:
+    score: dict[int, float] = {}
+    if shards is not None:
+        assert isinstance(probe, Template)
+        acquired, score = _by_shards(gallery, probe, shards, settings, facts)
+    elif pool is None:
         codes, facts["without_code"], facts["failures"] = _codes(gallery, progress)
         acquired = list(codes)
     else:
@@ -200,14 +216,13 @@ def _search(
         facts["people"] = len({one.person for one in names})
         facts["failures"] = len(pool) - len(names)
         acquired = [one.row for one in pool if one.template_bytes > 0]
-    facts["captures"], facts["compared"] = len(acquired), 0
+    facts["captures"], facts["compared"] = len(acquired) if shards is None else len(shards), 0
     if isinstance(probe, Minutiae):
         assert pool is not None
         return _by_minutiae(gallery, probe, {one.row: one for one in pool}, acquired, facts)
     if probe.empty or not acquired:
         return [], facts
-    score: dict[int, float] = {}
-    if pool is None and len(acquired) > settings.search.candidates:
+    if pool is None and shards is None and len(acquired) > settings.search.candidates:
         index = CodeIndex([str(row) for row in codes], np.stack(list(codes.values())))
         best, scores = index.search(probe, settings.search.candidates, settings.search.probe)
         score = {int(row): value for row, value in zip(best, scores.tolist(), strict=True)}
@@ -226,6 +241,26 @@ def _search(
             found.append((match.similarity, score.get(row), rows[row]))
     facts["compared"] = len(found)
     return sorted(found, key=_order), facts
+
+
+def _by_shards(
+    gallery: Gallery, probe: Template, shards: Shards, settings: IdentifySettings, facts: dict[str, Any]
+) -> tuple[list[int], dict[int, float]]:
+    """Rows that codes, and of their best a glance at the ridges, let through; and the similarities of codes."""
+    rest = gallery.entries_at(gallery.without_code(CODE_VERSION))
+    facts["failures"] = sum(one.template_bytes == 0 for one in rest.values())
+    facts["without_code"] = max(0, len(gallery) - facts["failures"] - len(shards))
+    facts["method"] = "shards"
+    if probe.empty:
+        return [], {}
+    hits = shards.search(probe, settings.search.shortlist, settings.search.probe)
+    score = dict(zip(hits.rows.tolist(), hits.similarity.tolist(), strict=True))
+    ready, worth = prepared(probe, settings.ridge), {}
+    for row, variant in zip(hits.rows.tolist(), hits.variant.tolist(), strict=True):
+        for payload in gallery.templates([row]).values():  # none if it was removed since the shards were made
+            other = prepared(_unpacked(gallery, row, payload), settings.ridge)
+            worth[row] = glance(ready, other, settings.search.probe, variant)
+    return sorted(worth, key=lambda row: (-worth[row], row))[: settings.search.candidates], score
 
 
 def _by_minutiae(

@@ -295,6 +295,20 @@ class _SealedBox:
         return os.urandom(TAG_BYTES)
 
 
+def code_secret(key: Key | None, salt: bytes) -> bytes:
+    """Secret of renewable codes (:mod:`splitknit.matching.renewable`) under a key and a salt, 32 bytes.
+
+    The key is the gallery's; another salt gives another secret. Without a key the secret is no secret.
+    """
+    if key is None:
+        return hashlib.sha256(b"splitknit codes, no key\0" + salt).digest()
+    from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
+    from cryptography.hazmat.primitives.kdf.hkdf import HKDF  # noqa: PLC0415
+
+    secret = key.secret if key.raw else _stretched(key.secret, salt, ScryptSettings())
+    return bytes(HKDF(SHA256(), KEY_BYTES, salt, b"splitknit codes 1").derive(secret))
+
+
 def _stretched(phrase: bytes, salt: bytes, settings: ScryptSettings) -> bytes:
     from cryptography.hazmat.primitives.kdf.scrypt import Scrypt  # noqa: PLC0415
 

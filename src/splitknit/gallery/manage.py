@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
 from splitknit.gallery import KEY_VARIABLE, NEW_KEY_VARIABLE
 from splitknit.gallery.enrol import LARGEST_RAW, MINUTIAE_HASH, code_of_payload, gallery_facts
@@ -20,11 +22,12 @@ from splitknit.gallery.entry import Entry, NewCapture, check_person, session_ord
 from splitknit.gallery.file import describe
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
+from splitknit.gallery.shards import write_shards
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
-from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.code import CODE_VERSION, code_of, code_size
 from splitknit.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
@@ -102,12 +105,33 @@ def remove_from_gallery(
         return {"gallery": str(gallery), "removed": removed, "captures": len(opened)}
 
 
-def index_gallery(gallery: Path, *, key: Key | None = None, progress: Progress = no_progress) -> dict[str, Any]:
-    """Make the search codes that are missing or of another version, and keep them."""
+def index_gallery(
+    gallery: Path,
+    *,
+    key: Key | None = None,
+    shards: Path | None = None,
+    renew: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Any]:
+    """Make the search codes that are missing or of another version, and keep them.
+
+    Parameters
+    ----------
+    shards : folder where the codes, under the gallery's key, are kept for searches through millions as well; brought up
+        to date where it is there
+    renew : the shards under a new salt: those of before cannot be compared with them
+
+    Raises
+    ------
+    BadInput
+        If the gallery cannot be opened or changed, or the shards not be written or are of another key.
+    """
+    require(shards is not None or not renew, "--renew is for shards; name their folder with --shards.")
     made = 0
     with Gallery.open(gallery, key) as opened:
         opened.require_changeable()
         ridges = opened.settings_sha256 != MINUTIAE_HASH
+        require(ridges or shards is None, f"'{gallery}' keeps minutiae, which have no codes; leave out --shards.")
         missing = [one.row for one in opened.entries() if one.template_bytes > 0 and one.code_version != CODE_VERSION]
         rows = missing if ridges else []
         for start in range(0, len(rows), 256):  # in short transactions: what is done is kept
@@ -116,7 +140,12 @@ def index_gallery(gallery: Path, *, key: Key | None = None, progress: Progress =
             codes = {row: code_of(unpack(payload)).tobytes() for row, payload in templates.items()}
             opened.set_codes(codes, CODE_VERSION)
             made += len(codes)
-    return {"gallery": str(gallery), "coded": made, "code_version": CODE_VERSION}
+        facts = {"gallery": str(gallery), "coded": made, "code_version": CODE_VERSION, "shards": None}
+        if shards is not None:
+            kept = dict(sorted(opened.codes(CODE_VERSION).items()))
+            table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(-1, code_size())
+            facts["shards"] = write_shards(shards, np.array(list(kept), dtype=np.int64), table, key, renew=renew)
+    return facts
 
 
 def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:

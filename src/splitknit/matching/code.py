@@ -9,6 +9,7 @@ its card ``code_model.json`` beside it.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
@@ -197,6 +199,18 @@ class ProbeSettings(Checked):
         turns, right, down = np.meshgrid(*(_steps(*pair) for pair in self._pairs()), indexing="ij")
         return np.deg2rad(turns.ravel()), right.ravel(), down.ravel()
 
+    def coarse(self) -> NDArray[np.int64]:
+        """Numbers of the few variants of which a search through millions compares bits.
+
+        Every second one of each kind, and of those that are not turned all that are shifted one way only: bits, unlike
+        the finer numbers, bear half a step of any of them. On true surfaces of 50 fingers these seven of 45 did as well
+        as all; turns alone (five) did not, as a finger rolls.
+        """
+        steps = (np.deg2rad(_TURN_STEP_DEG), _STEP_MM, _STEP_MM)
+        turn, right, down = (np.rint(moved / step) for moved, step in zip(self.variants(), steps, strict=True))
+        second = (turn % 2 == 0) & (right % 2 == 0) & (down % 2 == 0)
+        return np.flatnonzero(second | ((turn == 0) & ((right == 0) | (down == 0))))
+
     def _pairs(self) -> tuple[tuple[float, float], ...]:
         return (
             (self.turn_deg, _TURN_STEP_DEG),
@@ -263,7 +277,7 @@ def probe_codes(template: Template, settings: ProbeSettings | None = None) -> Fl
 
 def _directions(channels: FloatArray, weights: FloatArray) -> FloatArray:
     """(V, K) unit vectors."""
-    found, _ = code_model().posterior(channels, weights)
+    found = code_model().latent(channels, weights)
     return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9), dtype=np.float32)
 
 
@@ -310,6 +324,32 @@ class FactorModel:
         """(M, K K) what each cell adds to the precision of z."""
         parts = np.einsum("cmi,cmj->mij", self.loading, self.loading / self.noise[:, :, None], optimize=True)
         return np.ascontiguousarray(parts.reshape(parts.shape[0], -1), dtype=np.float32)
+
+    @cached_property
+    def _upper(self) -> list[tuple[int, int, FloatArray]]:
+        """The upper triangle of `precision`, a band of rows at a time: first and last row, (M, rows columns)."""
+        cells, size = self.mean.shape[1], self.size
+        whole = self.precision.reshape(cells, size, size)
+        limits = np.linspace(0, size, 7).astype(int).tolist()
+        return [
+            (first, last, np.ascontiguousarray(whole[:, first:last, first:]).reshape(cells, -1))
+            for first, last in itertools.pairwise(limits)
+        ]
+
+    def latent(self, channels: FloatArray, weights: FloatArray) -> FloatArray:
+        """Posterior means (N, K) of z, as :meth:`posterior` gives, in half its time."""
+        size = self.size
+        right = ((channels - self.mean) * weights[:, None, :]).reshape(len(channels), -1) @ self.weighted
+        precisions = np.empty((len(channels), size, size), dtype=np.float32)
+        for first, last, band in self._upper:
+            precisions[:, first:last, first:] = (weights @ band).reshape(-1, last - first, size - first)
+        precisions[:, np.arange(size), np.arange(size)] += 1
+        for number, precision in enumerate(precisions):  # symmetric and positive definite: Cholesky's factors
+            _, right[number], failed = scipy.linalg.lapack.sposv(
+                precision.T, right[number], lower=True, overwrite_a=True
+            )
+            require(failed == 0, "the ridge field of a probe is not finite.")
+        return np.asarray(right, dtype=np.float32)
 
     def posterior(self, channels: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Posterior means (N, K) of z and their precisions (N, K, K), for N fields (N, C, M) with weights (N, M)."""

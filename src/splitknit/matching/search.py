@@ -35,6 +35,8 @@ class SearchSettings(Checked):
     """Fingers that the codes let through to a glance at their ridges, which are laid as the codes fit best."""
     finalists: Annotated[int, Limits(1)] = 3
     """Of those the fingers whose ridges are compared in full."""
+    shortlist: Annotated[int, Limits(1, 10_000)] = 500
+    """Fingers that shards let through to a glance, where a gallery has shards."""
     probe: ProbeSettings = field(default_factory=ProbeSettings)
 
 
@@ -216,7 +218,7 @@ def identify(  # noqa: PLR0917
         for place, score in zip(*index.nearest(variants, k), strict=True):
             code = index.codes[place].astype(np.float32)
             other = prepared(fetch(index.ids[place]), match)
-            worths.append(_glance(ready, other, settings.probe, int(np.argmax(variants @ code))))
+            worths.append(glance(ready, other, settings.probe, int(np.argmax(variants @ code))))
             chosen.append((index.ids[place], float(score), other))
         best = sorted(range(len(chosen)), key=lambda n: (-worths[n], chosen[n][0]))[: settings.finalists]
         chosen = [chosen[n] for n in best]
@@ -226,8 +228,25 @@ def identify(  # noqa: PLR0917
     return sorted(found, key=lambda candidate: (-candidate.similarity, candidate.id))
 
 
-def _glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
-    """How well patches of the probe's ridges are found in the other finger, laid as its code fits best."""
+def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
+    """How well patches of the probe's ridges are found in the other finger, laid as its code fits best.
+
+    Parameters
+    ----------
+    probe, other : Prepared
+    settings : of the probe's variants
+    variant : number of the one that fits best
+
+    Returns
+    -------
+    float
+        Agreement times the root of the number of patches; -1 for a failure to acquire.
+
+    Raises
+    ------
+    BadInput
+        If the templates have different pitches.
+    """
     if other.template.empty:
         return -1.0
     require(

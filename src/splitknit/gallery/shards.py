@@ -1,0 +1,356 @@
+"""Shards: the codes of a gallery as files that are mapped into memory, for searches through millions of fingers.
+
+A folder of shards holds renewable codes (:mod:`splitknit.matching.renewable`) and the numbers of the rows they belong
+to, nothing else. It is made from a gallery, brought up to date in part, and renewed under a new salt as often as wanted
+(:func:`write_shards`); the gallery itself stays as it is. A search compares the bits of all codes, the finer numbers of
+the best, and leaves the rest to the ridges.
+
+Each file is a header of 4096 bytes (JSON, padded with blanks), then row numbers (N, little-endian int64), bits
+(N, 64 bytes) and numbers (N, 192 bytes).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import open_file, refusing, require
+from splitknit.gallery.key import SALT_BYTES, Key, code_secret
+from splitknit.io.atomic import atomic_file, make_folder
+from splitknit.matching.code import CODE_VERSION, ProbeSettings, code_size, probe_codes
+from splitknit.matching.renewable import BITS, RenewableCode
+from splitknit.matching.template import Template
+from splitknit.model import FloatArray
+
+ROWS_A_SHARD = 1 << 22
+"""Row numbers that share a file: 1.1 GB if all are taken."""
+RESCORED = 10_000
+"""Fingers whose finer numbers are compared, at most; of a smaller gallery a hundredth, but a thousand at least."""
+_FORMAT, _VERSION, _HEADER = "splitknit-code-shard", 1, 4096
+_NAME = re.compile(r"codes-[0-9]{6}\.skc")
+_LARGEST = 1 << 40
+_BLOCK = 4096
+_FAR = 1 << 12
+"""Beyond any Hamming distance."""
+
+Found = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, NDArray[np.int64]]
+"""Of some rows: Hamming distances, row numbers, similarities of the codes, and the variants that gave them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What of a probe is compared with shards, under their key: all that a worker needs, and no key."""
+
+    check: bytes
+    """Of the key (:attr:`splitknit.matching.renewable.RenewableCode.check`)."""
+    bits: NDArray[np.uint8]
+    """(V', BITS / 8) the variants whose bits are compared."""
+    fine: FloatArray
+    """(V, K) all variants."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """The best of a search, best first."""
+
+    rows: NDArray[np.int64]
+    """(k,) of the gallery."""
+    similarity: FloatArray
+    """(k,) of the codes, -1 to about 1."""
+    variant: NDArray[np.int64]
+    """(k,) of :meth:`splitknit.matching.code.ProbeSettings.variants`, how the probe was laid."""
+
+
+def write_shards(
+    folder: Path,
+    rows: NDArray[np.int64],
+    codes: NDArray[np.int8],
+    key: Key | None = None,
+    *,
+    renew: bool = False,
+    rows_a_shard: int = ROWS_A_SHARD,
+) -> dict[str, Any]:
+    """Make a folder of shards what a gallery holds; return facts.
+
+    Files whose rows are as they were stay as they are. The same rows, codes, key and salt give the same bytes, in
+    however many steps they were added.
+
+    Parameters
+    ----------
+    folder : made where there is none
+    rows : (N,) int64, ascending
+    codes : (N, K) int8 of :func:`splitknit.matching.code.code_of`
+    key : of the gallery; without one the codes are not protected, as anyone can make the transform from the salt
+    renew : under a new salt: everything is written anew, and nothing of before can be compared with it
+    rows_a_shard : row numbers that share a file
+
+    Raises
+    ------
+    BadInput
+        If there is no code, the codes are of another shape, the rows do not ascend, the folder holds shards under
+        another key, or it cannot be written.
+    """
+    require(
+        len(rows) > 0, f"there is no code to keep in shards; enrol fingers first (and remove '{folder}' if it is old)."
+    )
+    wanted = (len(rows), code_size())
+    require(codes.shape == wanted and codes.dtype == np.int8, f"codes must be int8 of the shape {wanted}.")
+    require(bool((np.diff(rows) > 0).all()) and (len(rows) == 0 or rows[0] >= 0), "rows of shards must ascend from 0.")
+    make_folder(folder)
+    known = [] if renew else [_read_header(file) for file in _files(folder)]
+    salts = {header["salt"] for header in known}
+    require(len(salts) < 2, f"the shards in '{folder}' are of several salts; renew them.")
+    salt = bytes.fromhex(salts.pop()) if salts else os.urandom(SALT_BYTES)
+    secret = code_secret(key, salt)
+    code = RenewableCode(secret)
+    for header in known:
+        _require_key(folder, header["check"], code)
+    written, kept, names = 0, 0, set()
+    there = {header["file"].name: header["digest"] for header in known}
+    starts = np.flatnonzero(np.diff(rows // rows_a_shard, prepend=-1))
+    for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
+        name = f"codes-{rows[start] // rows_a_shard:06d}.skc"
+        names.add(name)
+        content = hashlib.sha256(np.ascontiguousarray(rows[start:end], dtype="<i8").data)
+        content.update(np.ascontiguousarray(codes[start:end]).data)
+        digest = hmac.digest(secret, content.digest(), "sha256").hex()
+        if there.get(name) == digest:
+            kept += 1
+            continue
+        about = {
+            "format": _FORMAT, "version": _VERSION, "code_version": CODE_VERSION, "rows": int(end - start),
+            "bits": BITS, "numbers": code_size(), "salt": salt.hex(), "check": code.check.hex(), "digest": digest,
+            "encrypted": key is not None,
+        }  # fmt: skip
+        _write_shard(folder / name, about, rows[start:end], codes[start:end], code)
+        written += 1
+    for file in _files(folder):
+        if file.name not in names:
+            file.unlink()
+    return {"shards": str(folder), "fingers": len(rows), "written": written, "kept": kept, "keyed": key is not None}
+
+
+def _write_shard(
+    file: Path, about: dict[str, Any], rows: NDArray[np.int64], codes: NDArray[np.int8], code: RenewableCode
+) -> None:
+    with atomic_file(file) as stream:
+        stream.write(json.dumps(about, sort_keys=True).encode("ascii").ljust(_HEADER))
+        stream.write(np.ascontiguousarray(rows, dtype="<i8").data)
+        places = _HEADER + 8 * len(rows), _HEADER + (8 + BITS // 8) * len(rows)
+        for start in range(0, len(codes), _BLOCK):
+            for place, part in zip(places, code.stored(codes[start : start + _BLOCK]), strict=True):
+                stream.seek(place + start * part.shape[1])
+                stream.write(part.data)
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if _NAME.fullmatch(file.name)) if folder.is_dir() else []
+
+
+def _read_header(file: Path) -> dict[str, Any]:
+    """Header of a shard whose size is what it says, as a dictionary with its file and sizes.
+
+    Raises
+    ------
+    BadInput
+        If it is none, damaged, cut off, or of another version; nothing is mapped then.
+    """
+    wrong = f"'{file}' is no shard of codes, or damaged; make it anew with 'splitknit gallery index --shards'."
+    with open_file(file, _LARGEST) as (stream, size):
+        head = stream.read(_HEADER)
+    with refusing(wrong):
+        header = json.loads(head)
+        require(header["format"] == _FORMAT, wrong)
+        versions = header["version"], header["code_version"], header["bits"], header["numbers"]
+        current = (_VERSION, CODE_VERSION, BITS, code_size())
+        require(
+            versions == current,
+            f"'{file}' holds codes of another version; make it anew with 'splitknit gallery index --shards'.",
+        )
+        rows = header["rows"]
+        require(type(rows) is int and rows > 0 and size == _HEADER + rows * (8 + BITS // 8 + code_size()), wrong)
+        bytes.fromhex(header["digest"])
+        sound = len(bytes.fromhex(header["salt"])) == SALT_BYTES and len(bytes.fromhex(header["check"])) == 16
+        require(sound and type(header["encrypted"]) is bool, wrong)
+    return {**header, "file": file}
+
+
+def _require_key(folder: Path, check: str, code: RenewableCode) -> None:
+    require(
+        hmac.compare_digest(bytes.fromhex(check), code.check),
+        f"the key is not that of the shards in '{folder}'; give the one they were made with, or make them anew with "
+        "'splitknit gallery index --shards FOLDER --renew'.",
+    )
+
+
+class Shards:
+    """A folder of shards, mapped; what is read of it is what a search touches."""
+
+    def __init__(self, folder: Path, key: Key | None = None) -> None:
+        """Open the shards in a folder.
+
+        Raises
+        ------
+        BadInput
+            If there is none, one is damaged or of another version, or the key is missing, wrong or not wanted.
+        """
+        headers = [_read_header(file) for file in _files(folder)]
+        require(
+            len(headers) > 0, f"'{folder}' holds no shards of codes; make some with 'splitknit gallery index --shards'."
+        )
+        first = headers[0]
+        require(
+            all(header["check"] == first["check"] and header["salt"] == first["salt"] for header in headers),
+            f"the shards in '{folder}' are of several keys; make them anew with 'splitknit gallery index --shards "
+            f"{folder} --renew'.",
+        )
+        require(
+            first["encrypted"] == (key is not None),
+            f"the shards in '{folder}' were made {'with' if first['encrypted'] else 'without'} a key; "
+            + ("give it." if first["encrypted"] else "leave the key out, or renew them with it."),
+        )
+        self._code = RenewableCode(code_secret(key, bytes.fromhex(first["salt"])))
+        _require_key(folder, first["check"], self._code)
+        self.files = tuple(Path(header["file"]) for header in headers)
+        self._sizes = [int(header["rows"]) for header in headers]
+
+    def __len__(self) -> int:
+        return sum(self._sizes)
+
+    def probe(self, template: Template, settings: ProbeSettings | None = None) -> Probe:
+        """What of a probe is compared, under the key of these shards; BadInput if it is a failure to acquire."""
+        settings = settings or ProbeSettings()
+        variants = probe_codes(template, settings)
+        bits, fine = self._code.probe(variants)
+        return Probe(self._code.check, bits[settings.coarse()], fine)
+
+    def search(self, template: Template, k: int = 500, settings: ProbeSettings | None = None) -> Hits:
+        """The `k` fingers whose codes are most similar.
+
+        Parameters
+        ----------
+        template : not empty
+        k : at least 1; fewer come back from fewer fingers, and never more than `RESCORED`
+        settings : of the probe's variants
+
+        Returns
+        -------
+        Hits
+            The same, whatever the number of shards and threads; equal ones in the order of their rows.
+
+        Raises
+        ------
+        BadInput
+            If the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile.
+        """
+        require(k >= 1, f"k must be at least 1, but it is {k}.")
+        probe = self.probe(template, settings)
+        count = rescored_count(len(self))
+        places = [
+            (number, *_nearest(probe.bits, _mapped(file, probe)[1], count)) for number, file in enumerate(self.files)
+        ]
+        chosen = _best(np.concatenate([distance for _, distance, _ in places]), count)
+        found, start = [], 0
+        for number, distance, place in places:
+            here = chosen[(chosen >= start) & (chosen < start + len(place))] - start
+            found.append(_scored(self.files[number], probe, distance[here], place[here]))
+            start += len(place)
+        return merged(found, k, len(self))
+
+
+def rescored_count(fingers: int) -> int:
+    """How many of so many fingers have their finer numbers compared."""
+    return min(fingers, RESCORED, max(1000, fingers // 100))
+
+
+def scan_shard(file: Path, probe: Probe, count: int) -> Found:
+    """The `count` codes of one shard that are nearest by their bits, scored; for a worker, which has no key.
+
+    Raises
+    ------
+    BadInput
+        If the shard is damaged, or of another key than the probe.
+    """
+    distance, place = _nearest(probe.bits, _mapped(file, probe)[1], count)
+    return _scored(file, probe, distance, place)
+
+
+def merged(found: Sequence[Found], k: int, fingers: int) -> Hits:
+    """The `k` best of what was found in all shards, which hold so many fingers.
+
+    Only those count that are among the nearest by their bits of all shards together, so that shards scanned one by one
+    give what one scan of all gives.
+    """
+    distance, rows, similarity, variant = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    order = np.lexsort((rows, distance))[: rescored_count(fingers)]
+    order = order[np.lexsort((rows[order], -similarity[order]))][:k]
+    return Hits(rows[order], similarity[order], variant[order])
+
+
+def _mapped(file: Path, probe: Probe) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int8]]:
+    header = _read_header(file)
+    require(header["check"] == probe.check.hex(), f"'{file}' is of another key than the probe; open the shards again.")
+    count, data = int(header["rows"]), np.memmap(file, np.uint8, "r")
+    first, second = _HEADER + 8 * count, _HEADER + 8 * count + BITS // 8 * count
+    return (
+        np.asarray(data[_HEADER:first].view("<i8")),
+        np.asarray(data[first:second]).reshape(count, -1),
+        np.asarray(data[second:].view(np.int8)).reshape(count, -1),
+    )
+
+
+def _scored(file: Path, probe: Probe, distance: NDArray[np.int64], place: NDArray[np.int64]) -> Found:
+    rows, _, numbers = _mapped(file, probe)
+    order = np.argsort(place)  # the file is read forwards
+    products = probe.fine @ numbers[place[order]].T.astype(np.float32)
+    variant = products.argmax(axis=0)
+    return distance[order], rows[place[order]], products[variant, np.arange(len(order))], variant
+
+
+def _best(distance: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Places of the `count` least distances; of equal ones the first."""
+    return np.argsort(distance, kind="stable")[:count]
+
+
+def _nearest(
+    probe: NDArray[np.uint8], bits: NDArray[np.uint8], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Distances and places of the `count` codes nearest to any variant, in the order of distance, then place.
+
+    With faiss where it is installed: its search by counting keeps the first of equal distances, whatever the number of
+    threads, which share out variants, not codes.
+    """
+    count = min(count, len(bits))
+    try:
+        import faiss  # noqa: PLC0415 - of the extra `search`
+    except ImportError:
+        return _nearest_by_numpy(probe, bits, count)
+    distances, places = faiss.knn_hamming(probe, bits, count, variant="mc")
+    joined = np.sort((places.astype(np.int64) * _FAR + distances).ravel())
+    first = np.flatnonzero(np.diff(joined // _FAR, prepend=-1))
+    place, distance = np.divmod(joined[first], _FAR)
+    order = _best(distance, count)
+    return distance[order], place[order]
+
+
+def _nearest_by_numpy(
+    probe: NDArray[np.uint8], bits: NDArray[np.uint8], count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    words = np.ascontiguousarray(probe).view(np.uint64)
+    distance = np.empty(len(bits), dtype=np.int64)
+    for start in range(0, len(bits), _BLOCK):
+        part = np.ascontiguousarray(bits[start : start + _BLOCK]).view(np.uint64)
+        apart = [np.bitwise_count(part ^ word).sum(axis=1, dtype=np.int64) for word in words]
+        distance[start : start + len(part)] = np.min(apart, axis=0)
+    order = _best(distance, count)
+    return distance[order], order.astype(np.int64)
