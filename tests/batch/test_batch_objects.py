@@ -124,7 +124,9 @@ def test_a_storage_that_fails_is_no_failure_to_acquire(
     assert list(tmp_path.iterdir()) == []  # copies of captures are gone
 
 
-def test_copies_are_private_and_go_with_their_turn(memory: Objects, people: Path, monkeypatch: Any, tmp_path: Path) -> None:
+def test_copies_are_private_and_go_with_their_turn(
+    memory: Objects, people: Path, monkeypatch: Any, tmp_path: Path
+) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     names = [capture.name for capture in read_population(people).captures]
     with captures_at_hand(memory / "people", names) as folders:
@@ -165,9 +167,7 @@ def test_work_of_a_batch_by_counting(
     assert len(read) == captures
     assert len(decoded) == len(set(decoded)) == 16 * captures
     of_captures = sum(
-        file.stat().st_size
-        for file in people.rglob("S*/*/*/*")
-        if file.name not in ("truth.npz", "impression.json")
+        file.stat().st_size for file in people.rglob("S*/*/*/*") if file.name not in ("truth.npz", "impression.json")
     )
     stored = sum(len(data) for data in tables(memory / "store").values())
     plan = sum((people / name).stat().st_size for name in ("enrolment.json", "population.json"))
@@ -203,19 +203,17 @@ def answers(port: int) -> bool:
 
 
 @contextlib.contextmanager
-def program(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
+def program(folder: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
     """A program with a folder, a home and temporary files of its own, killed at the end."""
     (folder / "tmp").mkdir(parents=True)
     own = {"HOME": str(folder), "TMPDIR": str(folder / "tmp")}
-    run = subprocess.Popen(
-        [sys.executable, *words], cwd=folder, env=os.environ | own, text=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE if words[:2] == ("-m", "splitknit") else subprocess.DEVNULL,
-    )  # fmt: skip
+    with (folder / "said").open("w") as said:
+        run = subprocess.Popen([sys.executable, *words], cwd=folder, env=os.environ | own, stdout=said, stderr=said)
     try:
         yield run
     finally:
         run.kill()
-        run.communicate()
+        run.wait()
 
 
 @pytest.fixture
@@ -254,9 +252,10 @@ def test_a_cluster_that_shares_no_disk(people: Path, tmp_path: Path, bucket: Obj
         worker = ("-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny")
         workers = [stack.enter_context(program(tmp_path / f"worker{k}", *worker, *quiet)) for k in range(3)]
         with program(tmp_path / "driver", "-m", "splitknit", *words, "--cases", "ea", "--matchers", "none") as run:
-            until(lambda: files_below(bucket / "store" / "features" / "ea"))
+            until(lambda: run.poll() is not None or files_below(bucket / "store" / "features" / "ea"), 120.0)
             run.send_signal(signal.SIGINT)
-            said = run.communicate()[1]
+            run.wait(60)
+        said = (tmp_path / "driver" / "said").read_text()
         assert run.returncode in (0, 130)  # it may have been done by then
         assert "Traceback" not in said and SECRET not in said
         settings = replace(RIDGE, cases=(*RIDGE.cases, *preset_cases(("ea-split",))), chunk_captures=1)
@@ -273,7 +272,9 @@ def test_a_cluster_that_shares_no_disk(people: Path, tmp_path: Path, bucket: Obj
     assert tables(bucket / "store") == chunks(tmp_path / "here")
     for name in ("ea_ridge.csv", "ea-split_ridge.csv"):
         assert (tmp_path / "csv" / name).read_bytes() == (tmp_path / "here" / "csv" / name).read_bytes()
-    everything = b"".join(stored_bytes(Objects(f"{bucket}/store/{name}"), 10**9) for name in files_below(bucket / "store", deep=True))
+    everything = b"".join(
+        stored_bytes(Objects(f"{bucket}/store/{name}"), 10**9) for name in files_below(bucket / "store", deep=True)
+    )
     assert SECRET.encode() not in everything
     for k in (1, 2):
         assert not [file for file in (tmp_path / f"worker{k}").rglob("*") if file.suffix in (".png", ".parquet")]
