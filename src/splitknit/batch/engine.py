@@ -27,6 +27,7 @@ from splitknit.batch.matchers import READY, Matcher, matcher
 from splitknit.batch.matchers import matcher as matcher_named
 from splitknit.batch.objects import MEMORY, Location, Objects, captures_at_hand, location, whole_file
 from splitknit.batch.population import (
+    Block,
     CaptureRef,
     Pairs,
     Population,
@@ -257,7 +258,7 @@ def _match(run: _Run) -> list[dict[str, Any]]:
                 run.done(extract_solids, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
             tasks = _score_tasks(run.store, run.population, run.settings, case, using)
-            sizes = [len(task.pairs) for task in tasks]
+            sizes = tasks.sizes()
             results = run.done(score_block, tasks, f"{case.name}: {name}", sizes)
             work_s = sum(result.seconds for result in results)
             facts.append(
@@ -380,7 +381,7 @@ def _without(store: Store, case: Case, kind: str) -> list[str]:
 
 def _score_tasks(
     store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
-) -> list[ScoreTask]:
+) -> _ScoreTasks:
     """Comparisons that are not in the store. Raises BadInput if there are captures of one session only."""
     features = places_of(store.files("features", case.name))
     places = features if matcher.source == "features" else places_of(store.files(matcher.source, case.name))
@@ -390,12 +391,14 @@ def _score_tasks(
         len(captures),
         _done(store, case.name, matcher.name, captures),
     )
-    blocks = matcher.blocks_for(settings.impostors)
-    return [
-        ScoreTask(
+
+    case_sha256 = case.document()["settings_sha256"]
+
+    def task(block: Block) -> ScoreTask:
+        return ScoreTask(
             store=store.folder,
             case=case.name,
-            case_sha256=case.document()["settings_sha256"],
+            case_sha256=case_sha256,
             population_sha256=population.sha256,
             matcher=matcher.name,
             matching=settings.matching,
@@ -406,8 +409,26 @@ def _score_tasks(
             origins=_used(block.pairs, captures, features),
             seed=settings.seed,
         )
-        for block in blocks_of(pairs, captures, blocks)
-    ]
+
+    return _ScoreTasks(blocks_of(pairs, captures, matcher.blocks_for(settings.impostors)), task)
+
+
+@dataclass(frozen=True, slots=True)
+class _ScoreTasks(Sequence[ScoreTask]):
+    """Tasks of blocks, each made when it is begun: the names of a million pairs take a hundred megabytes."""
+
+    blocks: list[Block]
+    make: Callable[[Block], ScoreTask]
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self.make(self.blocks[place])
+
+    def sizes(self) -> list[int]:
+        """Pairs of each."""
+        return [block.pairs.a.size for block in self.blocks]
 
 
 def _done(store: Store, case: str, matcher: str, captures: list[CaptureRef]) -> np.ndarray[Any, np.dtype[np.int64]]:

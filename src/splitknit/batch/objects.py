@@ -64,8 +64,10 @@ Location = Path | Objects
 class Moved:
     """What this process asked of object storage so far."""
 
-    requests: int = 0
-    """Objects that were read or written, and listings."""
+    gets: int = 0
+    """Requests that read: of an object, a range of it, its size, a listing."""
+    puts: int = 0
+    """Objects that were written."""
     read: int = 0
     """Bytes."""
     written: int = 0
@@ -139,7 +141,7 @@ def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
     with _refusing(place, "read"):
         fs, path = _of(place)
         size = int(fs.info(path)["size"])
-        MOVED.requests += 1
+        MOVED.gets += 1
         require(size <= max_bytes, f"'{place}' is too large: {size} bytes, at most {max_bytes} are read.")
         if size <= _SMALL_BYTES:
             yield io.BytesIO(_read(place, fs, path, 0, size))
@@ -151,7 +153,7 @@ def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
 def _read(place: Objects, fs: Any, path: str, start: int, end: int) -> bytes:
     with _refusing(place, "read"):
         data: bytes = fs.cat_file(path, start=start, end=end) if end > start else b""
-    MOVED.requests += 1
+    MOVED.gets += 1
     MOVED.read += len(data)
     return data
 
@@ -204,7 +206,7 @@ def whole_file(place: Location) -> Iterator[BinaryIO]:
     with _refusing(place, "written"):
         fs, path = _of(place)
         fs.pipe_file(path, memory.getvalue())  # not its open(): that keeps a part where the block fails
-        MOVED.requests += 1
+        MOVED.puts += 1
         MOVED.written += memory.tell()
 
 
@@ -214,7 +216,7 @@ def there(place: Location) -> bool:
         return place.is_file()
     with _refusing(place, "read"):
         fs, path = _of(place)
-        MOVED.requests += 1
+        MOVED.gets += 1
         return bool(fs.isfile(path))
 
 
@@ -231,7 +233,7 @@ def _sizes(place: Objects, *, deep: bool) -> dict[str, int]:
     with _refusing(place, "listed"):
         fs, path = _of(place)
         found = fs.find(path, maxdepth=None if deep else 1, detail=True)
-        MOVED.requests += 1 + len(found) // 1000
+        MOVED.gets += 1 + len(found) // 1000
         start = len(path.rstrip("/")) + 1
         return {name[start:]: int(facts["size"]) for name, facts in found.items() if len(name) > start}
 

@@ -155,10 +155,12 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
     if impostors < 1.0:
         names = [one.finger for one in captures]
         other = np.flatnonzero(~found.genuine)
-        kept[other] = [
-            draw(names[a], names[b], seed) < impostors
-            for a, b in zip(found.a[other].tolist(), found.b[other].tolist(), strict=True)
-        ]
+        for start in range(0, other.size, 1 << 16):  # lists of numbers take much more memory than arrays
+            part = other[start : start + (1 << 16)]
+            kept[part] = [
+                draw(names[a], names[b], seed) < impostors
+                for a, b in zip(found.a[part].tolist(), found.b[part].tolist(), strict=True)
+            ]
     return Pairs(found.a[kept], found.b[kept], found.genuine[kept])
 
 
