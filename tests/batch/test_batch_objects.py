@@ -256,7 +256,9 @@ def test_a_cluster_that_shares_no_disk(people: Path, tmp_path: Path, bucket: Obj
             run.wait(60)
         said = (tmp_path / "driver" / "said").read_text()
         assert run.returncode in (0, 130)  # it may have been done by then
-        assert "Traceback" not in said and SECRET not in said
+        # before it, distributed may log an exception of its own, where the interrupt meets it in a call of the scheduler
+        assert run.returncode == 0 or said.endswith("splitknit: interrupted; nothing was left half-written.\n")
+        assert SECRET not in said
         settings = replace(RIDGE, cases=(*RIDGE.cases, *preset_cases(("ea-split",))), chunk_captures=1)
         with ThreadPoolExecutor(1) as pool:
             going = pool.submit(run_batch, bucket / "people", bucket / "store", settings, cluster=address)
@@ -279,7 +281,7 @@ def test_a_cluster_that_shares_no_disk(people: Path, tmp_path: Path, bucket: Obj
 
 @pytest.mark.slow
 def test_a_bucket_that_is_not_there(bucket: Objects, people: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(BadInput, match=r"'s3://nobody/store/.*' does not exist; correct the name, or make the bucket"):
+    with pytest.raises(BadInput, match=r"'s3://nobody/store' does not exist; correct the name, or make the bucket"):
         run_batch(people, Objects("s3://nobody/store"), EA, jobs=1)
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{free_port()}")
     fsspec.get_filesystem_class("s3").clear_instance_cache()
