@@ -256,7 +256,7 @@ def test_a_cluster_that_shares_no_disk(people: Path, tmp_path: Path, bucket: Obj
             run.wait(60)
         said = (tmp_path / "driver" / "said").read_text()
         assert run.returncode in (0, 130)  # it may have been done by then
-        # before it, distributed may log an exception of its own, where the interrupt meets it in a call of the scheduler
+        # before it, distributed may log an exception of its own, where the interrupt meets a call of the scheduler
         assert run.returncode == 0 or said.endswith("splitknit: interrupted; nothing was left half-written.\n")
         assert SECRET not in said
         settings = replace(RIDGE, cases=(*RIDGE.cases, *preset_cases(("ea-split",))), chunk_captures=1)
