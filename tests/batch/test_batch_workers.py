@@ -24,18 +24,24 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from splitknit.batch.chunks import load
-from splitknit.batch.engine import run_batch
-from splitknit.batch.execution import Cluster, connected, run_tasks
+from splitknit.batch.engine import _feature_tasks, run_batch
+from splitknit.batch.execution import AHEAD, Cluster, connected, run_tasks
+from splitknit.batch.population import read_population
 from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.store import Store
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
+from splitknit.networks.unet import running
 
 ONE = replace(EA, matchers=("ridge",), chunk_captures=1)
 
 
 def double(value: int) -> int:
     return 2 * value
+
+
+def threads_of(value: int) -> int:
+    return running().threads
 
 
 def die(value: int) -> int:
@@ -191,6 +197,42 @@ def test_a_cluster_is_used_by_whom_its_ca_knows(
     assert chunks(out) == chunks(tmp_path / "here")
     assert main(["batch", str(people), "--out", str(out), "--insecure-cluster"]) == 2
     assert "name it with --cluster" in capsys.readouterr().err
+
+
+class Counted(list[int]):
+    """Tasks that know how many of them were begun."""
+
+    begun = 0
+
+    def __iter__(self) -> Iterator[int]:
+        for task in super().__iter__():
+            self.begun += 1
+            yield task
+
+
+def test_the_scheduler_is_given_few_tasks_at_a_time(tls: tuple[str, Path, Path]) -> None:
+    address, good, _ = tls
+    files = [good / f"{name}.pem" for name in ("ca", "cert", "key")]
+    tasks = Counted(range(20))
+    with connected(Cluster(address, *files)) as client:
+        for number, _ in enumerate(run_tasks(double, tasks, 1, client), start=1):
+            assert tasks.begun <= number + AHEAD  # of one thread
+    assert tasks.begun == 20
+
+
+def test_a_small_population_keeps_several_jobs_at_work(people: Path, tmp_path: Path) -> None:
+    population, store = read_population(people), Store(tmp_path)
+    settings = BatchSettings(cases=preset_cases(("ea",)), matchers=())
+    assert [len(task.captures) for task in _feature_tasks(store, population, settings)] == [1] * 4
+    large = replace(population, planned=680)
+    assert [len(task.captures) for task in _feature_tasks(store, large, settings)] == [4]
+
+
+def test_each_of_several_jobs_runs_networks_on_one_thread() -> None:
+    before = running()
+    assert set(run_tasks(threads_of, range(4), 2)) == {1}
+    assert set(run_tasks(threads_of, range(4), 1)) == {2}
+    assert running() == before
 
 
 def test_the_client_opens_no_port_and_dask_s_configuration_weakens_nothing(tls: tuple[str, Path, Path]) -> None:

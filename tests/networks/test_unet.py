@@ -2,13 +2,26 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.networks.unet import NO_TELEMETRY, Network, _padded_index, _plan_tiles, load_network, run_network
+from splitknit.networks.unet import (
+    CUDA_TOLERANCE,
+    NO_TELEMETRY,
+    Network,
+    _padded_index,
+    _plan_tiles,
+    load_network,
+    run_network,
+    running,
+    use_device,
+)
 from splitknit.separation.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"
@@ -67,6 +80,70 @@ def test_onnxruntime_imported_with_telemetry_is_refused(
         monkeypatch.setenv(NO_TELEMETRY, value)
     with pytest.raises(BadInput, match="set the environment variable ORT_DISABLE_TELEMETRY=1 before"):
         load_network(TINY)
+
+
+@pytest.fixture
+def offered(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[list[str], list[Any]]]:
+    """Providers that onnxruntime is made to offer, and those that were asked for; everything runs on the CPU."""
+    import onnxruntime
+
+    there, asked = ["CPUExecutionProvider"], []
+    real = onnxruntime.InferenceSession
+
+    def session(weights: bytes, options: Any, providers: list[Any], enable_fallback: int) -> Any:
+        asked.append(providers)
+        made = real(weights, options, providers=["CPUExecutionProvider"], enable_fallback=enable_fallback)
+        names = [one if isinstance(one, str) else one[0] for one in providers]
+        return SimpleNamespace(
+            run=made.run, get_inputs=made.get_inputs, get_outputs=made.get_outputs,
+            get_providers=lambda: names[1:] if "broken" in there else names,
+        )  # fmt: skip
+
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: there)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    yield there, asked
+    use_device()
+
+
+def test_networks_run_on_cuda_where_onnxruntime_offers_it(
+    offered: tuple[list[str], list[Any]], images: np.ndarray
+) -> None:
+    """With a provider that is made up: this says which device is asked for, not that a GPU does the same."""
+    there, asked = offered
+    with pytest.raises(BadInput, match="no device 'gpu'"):
+        use_device("gpu")
+    with pytest.raises(BadInput, match="onnxruntime offers CPUExecutionProvider only; install onnxruntime-gpu"):
+        use_device("cuda")
+    assert use_device("auto") == running().device == "cpu"
+    before = run_network(load_network(TINY), images)
+    there.insert(0, "CUDAExecutionProvider")
+    assert use_device("auto") == use_device("cuda") == running().device == "cuda"
+    made = run_network(load_network(TINY), images)
+    (name, options), rest = asked[-1]
+    assert (name, options["use_tf32"], rest) == ("CUDAExecutionProvider", "0", "CPUExecutionProvider")
+    assert np.abs(made - before).max() <= CUDA_TOLERANCE * np.abs(before).max()
+    shipped = load_network("relief")
+    use_device()
+    assert load_network("relief") is not shipped
+    assert asked[-1] == ["CPUExecutionProvider"]
+    there.append("broken")  # offered, and its libraries are missing
+    use_device("cuda")
+    with pytest.raises(BadInput, match="cannot start cuda"):
+        load_network(TINY)
+
+
+def test_cuda_gives_what_the_cpu_gives(network: Network, images: np.ndarray) -> None:
+    import onnxruntime
+
+    if "CUDAExecutionProvider" not in onnxruntime.get_available_providers():
+        pytest.skip("onnxruntime offers no CUDA here")
+    expected = run_network(network, images)
+    use_device("cuda")
+    try:
+        made = run_network(load_network(TINY), images)
+    finally:
+        use_device()
+    assert np.abs(made - expected).max() <= CUDA_TOLERANCE * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("tile", [40, 64, 120])

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-from splitknit.errors import BadInput, open_file, refusing, require
-from splitknit.io.atomic import atomic_file
+from splitknit.batch.objects import Location, files_below, stored_file, whole_file
+from splitknit.errors import BadInput, refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json
 
@@ -44,7 +43,7 @@ _NEVER_NULL = (_TEXTS | _FLAGS | _PAYLOADS | {"area_mm2"}) - {"print", "images"}
 _REMEDY = "delete it and run the same again: only what it holds is done anew"
 
 
-def write_chunk(path: Path, columns: Mapping[str, Sequence[Any]], schema: Any, origin: Mapping[str, Any]) -> None:
+def write_chunk(path: Location, columns: Mapping[str, Sequence[Any]], schema: Any, origin: Mapping[str, Any]) -> None:
     """Write a table; `origin` goes into the file's metadata.
 
     Equal columns and origin give equal bytes.
@@ -52,7 +51,7 @@ def write_chunk(path: Path, columns: Mapping[str, Sequence[Any]], schema: Any, o
     pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
     described = schema.with_metadata({_KEY: canonical_json(origin).encode("ascii")})
     table = pa.table({name: pa.array(columns[name], type=schema.field(name).type) for name in schema.names}, described)
-    with atomic_file(path) as stream:
+    with whole_file(path) as stream:
         pq.write_table(
             table,
             stream,
@@ -74,7 +73,7 @@ def column_type(name: str) -> Any:
     return pa.bool_() if name in _FLAGS else pa.binary() if name in _PAYLOADS else pa.float64()
 
 
-def read_chunk(path: Path, columns: Sequence[str] | None = None, needed: Sequence[str] = ()) -> Any:
+def read_chunk(path: Location, columns: Sequence[str] | None = None, needed: Sequence[str] = ()) -> Any:
     """Read a chunk as a ``pyarrow.Table`` without metadata; sizes are checked before it is read.
 
     Parameters
@@ -90,7 +89,7 @@ def read_chunk(path: Path, columns: Sequence[str] | None = None, needed: Sequenc
     """
     pq = load("pyarrow.parquet", "batch")
     wanted = None if columns is None else list(dict.fromkeys(columns))
-    with open_file(path, _MAX_BYTES) as (stream, _), refusing(_damaged(path)), pq.ParquetFile(stream) as file:
+    with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)), pq.ParquetFile(stream) as file:
         facts = file.metadata
         # the sizes of single columns are not asked for: pyarrow ends the process where their statistics are damaged
         size = sum(facts.row_group(k).total_byte_size for k in range(facts.num_row_groups))
@@ -106,7 +105,7 @@ def read_chunk(path: Path, columns: Sequence[str] | None = None, needed: Sequenc
     return table.replace_schema_metadata(None)
 
 
-def read_origin(path: Path) -> dict[str, Any]:
+def read_origin(path: Location) -> dict[str, Any]:
     """Provenance in a chunk's metadata.
 
     Raises
@@ -115,22 +114,20 @@ def read_origin(path: Path) -> dict[str, Any]:
         If the file is damaged.
     """
     pq = load("pyarrow.parquet", "batch")
-    with open_file(path, _MAX_BYTES) as (stream, _), refusing(_damaged(path)):
+    with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
         return dict(parse_json(pq.read_schema(stream).metadata[_KEY], str(path)))
 
 
-def chunk_files(folder: Path) -> list[Path]:
+def chunk_files(folder: Location) -> list[Location]:
     """Finished chunks in a folder, in their order; what is being written has another name."""
-    if not folder.is_dir():
-        return []
-    return sorted(file for file in folder.iterdir() if file.suffix == SUFFIX and not file.name.startswith("."))
+    return [folder / name for name in files_below(folder) if name.endswith(SUFFIX) and not name.startswith(".")]
 
 
-def _damaged(path: Path) -> str:
+def _damaged(path: Location) -> str:
     return f"'{path}' is damaged; {_REMEDY}."
 
 
-def write_timings(folder: Path, name: str, facts: Mapping[str, Any]) -> None:
+def write_timings(folder: Location, name: str, facts: Mapping[str, Any]) -> None:
     """Write how long the work of a chunk took."""
-    with atomic_file(folder / f"{name}.json") as stream:
+    with whole_file(folder / f"{name}.json") as stream:
         stream.write((canonical_json(facts) + "\n").encode("ascii"))

@@ -25,7 +25,9 @@ from splitknit.batch.execution import Cluster, connected, peak_memory_mb, run_ta
 from splitknit.batch.features import FeatureTask, reconstruct_group
 from splitknit.batch.matchers import READY, Matcher, matcher
 from splitknit.batch.matchers import matcher as matcher_named
+from splitknit.batch.objects import MEMORY, Location, Objects, captures_at_hand, location, whole_file
 from splitknit.batch.population import (
+    Block,
     CaptureRef,
     Pairs,
     Population,
@@ -49,7 +51,7 @@ from splitknit.batch.solids import (
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.scores import Ids, Scores, ids_of
-from splitknit.io.atomic import atomic_file, hold, private_modes
+from splitknit.io.atomic import hold, private_modes
 from splitknit.io.capture import read_capture
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
@@ -81,7 +83,7 @@ def to_scores(table: Any, column: str = "similarity", name: str | None = None) -
     return Scores(_flags(table, "genuine"), score, **_ids(table), name=name or column)
 
 
-def write_csv(path: Path, table: Any) -> None:
+def write_csv(path: Location, table: Any) -> None:
     """Write comparisons as a score file: ``label``, ``score``, names of both sides, and the matcher's own columns."""
     a, b = table.column("a").to_pylist(), table.column("b").to_pylist()
     own = [name for name in table.column_names if name not in ("a", "b", "genuine", "similarity", "compared")]
@@ -97,7 +99,7 @@ def write_csv(path: Path, table: Any) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(zip(*columns.values(), strict=True))
-    with atomic_file(path) as stream:
+    with whole_file(path) as stream:
         stream.write(text.getvalue().encode("utf-8"))
 
 
@@ -143,6 +145,7 @@ class _Run:
     settings: BatchSettings
     jobs: int
     client: Any
+    device: str
     progress: Progress
     peaks_mb: list[float] = field(default_factory=list)
 
@@ -151,7 +154,7 @@ class _Run:
         total, made, results = max(sum(sizes), 1), 0, []
         if tasks:
             self.progress(words, 0.0)
-        for result in run_tasks(work, tasks, self.jobs, self.client):
+        for result in run_tasks(work, tasks, self.jobs, self.client, self.device):
             results.append(result)
             made += result.size
             self.peaks_mb.append(result.peak_memory_mb)
@@ -160,13 +163,14 @@ class _Run:
 
 
 def run_batch(
-    population: Path,
-    out: Path,
+    population: str | Path | Objects,
+    out: str | Path | Objects,
     settings: BatchSettings | None = None,
     *,
     jobs: int = 2,
     cluster: str | Cluster | None = None,
     csv: Path | None = None,
+    device: str = "cpu",
     progress: Progress = _no_progress,
 ) -> dict[str, Any]:
     """Do what the store lacks; return the facts.
@@ -176,12 +180,13 @@ def run_batch(
 
     Parameters
     ----------
-    population : folder of ``splitknit simulate population`` or of an enrolment
-    out : folder of the store
+    population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
+    out : folder of the store, or the URL of its objects
     settings : BatchSettings, optional
     jobs : processes; nothing but time depends on their number
-    cluster : Cluster or its address; its workers do it instead, and must see both folders under the same names
+    cluster : Cluster or its address; its workers do it instead, and must see both places under the same names
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
+    device : on which networks run, see :func:`splitknit.networks.unet.use_device`
     progress : called with words and the fraction that is done
 
     Raises
@@ -195,13 +200,20 @@ def run_batch(
     load("pyarrow", "batch")
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     cluster = Cluster(cluster) if isinstance(cluster, str) else cluster
-    there = read_population(population)
+    people, folder = location(population), location(out)
+    for one in (people, folder):
+        require(
+            not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
+            f"'{one}' is known to this process alone; take --jobs 1 and no cluster, or another place.",
+        )
+    there = read_population(people)
     with contextlib.ExitStack() as stack:
         client = None if cluster is None else stack.enter_context(connected(cluster))
-        check_target(out)
-        folder = out.resolve()
-        stack.enter_context(alone(folder))
-        run = _Run(open_store(folder, there, settings), there, settings, jobs, client, progress)
+        check_target(folder)
+        if isinstance(folder, Path):
+            folder = folder.resolve()
+            stack.enter_context(alone(folder))
+        run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
         sweep(folder)
         stack.callback(sweep, folder)  # an interrupt may come between a file's making and its first byte
         facts = _reconstruct(run) | {"scores": _match(run)}
@@ -246,7 +258,7 @@ def _match(run: _Run) -> list[dict[str, Any]]:
                 run.done(extract_solids, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
             tasks = _score_tasks(run.store, run.population, run.settings, case, using)
-            sizes = [len(task.pairs) for task in tasks]
+            sizes = tasks.sizes()
             results = run.done(score_block, tasks, f"{case.name}: {name}", sizes)
             work_s = sum(result.seconds for result in results)
             facts.append(
@@ -264,7 +276,7 @@ def _match(run: _Run) -> list[dict[str, Any]]:
     return facts
 
 
-def _export(run: _Run, folder: Path) -> list[str]:
+def _export(run: _Run, folder: Location) -> list[str]:
     files = []
     for case in run.settings.cases:
         for name in run.settings.matchers:
@@ -305,8 +317,9 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
     """Captures that a case lacks, in groups that do not depend on what is there already."""
     lacking = [(case, store.captures(case.name)) for case in settings.cases]
     groups: dict[int, list[CaptureRef]] = {}
+    size = settings.chunk_captures or min(max(population.planned // 32, 1), 10)
     for capture in population.captures:
-        groups.setdefault(capture.place // settings.chunk_captures, []).append(capture)
+        groups.setdefault(capture.place // size, []).append(capture)
     tasks = []
     for group, captures in sorted(groups.items()):
         wanted = [
@@ -318,7 +331,7 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
             tasks.append(
                 FeatureTask(
                     group,
-                    population.folder.resolve(),
+                    _anywhere(population.folder),
                     population.sha256,
                     store.folder,
                     tuple(capture for capture in captures if capture.name in named),
@@ -331,6 +344,11 @@ def _feature_tasks(store: Store, population: Population, settings: BatchSettings
     return tasks
 
 
+def _anywhere(folder: Location) -> Location:
+    """A place by a name that every process knows."""
+    return folder.resolve() if isinstance(folder, Path) else folder
+
+
 def _minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
     """Chunks of features without their minutiae."""
     return [MinutiaeTask(store.folder, case.name, chunk) for chunk in _without(store, case, "minutiae")]
@@ -338,7 +356,7 @@ def _minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
 
 def _voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[_VotedTask]:
     """Chunks of features without their voted minutiae."""
-    folder = population.folder.resolve()
+    folder = _anywhere(population.folder)
     return [
         _VotedTask(store.folder, folder, case, chunk, settings.matching) for chunk in _without(store, case, "voted")
     ]
@@ -363,7 +381,7 @@ def _without(store: Store, case: Case, kind: str) -> list[str]:
 
 def _score_tasks(
     store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
-) -> list[ScoreTask]:
+) -> _ScoreTasks:
     """Comparisons that are not in the store. Raises BadInput if there are captures of one session only."""
     features = places_of(store.files("features", case.name))
     places = features if matcher.source == "features" else places_of(store.files(matcher.source, case.name))
@@ -373,12 +391,14 @@ def _score_tasks(
         len(captures),
         _done(store, case.name, matcher.name, captures),
     )
-    blocks = matcher.blocks_for(settings.impostors)
-    return [
-        ScoreTask(
+
+    case_sha256 = case.document()["settings_sha256"]
+
+    def task(block: Block) -> ScoreTask:
+        return ScoreTask(
             store=store.folder,
             case=case.name,
-            case_sha256=case.document()["settings_sha256"],
+            case_sha256=case_sha256,
             population_sha256=population.sha256,
             matcher=matcher.name,
             matching=settings.matching,
@@ -389,8 +409,26 @@ def _score_tasks(
             origins=_used(block.pairs, captures, features),
             seed=settings.seed,
         )
-        for block in blocks_of(pairs, captures, blocks)
-    ]
+
+    return _ScoreTasks(blocks_of(pairs, captures, matcher.blocks_for(settings.impostors)), task)
+
+
+@dataclass(frozen=True, slots=True)
+class _ScoreTasks(Sequence[ScoreTask]):
+    """Tasks of blocks, each made when it is begun: the names of a million pairs take a hundred megabytes."""
+
+    blocks: list[Block]
+    make: Callable[[Block], ScoreTask]
+
+    def __len__(self) -> int:
+        return len(self.blocks)
+
+    def __getitem__(self, place: Any) -> Any:
+        return self.make(self.blocks[place])
+
+    def sizes(self) -> list[int]:
+        """Pairs of each."""
+        return [block.pairs.a.size for block in self.blocks]
 
 
 def _done(store: Store, case: str, matcher: str, captures: list[CaptureRef]) -> np.ndarray[Any, np.dtype[np.int64]]:
@@ -426,8 +464,8 @@ VERSION = 1
 class _VotedTask:
     """A chunk of features whose captures' voted minutiae are wanted."""
 
-    store: Path
-    population: Path
+    store: Location
+    population: Location
     case: Case
     name: str
     matching: MatchingSettings
@@ -440,10 +478,14 @@ def _extract_voted(task: _VotedTask) -> MinutiaeDone:
     table = read_chunk(file, ["capture", "acquired"])
     captures = table.column("capture").to_pylist()
     seconds, found = {}, []
-    for capture, acquired in zip(captures, table.column("acquired").to_pylist(), strict=True):
-        started = time.perf_counter()
-        found.append(_voted(task.population / capture, settings, task.matching) if acquired else no_minutiae())
-        seconds[capture] = round(time.perf_counter() - started, 3)
+    acquired = dict(zip(captures, table.column("acquired").to_pylist(), strict=True))
+    with captures_at_hand(task.population, [capture for capture in captures if acquired[capture]]) as folders:
+        for capture in captures:
+            started = time.perf_counter()
+            found.append(
+                _voted(next(folders) / capture, settings, task.matching) if acquired[capture] else no_minutiae()
+            )
+            seconds[capture] = round(time.perf_counter() - started, 3)
     write_timings(task.store / "timings" / case / "voting", task.name, seconds)
     write_minutiae(file, task.store / "voted" / case, captures, found, ("voted", VERSION))
     return MinutiaeDone(len(captures), peak_memory_mb())

@@ -13,11 +13,13 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
 from splitknit.batch.chunks import load
 from splitknit.errors import BadInput, require
+from splitknit.networks.unet import running, use_device
 
 Task = TypeVar("Task")
 Done = TypeVar("Done")
@@ -25,6 +27,8 @@ _KILLED = (
     "a worker was killed, perhaps for want of memory; what is finished is kept: run the same again, with fewer jobs if "
     "memory was short."
 )
+AHEAD = 3
+"""Tasks that the scheduler is given for each thread of the cluster: one under way, two waiting."""
 PATIENCE_S = 30.0
 """How long a cluster is waited for."""
 
@@ -102,8 +106,10 @@ def connected(cluster: Cluster) -> Iterator[Any]:
         client.close(timeout=5)
 
 
-def run_tasks(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, client: Any = None) -> Iterator[Done]:
-    """Do all tasks, each on one thread; yield each one's result once, in the order in which they are done.
+def run_tasks(
+    work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, client: Any = None, device: str = "cpu"
+) -> Iterator[Done]:
+    """Do all tasks, by several processes on one thread each; yield each result once, in the order of their ends.
 
     Parameters
     ----------
@@ -111,6 +117,7 @@ def run_tasks(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, cl
     tasks : in the order in which they are begun
     jobs : processes; 1: in this process
     client : of :func:`connected`: the cluster's workers do the tasks instead
+    device : on which networks run
 
     Raises
     ------
@@ -121,30 +128,34 @@ def run_tasks(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, cl
     if not tasks:
         return iter(())
     if client is not None:
-        return _on_cluster(work, tasks, client)
-    return _here(work, tasks) if jobs == 1 or len(tasks) == 1 else _in_processes(work, tasks, jobs)
+        return _on_cluster(work, tasks, client, device)
+    return _here(work, tasks, device) if jobs == 1 or len(tasks) == 1 else _in_processes(work, tasks, jobs, device)
 
 
-def _in_worker(work: Callable[[Task], Done], task: Task, parent: int) -> Done:
-    """Do a task in a worker: OpenCV on one thread, and an end when the run that started it is no more."""
-    import cv2  # noqa: PLC0415
-
-    cv2.setNumThreads(1)
+def _in_worker(work: Callable[[Task], Done], task: Task, parent: int, device: str) -> Done:
+    """Do a task in a worker: on one thread, and an end when the run that started it is no more."""
+    _on_one_thread(device)
     _watch(parent)
     return work(task)
 
 
-def on_cluster(work: Callable[[Task], Done], task: Task, version: str) -> Done:
-    """Do a task in a worker of a cluster, which must have the same software."""
+def _on_one_thread(device: str) -> None:
+    """There are as many workers as cores: a second thread of each wins no time and takes memory."""
     import cv2  # noqa: PLC0415
 
+    cv2.setNumThreads(1)
+    use_device(device, threads=1)
+
+
+def on_cluster(work: Callable[[Task], Done], task: Task, version: str, device: str) -> Done:
+    """Do a task in a worker of a cluster, which must have the same software."""
     import splitknit  # noqa: PLC0415
 
     require(
         version == splitknit.__version__,
         f"a worker of the cluster has splitknit {splitknit.__version__}, and this is {version}; use one version.",
     )
-    cv2.setNumThreads(1)
+    _on_one_thread(device)
     return work(task)
 
 
@@ -158,7 +169,7 @@ def peak_memory_mb() -> float:
     return float(peak) / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int) -> Iterator[Done]:
+def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, device: str) -> Iterator[Done]:
     joblib = load("joblib", "batch")
     broken = load("joblib.externals.loky.process_executor", "batch").BrokenProcessPool
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
@@ -167,7 +178,7 @@ def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int
         pool = joblib.Parallel(
             n_jobs=min(jobs, len(tasks)), return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs"
         )
-        results = pool(joblib.delayed(_in_worker)(work, task, os.getpid()) for task in tasks)
+        results = pool(joblib.delayed(_in_worker)(work, task, os.getpid(), device) for task in tasks)
         try:
             yield from results
         except broken as error:
@@ -222,20 +233,35 @@ def _cause(error: BaseException) -> str:
     return str(getattr(error, "strerror", None) or error)
 
 
-def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any) -> Iterator[Done]:
-    """Tasks of a worker that dies are done by another; a task's result is yielded once."""
+def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any, device: str) -> Iterator[Done]:
+    """Tasks of a worker that dies are done by another; a task's result is yielded once.
+
+    The scheduler holds a few tasks for each thread of its workers, however many there are in all.
+    """
     distributed = load("distributed", "cluster")
     version = load("splitknit", "batch").__version__
-    futures = [client.submit(on_cluster, work, task, version, pure=False, retries=0) for task in tasks]
-    done: set[str] = set()
+    rest = iter(tasks)
+    waiting: dict[str, Any] = {}
+
+    def submit() -> list[Any]:
+        room = AHEAD * max(sum(client.nthreads().values()), 1) - len(waiting)
+        new = [
+            client.submit(on_cluster, work, task, version, device, pure=False, retries=0)
+            for task in islice(rest, max(room, 0))
+        ]
+        waiting.update((future.key, future) for future in new)
+        return new
+
     try:
-        for future in distributed.as_completed(futures, loop=client.loop):
-            if future.key in done:
-                continue
-            done.add(future.key)
-            yield _result(distributed, future)
+        done = distributed.as_completed(submit(), loop=client.loop)
+        for future in done:
+            if waiting.pop(future.key, None) is not None:
+                result = _result(distributed, future)
+                future.release()
+                done.update(submit())
+                yield result
     finally:
-        for future in futures:
+        for future in waiting.values():
             future.release()
 
 
@@ -269,13 +295,15 @@ def _watch(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _here(work: Callable[[Task], Done], tasks: Sequence[Task]) -> Iterator[Done]:
+def _here(work: Callable[[Task], Done], tasks: Sequence[Task], device: str) -> Iterator[Done]:
     import cv2  # noqa: PLC0415
 
-    threads = cv2.getNumThreads()
+    threads, before = cv2.getNumThreads(), running()
     cv2.setNumThreads(1)
+    use_device(device)
     try:
         for task in tasks:
             yield work(task)
     finally:
         cv2.setNumThreads(threads)
+        use_device(before.device, before.threads)

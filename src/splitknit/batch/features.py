@@ -6,24 +6,26 @@ import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.objects import Location, captures_at_hand
 from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_solids
 from splitknit.batch.surfaces import pack_surface
 from splitknit.errors import BadInput
-from splitknit.io.capture import read_capture
+from splitknit.io.capture import ReadSettings, read_capture
+from splitknit.io.images import ImageSettings
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import pack
 from splitknit.model import Capture, Reconstruction, surface_of
+from splitknit.networks.unet import running
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print
 from splitknit.steps import Memory
@@ -41,9 +43,9 @@ class FeatureTask:
     """Captures that are reconstructed together, and where they go."""
 
     group: int
-    population: Path
+    population: Location
     population_sha256: str
-    store: Path
+    store: Location
     captures: tuple[CaptureRef, ...]
     cases: tuple[tuple[Case, tuple[str, ...]], ...]
     """Each case with the names of the captures that it lacks."""
@@ -90,24 +92,27 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
     rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
     seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
     failures = []
-    for ref in task.captures:
-        capture: Capture | str
-        memory: Memory | None
-        try:
-            capture = read_capture(task.population / ref.name)
-            memory = Memory(capture)
-        except BadInput as error:
-            # wherever the population lies, the row is the same
-            capture, memory = str(error).replace(f"{task.population}/", ""), None
-        for case, wanted in task.cases:
-            if ref.name not in wanted:
-                continue
-            started = time.perf_counter()
-            row = _row(ref, capture, memory, case, task)
-            seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
-            rows[case.name].append(row)
-            if not row["acquired"]:
-                failures.append(f"{case.name}, {ref.name}: {row['failure']}")
+    reading = ReadSettings(ImageSettings(threads=running().threads))
+    with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
+        for ref, folder in zip(task.captures, folders, strict=True):
+            capture: Capture | str
+            memory: Memory | None
+            try:
+                capture = read_capture(folder / ref.name, reading)
+                memory = Memory(capture)
+            except BadInput as error:
+                # wherever the population lies, the row is the same
+                capture, memory = str(error).replace(f"{folder}/", ""), None
+            for case, wanted in task.cases:
+                if ref.name not in wanted:
+                    continue
+                started = time.perf_counter()
+                row = _row(ref, capture, memory, case, task)
+                seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
+                rows[case.name].append(row)
+                if not row["acquired"]:
+                    failures.append(f"{case.name}, {ref.name}: {row['failure']}")
+            del capture, memory  # before the next one is read
     schema = _feature_schema()
     for case, wanted in task.cases:
         document = case.document()
@@ -115,6 +120,8 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
         columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
         origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
+        if running().device != "cpu":
+            origin |= {"device": running().device}
         origin |= {"population_sha256": task.population_sha256, "matching_sha256": _features_hash(task.matching)}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         for kind in task.solids:  # before the features, by which a later run knows what is finished

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.batch.objects import Location, files_below, stored_bytes
 from splitknit.capture.enrolment import PLAN_FILE, Place, open_enrolment
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
 from splitknit.evaluation.protocol import comparisons
-from splitknit.io.fields import Fields, read_json
+from splitknit.io.fields import MAX_JSON_BYTES, Fields, read_json
 
 _SIMULATED = "population.json"
 
@@ -36,9 +38,9 @@ class CaptureRef:
 
 @dataclass(frozen=True, slots=True)
 class Population:
-    """A population on disk."""
+    """A population on disk, or among objects."""
 
-    folder: Path
+    folder: Location
     sha256: str
     """Of what it was simulated with; of the word ``enrolment`` for captures of real fingers."""
     planned: int
@@ -46,7 +48,7 @@ class Population:
     """Those that are complete, in the order of the plan."""
 
 
-def read_population(folder: Path) -> Population:
+def read_population(folder: Location) -> Population:
     """List the complete captures of an enrolment or a simulated population, even while it is still being filled.
 
     Raises
@@ -54,8 +56,22 @@ def read_population(folder: Path) -> Population:
     BadInput
         If it is neither, its plan is damaged, or it holds no complete capture.
     """
+    if isinstance(folder, Path):
+        return _population(folder, folder, lambda name: (folder / name).is_file())
+    names = frozenset(files_below(folder, deep=True))
+    with tempfile.TemporaryDirectory(prefix="splitknit-") as copy:
+        for name in names & {PLAN_FILE, _SIMULATED}:
+            (Path(copy) / name).write_bytes(stored_bytes(folder / name, MAX_JSON_BYTES))
+        try:
+            return _population(folder, Path(copy), names.__contains__)
+        except BadInput as error:
+            raise BadInput(str(error).replace(copy, str(folder))) from error
+
+
+def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool]) -> Population:
+    """A population whose plan lies in `plan_folder`, and of whose files `has` knows the names."""
     try:
-        known = (folder / PLAN_FILE).is_file()
+        known = has(PLAN_FILE)
     except (OSError, ValueError):
         known = False
     require(
@@ -63,8 +79,7 @@ def read_population(folder: Path) -> Population:
         f"'{folder}' is no population: it holds no {PLAN_FILE}; name a folder of 'splitknit simulate population' or of "
         "an enrolment.",
     )
-    enrolment = open_enrolment(folder)
-    plan = enrolment.plan
+    plan = open_enrolment(plan_folder).plan
     captures = []
     for number, (subject, finger, session) in enumerate(
         (subject, finger, session)
@@ -73,12 +88,12 @@ def read_population(folder: Path) -> Population:
         for session in range(1, plan.sessions + 1)
     ):
         place = Place(subject, session, finger)
-        if enrolment.finished(place):
+        if has(f"{place.folder}/capture.json"):
             captures.append(
                 CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number, number // plan.sessions)
             )
     require(len(captures) > 0, f"the population '{folder}' holds no finished capture yet.")
-    return Population(folder, _hash(folder), plan.total, tuple(captures))
+    return Population(folder, _hash(plan_folder), plan.total, tuple(captures))
 
 
 def _hash(folder: Path) -> str:
@@ -140,10 +155,12 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
     if impostors < 1.0:
         names = [one.finger for one in captures]
         other = np.flatnonzero(~found.genuine)
-        kept[other] = [
-            draw(names[a], names[b], seed) < impostors
-            for a, b in zip(found.a[other].tolist(), found.b[other].tolist(), strict=True)
-        ]
+        for start in range(0, other.size, 1 << 16):  # lists of numbers take much more memory than arrays
+            part = other[start : start + (1 << 16)]
+            kept[part] = [
+                draw(names[a], names[b], seed) < impostors
+                for a, b in zip(found.a[part].tolist(), found.b[part].tolist(), strict=True)
+            ]
     return Pairs(found.a[kept], found.b[kept], found.genuine[kept])
 
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from splitknit.batch.chunks import read_chunk
+from splitknit.batch.objects import Location, Objects
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.matching.surface import surface_images
@@ -22,7 +22,7 @@ from splitknit.matching.thesis import FingerImages
 class Place:
     """Where a capture lies in the store."""
 
-    file: Path
+    file: Location
     row: int
 
 
@@ -46,7 +46,7 @@ def images_of(place: Place) -> FingerImages | None:
         raise BadInput(f"'{place.file}': {error}") from error
 
 
-def places_of(files: list[Path]) -> Mapping[str, Place]:
+def places_of(files: list[Location]) -> Mapping[str, Place]:
     """Where each capture lies; of one that lies in two chunks, the first."""
     found: dict[str, Place] = {}
     for file in files:
@@ -61,8 +61,10 @@ def forget() -> None:
     _surfaces.cache_clear()
 
 
-def _version(file: Path) -> int:
-    """Distinguish a file that was made anew from what is kept of the old one."""
+def _version(file: Location) -> int:
+    """Distinguish a file that was made anew from what is kept of the old one; an object's name says enough."""
+    if isinstance(file, Objects):
+        return 0
     try:
         return file.stat().st_mtime_ns
     except OSError as error:
@@ -70,10 +72,10 @@ def _version(file: Path) -> int:
 
 
 @lru_cache(maxsize=512)
-def _column(file: Path, column: str, version: int) -> list[Any]:
+def _column(file: Location, column: str, version: int) -> list[Any]:
     return list(read_chunk(file, [column]).column(column).to_pylist())
 
 
 @lru_cache(maxsize=1)
-def _surfaces(file: Path, version: int) -> list[bytes | None]:
+def _surfaces(file: Location, version: int) -> list[bytes | None]:
     return list(read_chunk(file, ["images"]).column("images").to_pylist())

@@ -7,12 +7,12 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
 from splitknit.batch.matchers import READY, matcher
+from splitknit.batch.objects import Location
 from splitknit.batch.reading import Place, small_column
 from splitknit.io.provenance import canonical_json, provenance
 from splitknit.matching.surface import MatchingSettings
@@ -25,7 +25,7 @@ VERSION = 1
 class ScoreTask:
     """Comparisons that are made together, and where they go."""
 
-    store: Path
+    store: Location
     case: str
     case_sha256: str
     population_sha256: str

@@ -69,8 +69,9 @@ class BatchSettings(Checked):
     matching: MatchingSettings = field(default_factory=MatchingSettings)
     surfaces: bool = True
     """Keep the surfaces, about 2.3 MB a reconstruction at 30 px/mm: the thesis's matcher needs them."""
-    chunk_captures: Annotated[int, Limits(1, 1000)] = 10
-    """Captures that are reconstructed, and stored, together: what a killed run loses at most, for each job."""
+    chunk_captures: Annotated[int, Limits(0, 1000)] = 0
+    """Captures that are reconstructed, and stored, together: what a killed run loses at most, for each job. 0: a 32nd
+    of the plan, at most ten, so that a small population keeps several jobs at work too."""
 
     def __post_init__(self) -> None:
         check_fields(self)

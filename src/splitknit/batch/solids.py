@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from splitknit.batch.chunks import SUFFIX, column_type, load, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.objects import Location
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.io.png import decode_png
@@ -35,7 +35,7 @@ PRINTS_VERSION = 2
 class MinutiaeTask:
     """A chunk of features whose prints' minutiae are wanted."""
 
-    store: Path
+    store: Location
     case: str
     name: str
 
@@ -74,7 +74,7 @@ def extract_minutiae(task: MinutiaeTask) -> MinutiaeDone:
 
 
 def write_minutiae(
-    features: Path, folder: Path, captures: Sequence[str], found: Sequence[Minutiae], kind: tuple[str, int]
+    features: Location, folder: Location, captures: Sequence[str], found: Sequence[Minutiae], kind: tuple[str, int]
 ) -> None:
     """Write a chunk of minutiae, of a kind and its version, under the name of its chunk of `features`."""
     columns = {
@@ -101,7 +101,7 @@ SOLIDS: Mapping[str, str] = MappingProxyType({"minutiae3d": "minutiae3d", "surfa
 class SolidTask:
     """A chunk of features from whose surfaces one kind of features in space is wanted."""
 
-    store: Path
+    store: Location
     case: str
     name: str
     kind: str
@@ -118,7 +118,7 @@ def solid_payload(kind: str, surface: Surface, matching: MatchingSettings) -> by
 
 
 def write_solids(
-    file: Path, kind: str, captures: Sequence[str], payloads: Sequence[bytes], origin: Mapping[str, Any]
+    file: Location, kind: str, captures: Sequence[str], payloads: Sequence[bytes], origin: Mapping[str, Any]
 ) -> None:
     """Write a chunk of one kind; `origin` is that of the features."""
     column = SOLIDS[kind]

@@ -10,14 +10,15 @@ from typing import Any
 
 from splitknit.batch.chunks import chunk_files, load, read_chunk
 from splitknit.batch.matchers import matcher
+from splitknit.batch.objects import Location, files_below, stored_bytes, there, whole_file
 from splitknit.batch.population import Population
 from splitknit.batch.reading import images_of, places_of
 from splitknit.batch.scores import score_schema
 from splitknit.batch.settings import BatchSettings
 from splitknit.batch.solids import SOLIDS
 from splitknit.errors import BadInput, refusing, require
-from splitknit.io.atomic import atomic_file, make_folder
-from splitknit.io.fields import as_number, read_json
+from splitknit.io.atomic import make_folder
+from splitknit.io.fields import MAX_JSON_BYTES, as_number, parse_json
 from splitknit.io.provenance import plain_json, provenance, settings_hash
 from splitknit.matching.thesis import FingerImages
 
@@ -27,9 +28,9 @@ FORMAT, VERSION = "splitknit-batch", 2
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """A folder of results."""
+    """A folder of results, or objects of :func:`splitknit.batch.objects.location`."""
 
-    folder: Path
+    folder: Location
 
     def document(self) -> dict[str, Any]:
         """The store's own record.
@@ -40,9 +41,9 @@ class Store:
             If there is no store, it is damaged or of another version.
         """
         file = self.folder / STORE_FILE
-        require(file.is_file(), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
+        require(there(file), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
         damaged = f"'{file}' is damaged; name another folder for the store."
-        document, _ = read_json(file, damaged)
+        document = _json(file, damaged)
         with refusing(damaged):
             known = document["format"] == FORMAT
             version = document["format_version"]
@@ -63,7 +64,7 @@ class Store:
         """Names of the cases."""
         return tuple(self.document()["cases"])
 
-    def files(self, kind: str, name: str) -> list[Path]:
+    def files(self, kind: str, name: str) -> list[Location]:
         """Finished chunks of ``features``, ``minutiae`` or ``voted`` of a case, or of ``scores/CASE`` of a matcher."""
         return chunk_files(self.folder / kind / name)
 
@@ -136,12 +137,21 @@ class Store:
     def seconds(self, case: str) -> dict[str, float]:
         """Seconds that each capture took to reconstruct; the one thing that differs from run to run."""
         found: dict[str, float] = {}
-        for file in sorted((self.folder / "timings" / case).glob("*.json")):
+        folder = self.folder / "timings" / case
+        for file in (folder / name for name in files_below(folder) if name.endswith(".json")):
             damaged = f"'{file}' is damaged: a number of seconds by the name of a capture is expected; delete it."
-            times, _ = read_json(file, damaged)
+            times = _json(file, damaged)
             require(isinstance(times, dict) and all(as_number(one) is not None for one in times.values()), damaged)
             found |= {name: float(value) for name, value in times.items()}
         return found
+
+
+def _json(file: Location, damaged: str) -> Any:
+    data = stored_bytes(file, MAX_JSON_BYTES)
+    try:
+        return parse_json(data, str(file))
+    except BadInput as error:
+        raise BadInput(damaged) from error
 
 
 def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
@@ -157,7 +167,7 @@ def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
     return table.take(order.take(pa.array(kept, pa.int64())))
 
 
-def open_store(folder: Path, population: Population, settings: BatchSettings) -> Store:
+def open_store(folder: Location, population: Population, settings: BatchSettings) -> Store:
     """Open a store for writing, or start one; the caller holds its lock.
 
     Raises
@@ -179,7 +189,7 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
         document["pairs"] = {"seed": settings.seed, "impostors": settings.impostors}
     store = Store(folder)
     file = folder / STORE_FILE
-    if file.is_file():
+    if there(file):
         earlier = store.document()
         _check_same(folder, earlier, document)
         document["cases"] = earlier["cases"] | document["cases"]
@@ -188,25 +198,33 @@ def open_store(folder: Path, population: Population, settings: BatchSettings) ->
         document |= {"pairs": pairs} if pairs else {}
         if document == earlier:
             return store
-    with atomic_file(file) as stream:
+    with whole_file(file) as stream:
         stream.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode("ascii"))
     return store
 
 
-def sweep(folder: Path) -> None:
-    """Remove what killed runs left half-written; the caller holds the store's lock."""
+def sweep(folder: Location) -> None:
+    """Remove what killed runs left half-written; the caller holds the store's lock. Objects are never half-written."""
+    if not isinstance(folder, Path):
+        return
     for kind in ("features", "minutiae", "voted", *SOLIDS, "scores", "timings", "csv"):
         for leftover in (folder / kind).glob("**/.*.tmp"):
             leftover.unlink(missing_ok=True)
 
 
-def check_target(folder: Path) -> None:
+def check_target(folder: Location) -> None:
     """Refuse a folder that holds something else than a store.
 
     Raises
     ------
     BadInput
     """
+    if not isinstance(folder, Path):
+        require(
+            there(folder / STORE_FILE) or not files_below(folder, deep=True),
+            f"'{folder}' is not empty and holds no {STORE_FILE}: it is no store; name another place.",
+        )
+        return
     try:
         require(not folder.exists() or folder.is_dir(), f"'{folder}' is a file; name a folder for the store.")
         names = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
@@ -227,7 +245,7 @@ def _hashed(settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"settings_sha256": settings_hash(plain), "settings": plain}
 
 
-def _check_same(folder: Path, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _check_same(folder: Location, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     require(
         earlier["population"].get("sha256") == wanted["population"]["sha256"],
         f"the store '{folder}' is of another population; name another folder, or the population that it is of.",
@@ -243,7 +261,7 @@ def _check_same(folder: Path, earlier: Mapping[str, Any], wanted: Mapping[str, A
     _check_settings(folder, "templates", earlier["matching"], wanted["matching"])
 
 
-def _pairs(folder: Path, earlier: Any, wanted: Any) -> Any:
+def _pairs(folder: Location, earlier: Any, wanted: Any) -> Any:
     """Which comparisons: a later run may request more of them, drawn the same way."""
     if not earlier or not wanted:
         return wanted or earlier
@@ -255,7 +273,7 @@ def _pairs(folder: Path, earlier: Any, wanted: Any) -> Any:
     return wanted | {"impostors": max(wanted["impostors"], float(earlier.get("impostors", 0.0)))}
 
 
-def _check_settings(folder: Path, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _check_settings(folder: Location, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     names = _differing(earlier, wanted)
     where = f" ({', '.join(names[:4])})" if names else ""
     require(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, fraction, natural, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_device, fraction, natural, new_verb
 from splitknit.errors import BadInput, require
 
 
@@ -14,9 +14,14 @@ def add_batch(verbs: Any) -> None:
     """Add the verb."""
     verb = new_verb(verbs, "batch", "reconstruct and compare a whole population, or what of it is missing", _run)
     verb.add_argument(
-        "population", type=Path, metavar="POPULATION", help="folder of 'splitknit simulate population' or an enrolment"
+        "population", metavar="POPULATION", help="folder of 'splitknit simulate population' or an enrolment, or its URL"
     )
-    verb.add_argument("--out", type=Path, required=True, metavar="STORE", help="folder of the results; may be there")
+    verb.add_argument(
+        "--out",
+        required=True,
+        metavar="STORE",
+        help="folder of the results, or its URL (s3://BUCKET/PLACE); may be there",
+    )
     verb.add_argument("--cases", default=None, metavar="LIST", help="presets with commas (default: metric,snk,pr,ea)")
     verb.add_argument(
         "--case",
@@ -48,6 +53,7 @@ def add_batch(verbs: Any) -> None:
         "--csv", type=Path, default=None, metavar="DIR", help="folder of score files (default: csv in STORE)"
     )
     verb.add_argument("--jobs", type=natural, default=2, metavar="N", help="processes (default: 2)")
+    add_device(verb)
     verb.add_argument(
         "--cluster", default=None, metavar="tls://HOST:PORT", help="Dask scheduler whose workers do it instead"
     )
@@ -86,6 +92,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             jobs=options.jobs,
             cluster=cluster,
             csv=options.csv,
+            device=options.device,
             progress=progress.update,
         )
     return facts, _words(facts)

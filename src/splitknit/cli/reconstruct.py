@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.import_photos import add_photo_options, capture_of_photographs, check_photo_options
-from splitknit.cli.verb import PRESETS, Outcome, Progress, add_settings, new_verb
+from splitknit.cli.verb import PRESETS, Outcome, Progress, add_device, add_settings, new_verb
 from splitknit.errors import BadInput, naming, require
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def add_reconstruct(verbs: Any) -> None:
         help="where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in "
         "mirrors beside it (mirror)",
     )
+    add_device(verb)
     add_settings(verb)
     add_photo_options(verb, required=False)
 
@@ -84,6 +85,7 @@ def _reconstruct_to_folder(
     from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
     from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
     from splitknit.io.targets import check_target  # noqa: PLC0415
+    from splitknit.networks.unet import use_device  # noqa: PLC0415
     from splitknit.photometric.frames import rig_of_frame  # noqa: PLC0415
     from splitknit.pipeline import reconstruct, with_scale  # noqa: PLC0415
     from splitknit.presets import preset_settings  # noqa: PLC0415
@@ -94,6 +96,7 @@ def _reconstruct_to_folder(
     source, out, preset = options.capture or options.images, options.out, options.preset
     override(preset_settings(preset), changes)  # a wrong setting is refused before the images are read
     check_target(out, "height.npz", "an earlier result", keep=source)
+    device = use_device(options.device)
     with atomic_folder(out) as target:
         progress("reading", 0.0)
         if options.images is not None:
@@ -113,6 +116,8 @@ def _reconstruct_to_folder(
             result = reconstruct(
                 capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
             )
+            if device != "cpu":  # its last digits are others'
+                result = replace(result, facts={**result.facts, "device": device})
             said = [note for note in notes if not any(note in warning for warning in result.warnings)]
             result = replace(
                 result, timings_s={"reading": read_s, **result.timings_s}, warnings=(*said, *result.warnings)

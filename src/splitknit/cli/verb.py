@@ -137,6 +137,17 @@ def add_settings(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
 
 
+def add_device(verb: argparse.ArgumentParser) -> None:
+    """Add ``--device``."""
+    verb.add_argument(
+        "--device",
+        choices=("cpu", "cuda", "auto"),
+        default="cpu",
+        help="where networks run: cpu (the default, always the same bytes), cuda (other last digits; needs "
+        "onnxruntime-gpu), or auto, cuda where there is one",
+    )
+
+
 def add_input_ppi(verb: Any) -> None:
     """Add ``--input-ppi``."""
     verb.add_argument(

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,75 @@ TILE = 512
 
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 """Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
+
+
+DEVICES = ("cpu", "cuda", "auto")
+CUDA_TOLERANCE = 1e-3
+"""Between cpu and cuda, of the largest value of a result: sums are formed in another order, in single precision (TF32
+is off). Set, not measured: no GPU was at hand."""
+_PROVIDERS: Mapping[str, list[Any]] = MappingProxyType(
+    {
+        "cpu": ["CPUExecutionProvider"],
+        "cuda": [
+            ("CUDAExecutionProvider", {"use_tf32": "0", "cudnn_conv_algo_search": "DEFAULT"}),
+            "CPUExecutionProvider",
+        ],
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """How this process runs networks."""
+
+    device: str = "cpu"
+    threads: int = 2
+
+
+_running = Running()
+
+
+def running() -> Running:
+    """How this process runs networks now: as :func:`use_device` chose."""
+    return _running
+
+
+def use_device(device: str = "cpu", threads: int = 2) -> str:
+    """Choose how networks of this process are run from now on.
+
+    Parameters
+    ----------
+    device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
+    threads : that :func:`run_network` uses where it is given no number of them
+
+    Returns
+    -------
+    str
+        ``cpu``, always the same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
+
+    Raises
+    ------
+    BadInput
+        If there is no such device, or onnxruntime has no provider for it.
+
+    Examples
+    --------
+    >>> use_device("auto") in ("cpu", "cuda")
+    True
+    """
+    global _running  # noqa: PLW0603 - sessions are kept for the whole process, and so is where they run
+    require(device in DEVICES, f"there is no device '{device}'; name one of {', '.join(DEVICES)}.")
+    if device != "cpu":
+        offered = _onnxruntime().get_available_providers()
+        known = "CUDAExecutionProvider" in offered
+        require(
+            known or device == "auto",
+            f"networks cannot run on cuda: onnxruntime offers {', '.join(offered)} only; install onnxruntime-gpu in "
+            "place of onnxruntime, or take --device cpu.",
+        )
+        device = "cuda" if known else "cpu"
+    _running = Running(device, threads)
+    return device
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,11 +126,11 @@ def load_network(name: str | os.PathLike[str]) -> Network:
         If weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
-    return _load(text) if text.endswith(".onnx") else _load_shipped(text)
+    return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running.device)
 
 
 @functools.lru_cache(maxsize=8)
-def _load_shipped(name: str) -> Network:
+def _load_shipped(name: str, device: str) -> Network:
     return _load(name)
 
 
@@ -81,13 +151,19 @@ def network_of(card: Card, weights: bytes) -> Network:
     options.log_severity_level = 3
     try:
         # without enable_fallback=0 it prints what it could not load, and tries the same once more
-        session = onnxruntime.InferenceSession(weights, options, providers=["CPUExecutionProvider"], enable_fallback=0)
+        providers = _PROVIDERS[_running.device]
+        session = onnxruntime.InferenceSession(weights, options, providers=providers, enable_fallback=0)
         (source,), (result,) = session.get_inputs(), session.get_outputs()
     except Exception as error:  # onnxruntime has a dozen exceptions of its own, without a common base
         raise BadInput(
             f"the weights of network '{card.name}' are not a network from one image to one image "
             f"that onnxruntime can run ({_first_line(error)}); train it again."
         ) from error
+    require(  # it goes on without a provider whose libraries are missing
+        _running.device == "cpu" or "CUDAExecutionProvider" in session.get_providers(),
+        "onnxruntime cannot start cuda on this computer (driver, CUDA or cuDNN are missing or of another version); put "
+        "that right, or take --device cpu.",
+    )
     return Network(card, session, source.name, result.name)
 
 
@@ -112,7 +188,7 @@ def _onnxruntime() -> Any:
     return onnxruntime
 
 
-def run_network(network: Network, images: FloatArray, *, tile: int = TILE, workers: int = 2) -> FloatArray:
+def run_network(network: Network, images: FloatArray, *, tile: int = TILE, workers: int | None = None) -> FloatArray:
     """Run `network` on every image.
 
     Parameters
@@ -124,8 +200,8 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
     tile : int
         Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square and
         with `workers`. The result does not depend on it, but for rounding (about 1e-6).
-    workers : int
-        Threads; not a bit of the result depends on it.
+    workers : int, optional
+        Threads, those of :func:`use_device` where none are given; not a bit of the result depends on it.
 
     Returns
     -------
@@ -142,6 +218,7 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
     and the result is cut back. Tiles overlap by the network's reach, see :mod:`splitknit.networks.unet`.
     """
     stack = _checked(images, network.card)
+    workers = _running.threads if workers is None else workers
     require(workers >= 1, f"workers must be at least 1, but it is {workers}.")
     count, channels, height, width = stack.shape
     stride = network.card.stride

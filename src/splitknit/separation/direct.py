@@ -60,7 +60,7 @@ def direct_light(
     network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
     *,
     tile: int = TILE,
-    workers: int = 2,
+    workers: int | None = None,
 ) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
@@ -117,7 +117,7 @@ def direct_of_enhanced(
     network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
     *,
     tile: int = TILE,
-    workers: int = 2,
+    workers: int | None = None,
 ) -> FloatArray:
     """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
 
