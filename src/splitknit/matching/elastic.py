@@ -156,9 +156,7 @@ def compare_patches(patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray,
     energy = _sums(value * value, side)
     around = sliding_window_view(energy, (count, count))[rows, columns]
     floor = np.float32(0.05 * side * side)
-    surface = surface / np.sqrt(
-        np.maximum(around, floor) * np.maximum(patches.energy[used], floor)[:, None, None]
-    )
+    surface = surface / np.sqrt(np.maximum(around, floor) * np.maximum(patches.energy[used], floor)[:, None, None])
     support = _supported(surface, patches.place[used], patches.grid, seen[used])
     shift, correlation = _peak(support, surface)
     return Agreement(used, correlation, shift, seen[used].astype(np.float32))

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
@@ -247,6 +246,8 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     ----------
     Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
     """
+    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
     image = check_image(image)
     factor = px_per_mm / REFERENCE_PX_PER_MM
     # eight pixels a period are enough for the filters
@@ -285,6 +286,8 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
 
 def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way), and its gain there."""
+    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
     centre, reach = round(middle * side), int(np.ceil(6.0 * width * side))
     count = min(side, scipy.fft.next_fast_len(2 * reach + 1))
     number = centre - count // 2 + np.arange(count)
