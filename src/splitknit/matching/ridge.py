@@ -183,9 +183,9 @@ def peaks(rotated: RotatedViews, directions: Spectra, ridges: Spectra) -> list[P
         ]
     )
     aside = np.where(np.roll(worth, -1)[best] >= np.roll(worth, 1)[best], 1, -1)
-    numbers = np.unique(np.concatenate([2 * best, (2 * best + aside) % (4 * _HALF)]))
+    numbers = sorted({*(2 * best).tolist(), *((2 * best + aside) % (4 * _HALF)).tolist()})
     both = ridges.conj(), ridges
-    found = [_peak(*rotated.ridges(number), both, number) for number in numbers.tolist()]
+    found = [_peak(*rotated.ridges(number), both, number) for number in numbers]
     found.sort(key=lambda peak: -peak.height)
     return found[:_CANDIDATES]
 
