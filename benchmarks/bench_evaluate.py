@@ -67,7 +67,7 @@ def figures(genuine: np.ndarray, impostor: np.ndarray) -> int:
 
 def eer_and_threshold(genuine: np.ndarray, impostor: np.ndarray) -> tuple[float, float]:
     g, i = np.sort(genuine), np.sort(impostor)
-    return float(equal_error(g, i).value), float(gar_at_far(g, i, 0.001))
+    return float(equal_error(g, i).value), gar_at_far(g, i, 0.001).gar
 
 
 def textbook(genuine: np.ndarray, impostor: np.ndarray) -> np.ndarray:

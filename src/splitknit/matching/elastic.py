@@ -28,7 +28,7 @@ np.empty(1 << 21)
 instead of returning it. Without it a pair spends half its time on the pages of its own arrays (no effect elsewhere)."""
 
 
-def spectrum_of(values: FloatArray, size: tuple[int, int] | None = None) -> NDArray[np.complex64]:
+def spectrum_of(values: NDArray[Any], size: tuple[int, int] | None = None) -> NDArray[np.complex64]:
     """Transform (..., rows, columns // 2 + 1) of the last two axes, over the root of their number.
 
     numpy's transforms load a fifth of a second sooner than scipy's; without a factor they run in double precision.

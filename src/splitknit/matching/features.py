@@ -145,10 +145,7 @@ def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = Non
     settings = settings or LbpSettings()
     rows, columns = codes.shape[0] // cell, codes.shape[1] // cell
     require(rows > 0 and columns > 0, f"the image of {codes.shape} pixels is smaller than a cell of {cell} pixels.")
-    bins = 59 if settings.uniform else 256
-    if settings.uniform:
-        codes = np.asarray(cv2.LUT(codes, _UNIFORM))
-    result = np.empty((rows, columns, bins), dtype=np.float32)
+    result = np.empty((rows, columns, 256), dtype=np.float32)
     across = min(columns, 256)
     down = min(rows, 256 // across)
     number = np.arange(down * across, dtype=np.uint8).reshape(down, across).repeat(cell, axis=0).repeat(cell, axis=1)
@@ -157,8 +154,11 @@ def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = Non
             block = result[i : i + down, j : j + across]
             part = codes[i * cell : (i + block.shape[0]) * cell, j * cell : (j + block.shape[1]) * cell]
             cells = np.ascontiguousarray(number[: part.shape[0], : part.shape[1]])
-            counts = cv2.calcHist([cells, part], [0, 1], None, [down * across, bins], [0, down * across, 0, bins])
-            block[:] = counts.reshape(down, across, bins)[: block.shape[0], : block.shape[1]]
+            counts = cv2.calcHist([cells, part], [0, 1], None, [down * across, 256], [0, down * across, 0, 256])
+            block[:] = counts.reshape(down, across, 256)[: block.shape[0], : block.shape[1]]
+    if settings.uniform:  # bins of a few hundred cells are joined sooner than codes of a million pixels
+        joined = np.argsort(_UNIFORM, kind="stable")
+        result = np.add.reduceat(result[..., joined], np.searchsorted(_UNIFORM[joined], np.arange(59)), axis=2)
     if settings.normalisation == "l2":
         result /= np.sqrt((result * result).sum(axis=2, keepdims=True))
     elif settings.normalisation == "l1":
