@@ -52,6 +52,8 @@ _WINDOW_MM = 1.05
 """Side of the square over which a direction is averaged."""
 _CANDIDATES = 2
 """Peaks that are looked at closely."""
+_LOW = 0.5
+"""Peaks lower than this fraction of the highest are not: of 1,600 pairs tried, none of those was the better one."""
 _HALF = round(180 / _STEP_DEG)
 """Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is conjugate, and the
 peak of a correlation with it lies one pixel further on both axes."""
@@ -187,7 +189,7 @@ def peaks(rotated: RotatedViews, directions: Spectra, ridges: Spectra) -> list[P
     both = ridges.conj(), ridges
     found = [_peak(*rotated.ridges(number), both, number) for number in numbers]
     found.sort(key=lambda peak: -peak.height)
-    return found[:_CANDIDATES]
+    return [peak for peak in found[:_CANDIDATES] if peak.height >= _LOW * found[0].height]
 
 
 def _peak(turned: Spectra, unit: float, ridges: tuple[Spectra, Spectra], number: int) -> Peak:
