@@ -1,7 +1,7 @@
 """ROC, figures and bootstrap of 20,000 genuine and 1,000,000 impostor scores, and the thesis's 173,400 comparisons.
 
-Peers: numpy's way of the textbook (sort all scores with their labels, cumulate), and a bootstrap that draws scores and
-sorts them anew. ``--file`` also writes and reads a score file of a million lines.
+Peers: numpy's way of the textbook (sort all scores with their labels, cumulate), scikit-learn and bob.measure, and a
+bootstrap that draws scores and sorts them anew. ``--file`` also writes and reads a score file of a million lines.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from peers import library
 from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.rates import auc, equal_error, gar_at_far, roc
@@ -36,10 +37,17 @@ def main() -> None:
         "roc, EER, GAR at three FARs, AUC": lambda: figures(genuine, impostor),
         "argsort of all scores, cumulated": lambda: textbook(genuine, impostor).size,
     }
-    print_table("ROC", race(contenders, options.rounds), lambda size: f"{size:,}", "points")
-    started = time.process_time()
-    roc(genuine, impostor)
-    print(f"\nroc: {1000 * (time.process_time() - started):.0f} ms of processor time")
+    label, score = np.repeat([1, 0], [genuine.size, impostor.size]), np.concatenate([genuine, impostor])
+    if metrics := library("sklearn.metrics"):
+        contenders["scikit-learn: roc_curve"] = lambda: metrics.roc_curve(label, score)[0].size
+    print_table("ROC, scores in double precision", race(contenders, options.rounds), lambda size: f"{size:,}", "points")
+    rates = {"EER and the threshold of FAR 0.1 %": lambda: eer_and_threshold(genuine, impostor)}
+    if measure := library("bob.measure"):
+        rates["bob.measure: eer, far_threshold"] = lambda: (
+            measure.eer(impostor, genuine), float(np.mean(genuine >= measure.far_threshold(impostor, genuine, 0.001)))
+        )  # fmt: skip
+    facts = race(rates, max(options.rounds // 3, 1))
+    print_table("Figures", facts, lambda found: f"{found[0]:.5f} / {found[1]:.5f}", "EER / GAR at FAR 0.1 %")
     label = np.repeat([True, False], [genuine.size, impostor.size])
     resampling(Scores(label, np.concatenate([genuine, impostor])), ("plain",), options.replicates)
     resampling(thesis(generator), ("plain", "finger", "subject"), options.replicates)
@@ -55,6 +63,11 @@ def figures(genuine: np.ndarray, impostor: np.ndarray) -> int:
     for far in (0.01, 0.001, 0.0001):
         gar_at_far(g, i, far)
     return roc(g, i).far.size
+
+
+def eer_and_threshold(genuine: np.ndarray, impostor: np.ndarray) -> tuple[float, float]:
+    g, i = np.sort(genuine), np.sort(impostor)
+    return float(equal_error(g, i).value), gar_at_far(g, i, 0.001).gar
 
 
 def textbook(genuine: np.ndarray, impostor: np.ndarray) -> np.ndarray:

@@ -15,11 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from peers import library
 from splitknit.finger.orientation import find_upright
+from splitknit.matching.features import lbp_features
 from splitknit.matching.minutiae import enhance_print, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.ridge_band import ridge_band
+from splitknit.matching.ridge_band import print_band, ridge_band
 from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
 from splitknit.model import default_rig
@@ -62,7 +64,17 @@ def main() -> None:
         "comparison, both sides anew": lambda: ridge_match(*(Prepared(unpack(one)) for one in stored)),
         "template from a reconstruction": lambda: template(0),
     }
-    print_table("Ridge templates", race(contenders, 4 * rounds), lambda _: "", "")
+    print_table("Ridge templates", race(contenders, 4 * rounds))
+
+    # like with like: one side turned, which changes nothing in what is computed
+    away = Prepared(make_template(print_band(np.ascontiguousarray(np.rot90(print_of(seen[1], camera.px_per_mm), 2)))))
+    level = Prepared(make_template(print_band(print_of(seen[1], camera.px_per_mm))))
+    ridge_match(ready[0], level), ridge_match(ready[0], away)
+    turned = {
+        "upright": lambda: ridge_match(ready[0], level),
+        "turned by 180 deg": lambda: ridge_match(ready[0], away),
+    }
+    print_table("All rotations", race(turned, 4 * rounds), lambda found: f"{found.rotation_deg:.0f} deg", "found")
 
     boxes = [
         full_size(finger_images(s.normals, x[0], s.mask, camera.pitch_mm)) for s, x in zip(seen, surfaces, strict=True)
@@ -82,12 +94,31 @@ def main() -> None:
         "gabor": lambda: pair("gabor", False),
         "shape_context": lambda: pair("shape_context", False),
     }
-    print_table("The thesis's matcher, four channels of 1528 x 936", race(contenders, rounds), lambda _: "", "")
+    print_table("The thesis's matcher, four channels of 1528 x 936", race(contenders, rounds))
+    if feature := library("skimage.feature"):
+        relief = boxes[0].channels["relief"]
+        rows = relief.shape[0] // 64 * 64
+        wide = relief.shape[1] // 64 * 64
 
+        def by_skimage() -> Any:
+            codes = feature.local_binary_pattern(relief, 8, 1.0, "nri_uniform").astype(np.int64)[:rows, :wide]
+            cell = np.arange(rows)[:, None] // 64 * (wide // 64) + np.arange(wide) // 64
+            return np.bincount((59 * cell + codes).ravel(), minlength=59 * rows * wide // 4096)
+
+        one = {
+            "lbp_features, single": lambda: lbp_features(relief, 75.7),
+            "scikit-image: local_binary_pattern, numpy's bincount, double": by_skimage,
+        }
+        print_table("Local binary patterns of one channel", race(one, rounds))
+
+    minutiae([print_of(s, camera.px_per_mm) for s in seen], rounds)
+
+
+def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
+    """Minutiae of two relief prints, beside nbis-py as it comes."""
     if importlib.util.find_spec("nbis") is None:
         print("nbis-py is not installed: no minutiae.")
         return
-    prints = [print_of(s, camera.px_per_mm) for s in seen]
     found = [extract(picture) for picture in prints]
     print(f"Minutiae: {found[0].count} and {found[1].count}; packed {len(pack_minutiae(found[0]))} bytes")
     contenders = {
@@ -96,8 +127,18 @@ def main() -> None:
         "NFIQ 2 of a print": lambda: nfiq2(prints[0]),
         "comparison of minutiae, both directions": lambda: minutiae_match(*found),
     }
+    import nbis  # noqa: PLC0415
+
+    settings = nbis.NbisExtractorSettings(
+        min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=False, ppi=500.0
+    )
+    plain = nbis.new_nbis_extractor(settings)
+    files = [cv2.imencode(".png", picture)[1].tobytes() for picture in prints]
+    own = [plain.extract_minutiae(file) for file in files]
+    contenders["nbis-py: minutiae of the same as PNG"] = lambda: plain.extract_minutiae(files[0])
+    contenders["nbis-py: comparison, one direction"] = lambda: own[0].compare(own[1])
     size = " x ".join(map(str, prints[0].shape))
-    print_table(f"Minutiae, prints of {size} at 500 ppi", race(contenders, 2 * rounds), lambda _: "", "")
+    print_table(f"Minutiae, prints of {size} at 500 ppi", race(contenders, 2 * rounds))
 
 
 def warm(a: Prepared, b: Prepared) -> None:

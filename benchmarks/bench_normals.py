@@ -36,7 +36,10 @@ def main() -> None:
         "numpy: pinv": lambda: pinv_photometric_stereo(stack, lights),
         "numpy: batched solve, shadow-aware": lambda: batched_weighted_photometric_stereo(stack, lights),
     }
-    print_table("Distant lights", race(contenders, rounds), error, "mean error deg, lit / shadowed")
+    rows = race(contenders, rounds)
+    print("\nAll in single precision. Each against its like: shadow-aware, and all images of equal weight.")
+    for title, pair in (("Shadow-aware", (0, 3)), ("Equal weights", (1, 2))):
+        print_table(title, [rows[k] for k in pair], error, "mean error deg, lit / shadowed")
     azimuth = 2 * np.pi * np.arange(7) / 7
     leds = tuple(Led("white", position_mm=(52.5 * np.cos(a), 52.5 * np.sin(a), 140.0)) for a in azimuth)
     rig = Rig(Camera(75.7, mask.shape), leds)
@@ -47,7 +50,7 @@ def main() -> None:
         "near_light, robust": lambda: near_light(stack, rig, 3.0, mask),
         "pseudo_normals, three channels, weights": lambda: pseudo_normals(colours, rig, 3.0, mask, weights),
     }
-    print_table("Near lights (time alone)", race(near, max(rounds // 2, 1)), lambda _: "", "")
+    print_table("Near lights (time alone)", race(near, max(rounds // 2, 1)))
     folder = Path(os.environ.get("SPLITKNIT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
     bear = folder / "diligent" / "bear.npz"
     if bear.is_file():

@@ -52,7 +52,7 @@ def main() -> None:
         "direct_light, grey, two threads": lambda: direct_light(grey, network),
         "run_network alone, two threads": lambda: run_network(network, colours),
     }
-    print_table("Seven images", race(contenders, options.rounds), lambda _: "", "")
+    print_table("Seven images", race(contenders, options.rounds))
     if options.thesis:
         thesis(colours[:1], options.device)
 

@@ -1,7 +1,17 @@
-"""The usual ways, written plainly, to race against."""
+"""The usual ways, written plainly, and other libraries, to race against.
+
+Libraries that this project does not need (pyamg, scikit-learn, bob.measure, fingerprint-enhancer, pyfing) are taken
+from the folder that SPLITKNIT_PEERS names (``.../site-packages`` of an environment of its own); without it they sit
+out.
+"""
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,6 +21,17 @@ import scipy.sparse.linalg
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
+if os.environ.get("SPLITKNIT_PEERS"):
+    sys.path.append(os.environ["SPLITKNIT_PEERS"])
+
+
+def library(name: str) -> ModuleType | None:
+    """A library to race against; None, which is printed, where it is missing."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        print(f"\n{name} sits out: {error}.")
+        return None
 
 
 def pinv_photometric_stereo(stack: Array, lights: Array) -> Array:
@@ -41,8 +62,8 @@ def frankot_chellappa_plain(slope_x: Array, slope_y: Array) -> Array:
 
 
 def dct_poisson(slope_x: Array, slope_y: Array) -> Array:
-    """Whole rectangle, trapezoidal differences, one cosine transform each way, double precision."""
-    right_side = np.zeros(slope_x.shape)
+    """Whole rectangle, trapezoidal differences, one cosine transform each way, in the precision of the slopes."""
+    right_side = np.zeros(slope_x.shape, slope_x.dtype)
     step = (slope_x[:, 1:] + slope_x[:, :-1]) / 2
     right_side[:, 1:] += step
     right_side[:, :-1] -= step
@@ -53,13 +74,18 @@ def dct_poisson(slope_x: Array, slope_y: Array) -> Array:
 
 
 def dct_inverse_laplacian(right_side: Array) -> Array:
-    """Negative Laplacian with free borders, inverted on its cosines."""
-    values = [2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in right_side.shape]
+    """Negative Laplacian with free borders, inverted on its cosines, in the precision of `right_side`."""
+    return inverse_laplacian(right_side.shape, right_side.dtype)(right_side)
+
+
+def inverse_laplacian(shape: tuple[int, ...], dtype: Any) -> Callable[[Array], Array]:
+    """The same, its eigenvalues made once."""
+    values = [2 - 2 * np.cos(np.pi * np.arange(n) / n) for n in shape]
     eigenvalues = values[0][:, None] + values[1][None]
     eigenvalues[0, 0] = 1
-    spectrum = scipy.fft.dctn(right_side, workers=2) / eigenvalues
-    spectrum[0, 0] = 0
-    return np.asarray(scipy.fft.idctn(spectrum, workers=2))
+    inverse = (1 / eigenvalues).astype(dtype)
+    inverse[0, 0] = 0
+    return lambda right_side: np.asarray(scipy.fft.idctn(scipy.fft.dctn(right_side, workers=2) * inverse, workers=2))
 
 
 def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Array]:
@@ -80,32 +106,47 @@ def masked_system(slope_x: Array, slope_y: Array, mask: Array) -> tuple[Any, Arr
     return (operator.T @ operator).tocsr(), operator.T @ target
 
 
-def masked_cg_dct(slope_x: Array, slope_y: Array, mask: Array, tolerance: float = 1e-6) -> Array:
-    """Masked least squares by conjugate gradients with the rectangle's Poisson solver as preconditioner."""
-    matrix, right_side = masked_system(slope_x, slope_y, mask)
-    start = dct_poisson(slope_x, slope_y)[mask]
+def cg_dct_solver(system: tuple[Any, Array], mask: Array, dtype: Any) -> Callable[[float], Array]:
+    """Masked least squares, matrix at hand: conjugate gradients, the rectangle's Poisson solver as preconditioner."""
+    matrix, right_side = system[0].astype(dtype), system[1].astype(dtype)
+    inverse = inverse_laplacian(mask.shape, dtype)
 
     def precondition(residual: Array) -> Array:
-        image = np.zeros(mask.shape)
+        image = np.zeros(mask.shape, dtype)
         image[mask] = residual
-        return dct_inverse_laplacian(image)[mask]
+        return inverse(image)[mask]
 
-    inverse = scipy.sparse.linalg.LinearOperator(matrix.shape, matvec=precondition)
-    solution, _ = scipy.sparse.linalg.cg(matrix, right_side, x0=start, rtol=tolerance, maxiter=200, M=inverse)
+    operator = scipy.sparse.linalg.LinearOperator(matrix.shape, matvec=precondition, dtype=dtype)
+
+    def solve(tolerance: float) -> Array:
+        solution, _ = scipy.sparse.linalg.cg(matrix, right_side, rtol=tolerance, maxiter=400, M=operator)
+        return _on_grid(solution, mask)
+
+    return solve
+
+
+def pyamg_solver(pyamg: Any, system: tuple[Any, Array], mask: Array) -> Callable[[float], Array]:
+    """Masked least squares by Ruge-Stueben algebraic multigrid, matrix and hierarchy at hand, double precision."""
+    matrix, right_side = system
+    grounded = (matrix + 1e-9 * scipy.sparse.identity(matrix.shape[0], format="csr")).tocsr()
+    grounded.indices, grounded.indptr = grounded.indices.astype(np.int32), grounded.indptr.astype(np.int32)
+    hierarchy = pyamg.ruge_stuben_solver(grounded)
+    return lambda tolerance: _on_grid(hierarchy.solve(right_side, tol=tolerance, accel="cg"), mask)
+
+
+def _on_grid(solution: Array, mask: Array) -> Array:
     height = np.full(mask.shape, np.nan)
-    height[mask] = solution
+    height[mask] = solution - solution.mean()
     return height
 
 
-def masked_pyamg(slope_x: Array, slope_y: Array, mask: Array) -> Array:
-    """Masked least squares by Ruge-Stueben algebraic multigrid; needs pyamg."""
-    import pyamg  # noqa: PLC0415
-
-    matrix, right_side = masked_system(slope_x, slope_y, mask)
-    grounded = matrix + 1e-9 * scipy.sparse.identity(matrix.shape[0], format="csr")
-    height = np.full(mask.shape, np.nan)
-    height[mask] = pyamg.ruge_stuben_solver(grounded).solve(right_side, tol=1e-8, accel="cg")
-    return height
+def loosest(solve: Callable[[float], Array], exact: Array, wanted: float) -> float:
+    """Largest tolerance of a power of ten with which a solver comes as close to the exact solution, in rms."""
+    scale = float(np.sqrt(np.nanmean(np.square(exact))))
+    for power in range(3, 9):
+        if np.sqrt(np.nanmean(np.square(solve(10.0**-power) - exact))) <= wanted * scale:
+            return 10.0**-power
+    return 1e-9
 
 
 def shapelets_scale_by_scale(slope_x: Array, slope_y: Array, scales: int) -> Array:

@@ -1,11 +1,16 @@
 """Run every benchmark, one after the other, and print one Markdown document.
 
-python benchmarks/run_all.py [--quick] > benchmarks/out/tables.md
+    python benchmarks/run_all.py [--quick] > benchmarks/out/tables.md
+    python benchmarks/run_all.py --page [--only bench_match.py ...]
+
+``--page`` writes what the scripts print between their markers in docs/experiments/performance.md instead: one run on a
+quiet machine (load below 1.5, else it warns) remakes the page's tables.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import platform
 import subprocess
 import sys
@@ -31,6 +36,8 @@ SUITES = {
     "bench_reconstruct.py": (["--rounds", "5"], ["--rounds", "1", "--scales", "0.5"]),
 }
 """Arguments of each script: in full, and with ``--quick``."""
+PAGE = HERE.parent / "docs" / "experiments" / "performance.md"
+QUIET = 1.5
 JSON = ("bench_mirror_shape.py",)
 """These print one JSON object, which the document shows as it is."""
 
@@ -38,21 +45,57 @@ JSON = ("bench_mirror_shape.py",)
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="few rounds, half scale: does everything run?")
-    quick = parser.parse_args().quick
+    parser.add_argument("--page", action="store_true", help="write the tables into docs/experiments/performance.md")
+    parser.add_argument("--only", nargs="+", choices=sorted(SUITES), default=list(SUITES), metavar="SCRIPT")
+    options = parser.parse_args()
+    if options.page:
+        return page(options.only, options.quick)
     packages = ", ".join(
         f"{name} {version(name)}" for name in ("splitknit", "numpy", "scipy", "opencv-python-headless")
     )
     print(f"# Benchmarks\n\nPython {platform.python_version()}, {packages}, {platform.machine()}", flush=True)
     failed = 0
-    for script, arguments in SUITES.items():
+    for script in options.only:
         print(f"\n## {script}\n", flush=True)
         fence = script in JSON
         if fence:
             print("```json", flush=True)
-        failed |= subprocess.run([sys.executable, str(HERE / script), *arguments[quick]], check=False).returncode
+        failed |= subprocess.run(command(script, options.quick), check=False).returncode
         if fence:
             print("```", flush=True)
     return int(failed != 0)
+
+
+def command(script: str, quick: bool) -> list[str]:
+    return [sys.executable, str(HERE / script), *SUITES[script][quick]]
+
+
+def page(scripts: list[str], quick: bool) -> int:
+    """Replace what the page holds between the markers of each script; scripts without markers are left out."""
+    failed = []
+    for script in scripts:
+        if f"<!-- {script} -->" not in PAGE.read_text(encoding="utf-8"):
+            continue
+        load = os.getloadavg()[0]
+        if load > QUIET:
+            print(f"{script}: the load is {load:.1f}; figures for the page need a quiet machine.", file=sys.stderr)
+        run = subprocess.run(command(script, quick), check=False, stdout=subprocess.PIPE, text=True)
+        if run.returncode:
+            failed.append(script)
+            continue
+        PAGE.write_text(replaced(PAGE.read_text(encoding="utf-8"), script, run.stdout), encoding="utf-8")
+    if failed:
+        print(f"The page keeps what it had of {', '.join(failed)}, which failed.", file=sys.stderr)
+    return int(bool(failed))
+
+
+def replaced(text: str, script: str, tables: str) -> str:
+    """`text` with `tables` between the markers of `script`."""
+    before, start, rest = text.partition(f"<!-- {script} -->\n")
+    _, end, after = rest.partition(f"<!-- /{script} -->")
+    if not (start and end):
+        raise SystemExit(f"{PAGE.name} holds no pair of markers of {script}.")
+    return f"{before}{start}{tables.strip()}\n{end}{after}"
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 
@@ -16,32 +18,61 @@ class Row:
 
     name: str
     result: Any
-    min_s: float
-    median_s: float
+    wall_s: tuple[float, ...]
+    cpu_s: tuple[float, ...]
+    """Of all threads of this process, round by round."""
+
+    @property
+    def min_s(self) -> float:
+        return min(self.wall_s)
+
+    @property
+    def median_s(self) -> float:
+        return statistics.median(self.wall_s)
 
 
 def race(contenders: dict[str, Callable[[], Any]], rounds: int = 5) -> list[Row]:
-    """Run every contender `rounds` times, one after the other, after one run to warm up."""
+    """Run every contender `rounds` times, one after the other (A B A B ...), after one run to warm up."""
     results = {name: run() for name, run in contenders.items()}
-    seconds: dict[str, list[float]] = {name: [] for name in contenders}
+    seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
     for _ in range(rounds):
         for name, run in contenders.items():
-            start = time.perf_counter()
+            start, busy = time.perf_counter(), time.process_time()
             run()
-            seconds[name].append(time.perf_counter() - start)
-    return [Row(name, results[name], min(s), statistics.median(s)) for name, s in seconds.items()]
+            seconds[name].append((time.perf_counter() - start, time.process_time() - busy))
+    return [Row(name, results[name], *zip(*taken, strict=True)) for name, taken in seconds.items()]
 
 
-def print_table(title: str, rows: list[Row], facts: Callable[[Any], str], head: str) -> None:
-    """Print a Markdown table; the last column is the time relative to the first row."""
-    print(f"\n### {title}\n\n| method | seconds, least / median | {head} | time against the first |")
-    print("| --- | --- | --- | --- |")
+def ratio(row: Row, first: Row) -> float:
+    """Median over the rounds of this one's processor time against the first's in the same round."""
+    return statistics.median(own / max(other, 1e-9) for own, other in zip(row.cpu_s, first.cpu_s, strict=True))
+
+
+def print_table(title: str, rows: list[Row], facts: Callable[[Any], str] | None = None, head: str = "") -> None:
+    """Print a Markdown table; the last column compares processor time with the first row's, round by round."""
+    fact = f" {head} |" if head else ""
+    print(f"\n**{title}**\n\n| method | wall ms, min / median | processor ms, min / median |{fact} ratio |")
+    print("| --- | --- | --- | --- |" + (" --- |" if head else ""))
     for row in rows:
-        ratio = row.median_s / rows[0].median_s
-        print(f"| {row.name} | {row.min_s:.3f} / {row.median_s:.3f} | {facts(row.result)} | {ratio:.1f} |")
+        wall, busy = (f"{_ms(min(taken))} / {_ms(statistics.median(taken))}" for taken in (row.wall_s, row.cpu_s))
+        fact = f" {facts(row.result)} |" if facts and head else ""
+        print(f"| {row.name} | {wall} | {busy} |{fact} {ratio(row, rows[0]):.2f} |")
 
 
-def machine() -> str:
-    """What the figures were measured on."""
+def _ms(seconds: float) -> str:
+    return f"{1000 * seconds:.0f}" if seconds >= 0.1 else f"{1000 * seconds:.3g}"
+
+
+def machine(*packages: str) -> str:
+    """When, on what and with which versions the figures were measured."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    return f"{os.cpu_count()} cores, load {load:.1f} when the run began"
+    found = ", ".join(f"{name} {_version(name)}" for name in ("splitknit", "numpy", *packages))
+    day = datetime.now(UTC).date().isoformat()
+    return f"{day}, {os.cpu_count()} cores, load {load:.1f} when the run began, {found}"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "(not installed)"

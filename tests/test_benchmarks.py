@@ -26,3 +26,24 @@ def test_quick_runs_ask_for_one_or_two_rounds() -> None:
                 assert all(isinstance(word, str) for word in arguments), name
             if "--rounds" in full:
                 assert int(quick[quick.index("--rounds") + 1]) <= 2, name
+
+
+def test_the_page_holds_markers_that_its_tables_replace() -> None:
+    page = (BENCHMARKS.parent / "docs" / "experiments" / "performance.md").read_text(encoding="utf-8")
+    with scripts_of(BENCHMARKS) as script:
+        run_all = script("run_all")
+        for name in run_all.SUITES:
+            assert page.count(f"<!-- {name} -->") == page.count(f"<!-- /{name} -->") <= 1, name
+        changed = run_all.replaced(page, "bench_match.py", "\n| a | b |\n")
+        assert "<!-- bench_match.py -->\n| a | b |\n<!-- /bench_match.py -->" in changed
+        assert run_all.replaced(changed, "bench_match.py", "| a | b |") == changed
+
+
+def test_a_ratio_is_taken_round_by_round() -> None:
+    with scripts_of(BENCHMARKS) as script:
+        timing = script("timing")
+        rows = timing.race({"nothing": lambda: None, "something": lambda: sum(range(20_000))}, 5)
+        assert timing.ratio(rows[0], rows[0]) == 1.0
+        assert timing.ratio(rows[1], rows[0]) > 5
+        first, other = (timing.Row("", None, (1.0,) * 3, cpu) for cpu in ((1.0, 2.0, 4.0), (3.0, 6.0, 4.0)))
+        assert timing.ratio(other, first) == 3.0

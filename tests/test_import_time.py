@@ -6,7 +6,11 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+
+from splitknit.io.templates import write_template
+from splitknit.matching.template import VERSION, Template, pack
 
 HEAVY = ("numpy", "cv2", "scipy", "tifffile", "jinja2", "tqdm", "torch", "onnxruntime", "mitsuba", "matplotlib")
 REPORT = "import sys, json; print(json.dumps([m for m in {heavy!r} if m in sys.modules]))"
@@ -33,10 +37,17 @@ def test_the_pipeline_loads_scipy_in_parts_when_they_are_used() -> None:
     assert _loaded_after("import splitknit.pipeline", parts) == []
 
 
-def test_a_comparison_of_templates_loads_no_reconstruction() -> None:
-    others = ("splitknit.pipeline", "splitknit.finger", "splitknit.skin", "splitknit.networks")
-    parts = ("scipy.ndimage", "scipy.linalg", "scipy.sparse", "scipy.spatial", "onnxruntime", "tifffile", "jinja2")
-    assert _loaded_after("import splitknit.matching.methods", (*others, *parts)) == []
+def test_a_comparison_of_templates_loads_no_reconstruction(tmp_path) -> None:
+    """The whole of ``splitknit match a.skt b.skt``: numpy, OpenCV, and of this library what compares ridges."""
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        level = np.repeat(rng.integers(0, 4, (90, 23), dtype=np.uint8), 4, axis=1)
+        write_template(tmp_path / f"{name}.skt", pack(Template(level, np.ones(level.shape, np.bool_), 0.1)), VERSION)
+    others = ("pipeline", "finger", "skin", "networks", "prints", "photometric", "io.capture", "io.images", "cli.batch")
+    parts = ("scipy", "numpy.ma", "onnxruntime", "tifffile", "jinja2", "tomllib", "secrets")
+    words = ["match", str(tmp_path / "a.skt"), str(tmp_path / "b.skt")]
+    code = f"from splitknit.cli.main import main\nassert main({words}) == 0"
+    assert _loaded_after(code, (*(f"splitknit.{name}" for name in others), *parts)) == []
 
 
 def test_types_need_numpy_only() -> None:

@@ -12,7 +12,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
 from splitknit.matching.elastic import PatchSettings
-from splitknit.matching.ridge import PhaseSettings, Prepared, RidgeMatchSettings, ridge_match
+from splitknit.matching.ridge import PhaseSettings, Prepared, RidgeMatchSettings, _median, peaks, ridge_match
 from splitknit.matching.ridge_band import RidgeBand, RidgeBandSettings, ridge_band
 from splitknit.matching.template import Template, _failed_template, make_template
 
@@ -181,3 +181,16 @@ def window(template: Template, rows: slice, columns: slice) -> Template:
 def made(value: np.ndarray, valid: np.ndarray, pitch_mm: float) -> Template:
     none = np.zeros_like(value)
     return make_template(RidgeBand(value, valid, none, none, pitch_mm))
+
+
+def test_a_clear_first_peak_stands_alone(templates, monkeypatch) -> None:
+    own = Prepared(templates[0])
+    for low, count in ((0.0, 2), (0.999, 1)):
+        monkeypatch.setattr("splitknit.matching.ridge._LOW", low)
+        assert len(peaks(own.rotated, own.directions, own.ridges)) == count
+
+
+def test_the_middle_of_some_values_is_their_median() -> None:
+    for count in (1, 2, 7, 8):
+        values = np.random.default_rng(count).random(count).astype(np.float32)
+        assert _median(values) == np.median(values)

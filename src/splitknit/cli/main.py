@@ -32,7 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):  # None where it is closed
                 stream.reconfigure(errors="backslashreplace")
-    parser = build_parser()
+    words = sys.argv[1:] if arguments is None else arguments
+    alone = words and words[0] in _VERBS and words[0] != "completion"  # which needs to know all
+    parser = build_parser(words[0] if alone else None)
     try:
         options = parser.parse_args(arguments)
         if options.verb is None:
@@ -72,28 +74,35 @@ def _leave(*unused: object) -> NoReturn:
         os._exit(INTERRUPTED)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser with all verbs."""
-    from splitknit.cli.batch import add_batch  # noqa: PLC0415
-    from splitknit.cli.calibrate import add_calibrate  # noqa: PLC0415
-    from splitknit.cli.capture import add_capture  # noqa: PLC0415
-    from splitknit.cli.completion import add_completion  # noqa: PLC0415
-    from splitknit.cli.demo import add_demo  # noqa: PLC0415
-    from splitknit.cli.enroll import add_enroll  # noqa: PLC0415
-    from splitknit.cli.evaluate import add_evaluate  # noqa: PLC0415
-    from splitknit.cli.export import add_export  # noqa: PLC0415
-    from splitknit.cli.gallery import add_gallery_verbs  # noqa: PLC0415
-    from splitknit.cli.identify import add_identify  # noqa: PLC0415
-    from splitknit.cli.import_photos import add_import  # noqa: PLC0415
-    from splitknit.cli.match import add_match  # noqa: PLC0415
-    from splitknit.cli.print import add_print  # noqa: PLC0415
-    from splitknit.cli.reconstruct import add_reconstruct  # noqa: PLC0415
-    from splitknit.cli.rig import add_rig  # noqa: PLC0415
-    from splitknit.cli.separate import add_separate  # noqa: PLC0415
-    from splitknit.cli.simulate import add_simulate  # noqa: PLC0415
-    from splitknit.cli.train import add_train  # noqa: PLC0415
+_VERBS = {
+    "demo": "demo.add_demo",
+    "simulate": "simulate.add_simulate",
+    "import": "import_photos.add_import",
+    "reconstruct": "reconstruct.add_reconstruct",
+    "separate": "separate.add_separate",
+    "train": "train.add_train",
+    "capture": "capture.add_capture",
+    "calibrate": "calibrate.add_calibrate",
+    "rig": "rig.add_rig",
+    "evaluate": "evaluate.add_evaluate",
+    "match": "match.add_match",
+    "enroll": "enroll.add_enroll",
+    "identify": "identify.add_identify",
+    "gallery": "gallery.add_gallery_verbs",
+    "export": "export.add_export",
+    "batch": "batch.add_batch",
+    "view": "view.add_view",
+    "print": "print.add_print",
+    "completion": "completion.add_completion",
+}
+"""Every verb, in the order of ``--help``, and the function that adds it."""
+
+
+def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser with all verbs, or with `verb` alone, for which less is loaded."""
+    from importlib import import_module  # noqa: PLC0415
+
     from splitknit.cli.verb import Parser  # noqa: PLC0415
-    from splitknit.cli.view import add_view  # noqa: PLC0415
 
     parser = Parser(
         prog="splitknit",
@@ -101,25 +110,10 @@ def build_parser() -> argparse.ArgumentParser:
         epilog="Exit code: 0 done, 2 the input cannot be used, 1 internal error. See also 'splitknit VERB --help'.",
     )
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
-    add_demo(verbs)
-    add_simulate(verbs)
-    add_import(verbs)
-    add_reconstruct(verbs)
-    add_separate(verbs)
-    add_train(verbs)
-    add_capture(verbs)
-    add_calibrate(verbs)
-    add_rig(verbs)
-    add_evaluate(verbs)
-    add_match(verbs)
-    add_enroll(verbs)
-    add_identify(verbs)
-    add_gallery_verbs(verbs)
-    add_export(verbs)
-    add_batch(verbs)
-    add_view(verbs)
-    add_print(verbs)
-    add_completion(verbs, parser)
+    for name in _VERBS if verb is None else (verb,):
+        module, _, function = _VERBS[name].partition(".")
+        add = getattr(import_module(f"splitknit.cli.{module}"), function)
+        add(verbs, parser) if name == "completion" else add(verbs)
     return parser
 
 

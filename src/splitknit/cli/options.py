@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -55,6 +54,8 @@ def _scalar(text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError):
         pass
+    import tomllib  # noqa: PLC0415 - most runs change nothing
+
     try:
         return tomllib.loads(f"value = {text}")["value"] if "\n" not in text else text
     except (ValueError, RecursionError):
@@ -67,6 +68,8 @@ def _read_settings_file(path: Path) -> dict[str, Any]:
     if path.suffix.lower() == ".json":
         tree = parse_json(data, f"the settings file '{path}'")
     else:
+        import tomllib  # noqa: PLC0415
+
         try:
             tree = tomllib.loads(data.decode("utf-8"))
         except (ValueError, RecursionError) as error:

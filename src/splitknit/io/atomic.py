@@ -15,7 +15,6 @@ import functools
 import json
 import os
 import re
-import secrets
 import shutil
 import stat
 from collections.abc import Callable, Iterator
@@ -152,6 +151,8 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
 
 
 def _sibling(target: Path, ending: str = "tmp") -> Path:
+    import secrets  # noqa: PLC0415 - who only reads needs none of it
+
     return target.with_name(f".{target.name[:_LONGEST_NAME]}.{secrets.token_hex(6)}.{ending}")
 
 

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
@@ -146,10 +145,7 @@ def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = Non
     settings = settings or LbpSettings()
     rows, columns = codes.shape[0] // cell, codes.shape[1] // cell
     require(rows > 0 and columns > 0, f"the image of {codes.shape} pixels is smaller than a cell of {cell} pixels.")
-    bins = 59 if settings.uniform else 256
-    if settings.uniform:
-        codes = np.asarray(cv2.LUT(codes, _UNIFORM))
-    result = np.empty((rows, columns, bins), dtype=np.float32)
+    result = np.empty((rows, columns, 256), dtype=np.float32)
     across = min(columns, 256)
     down = min(rows, 256 // across)
     number = np.arange(down * across, dtype=np.uint8).reshape(down, across).repeat(cell, axis=0).repeat(cell, axis=1)
@@ -158,8 +154,11 @@ def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = Non
             block = result[i : i + down, j : j + across]
             part = codes[i * cell : (i + block.shape[0]) * cell, j * cell : (j + block.shape[1]) * cell]
             cells = np.ascontiguousarray(number[: part.shape[0], : part.shape[1]])
-            counts = cv2.calcHist([cells, part], [0, 1], None, [down * across, bins], [0, down * across, 0, bins])
-            block[:] = counts.reshape(down, across, bins)[: block.shape[0], : block.shape[1]]
+            counts = cv2.calcHist([cells, part], [0, 1], None, [down * across, 256], [0, down * across, 0, 256])
+            block[:] = counts.reshape(down, across, 256)[: block.shape[0], : block.shape[1]]
+    if settings.uniform:  # bins of a few hundred cells are joined sooner than codes of a million pixels
+        joined = np.argsort(_UNIFORM, kind="stable")
+        result = np.add.reduceat(result[..., joined], np.searchsorted(_UNIFORM[joined], np.arange(59)), axis=2)
     if settings.normalisation == "l2":
         result /= np.sqrt((result * result).sum(axis=2, keepdims=True))
     elif settings.normalisation == "l1":
@@ -247,6 +246,8 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     ----------
     Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
     """
+    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
     image = check_image(image)
     factor = px_per_mm / REFERENCE_PX_PER_MM
     # eight pixels a period are enough for the filters
@@ -285,6 +286,8 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
 
 def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way), and its gain there."""
+    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
     centre, reach = round(middle * side), int(np.ceil(6.0 * width * side))
     count = min(side, scipy.fft.next_fast_len(2 * reach + 1))
     number = centre - count // 2 + np.arange(count)

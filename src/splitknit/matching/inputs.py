@@ -9,9 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import naming, open_file, require
-from splitknit.io.capture import photographs_hint, read_capture
-from splitknit.io.minutiae_record import FingerView
-from splitknit.io.results import read_fields
 from splitknit.io.templates import HEADER_BYTES, MAGIC, read_template
 from splitknit.matching.minutiae import extract, installed
 from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
@@ -75,6 +72,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
         "or a record of minutiae.",
     )
     if path.is_dir():
+        from splitknit.io.capture import photographs_hint, read_capture  # noqa: PLC0415 - a template needs none of it
+
         kind = "result" if (path / "height.npz").is_file() else "capture"
         known = kind == "result" or (path / "capture.json").is_file()
         require(
@@ -96,11 +95,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
         if holds_minutiae(payload):
             return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
         return naming(path, lambda: Side(path, "template", None, unpack(payload)))
-    from splitknit.prints.from_file import (  # noqa: PLC0415 - a template needs none of it
-        minutiae_of,
-        read_one_finger,
-        resampled,
-    )
+    from splitknit.io.minutiae_record import FingerView  # noqa: PLC0415 - a template needs none of it
+    from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled  # noqa: PLC0415
 
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
@@ -140,6 +136,8 @@ def read_surface(path: Path) -> Surface:
     BadInput
         If it is damaged, or an array is missing or of another shape.
     """
+    from splitknit.io.results import read_fields  # noqa: PLC0415 - a template needs none of it
+
     arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))
     return Surface(**arrays)
 

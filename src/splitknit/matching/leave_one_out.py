@@ -10,14 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.band import linear_stack
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.voted_minutiae import VoteSettings, vote
 from splitknit.model import Capture, FloatArray
-from splitknit.photometric.lambertian import left_out
-from splitknit.prints.print_map import plane_map, resample
-from splitknit.prints.ridges import PrintSettings, ink
 
 if TYPE_CHECKING:
     from splitknit.finger.locate import Finger, FingerSettings
@@ -91,7 +87,11 @@ def left_out_pictures(
     # settings of this method belong to those of all, so that every comparison imports this module
     from splitknit.finger.locate import prepared_capture  # noqa: PLC0415
     from splitknit.finger.steady import find_steady_finger  # noqa: PLC0415
+    from splitknit.imaging.band import linear_stack  # noqa: PLC0415
     from splitknit.imaging.coloured import balanced  # noqa: PLC0415
+    from splitknit.photometric.lambertian import left_out  # noqa: PLC0415
+    from splitknit.prints.print_map import plane_map, resample  # noqa: PLC0415
+    from splitknit.prints.ridges import PrintSettings, ink  # noqa: PLC0415
 
     chosen = chosen or LeaveOneOutSettings()
     capture, _ = prepared_capture(capture, settings)

@@ -13,24 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
-from splitknit.io.capture import read_capture
-from splitknit.io.targets import check_file
 from splitknit.io.templates import MAGIC, write_template
 from splitknit.matching.fusion import can_fuse, fused_match, fused_similarity
 from splitknit.matching.inputs import Side, read_side
-from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, installed, minutiae_match, nfiq2
-from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import PPI, Minutiae
 from splitknit.matching.ridge import RidgeMatch, prepared, ridge_match
 from splitknit.matching.score import FmrTable
-from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings, surface_images
-from splitknit.matching.surface_code import surface_code_match
 from splitknit.matching.template import VERSION, Template
-from splitknit.matching.thesis import thesis_match
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress
-from splitknit.prints.ridges import surface_print
 from splitknit.settings import override
 
 SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
@@ -81,6 +73,8 @@ def match_files(
     require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
+        from splitknit.io.targets import check_file  # noqa: PLC0415 - a comparison needs none of it
+
         check_file(template, "a template", lambda data: data.startswith(MAGIC))
         sources = [path.expanduser().resolve() for path in (a, b) if isinstance(path, Path)]
         require(
@@ -204,6 +198,8 @@ def as_calibrated(settings: MatchingSettings) -> bool:
 
 
 def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+    from splitknit.matching.thesis import thesis_match  # noqa: PLC0415 - a template needs none of it
+
     images = []
     for side in (a, b):
         if side.surface is None:
@@ -309,6 +305,8 @@ def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | 
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
     """The print of a side at 500 ppi, and whether it comes from a file."""
     if side.surface is not None:
+        from splitknit.prints.ridges import surface_print  # noqa: PLC0415 - a template needs none of it
+
         return naming(side.path, partial(surface_print, side.surface, PPI)), False
     if side.picture is None:
         raise BadInput(
@@ -337,6 +335,9 @@ def _surface(side: Side, method: str) -> Surface:
 def _by_space_minutiae(
     method: str, sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings
 ) -> dict[str, Any]:
+    from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # noqa: PLC0415 - a template needs none of it
+    from splitknit.matching.space_features import space_minutiae  # noqa: PLC0415 - a template needs none of it
+
     left, right = (
         naming(side.path, partial(space_minutiae, surface)) for side, surface in zip(sides, surfaces, strict=True)
     )
@@ -353,6 +354,9 @@ def _by_space_minutiae(
 
 
 def _by_codes(sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings) -> dict[str, Any]:
+    from splitknit.matching.space_features import surface_code  # noqa: PLC0415 - a template needs none of it
+    from splitknit.matching.surface_code import surface_code_match  # noqa: PLC0415 - a template needs none of it
+
     left, right = (
         naming(side.path, partial(surface_code, surface, settings.surface_code))
         for side, surface in zip(sides, surfaces, strict=True)
@@ -391,7 +395,9 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
 
 
 def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
-    from splitknit.presets import preset_settings  # noqa: PLC0415 - of captures only
+    from splitknit.io.capture import read_capture  # noqa: PLC0415 - of captures only
+    from splitknit.matching.leave_one_out import voted_minutiae  # noqa: PLC0415
+    from splitknit.presets import preset_settings  # noqa: PLC0415
 
     capture = read_capture(side.path)
     return naming(

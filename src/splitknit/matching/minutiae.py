@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
@@ -90,6 +89,8 @@ def enhance_print(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _filtered(even: FloatArray) -> FloatArray:
     """(H, W) what runs along the ridges, from windows added up."""
+    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
     side, step = _WINDOW_PX, _STEP_PX
     rows, columns = (int(np.ceil((size + side) / step)) for size in even.shape)
     padded = np.zeros(((rows - 1) * step + side, (columns - 1) * step + side), dtype=np.float32)

@@ -11,10 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations, permutations
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.matching.minutiae_record import SpaceMinutiae
@@ -29,6 +28,9 @@ from splitknit.matching.space_alignment import (
     two_sides,
 )
 from splitknit.settings import Checked, Limits
+
+if TYPE_CHECKING:
+    import scipy.spatial
 
 Array = NDArray[np.float64]
 
@@ -87,6 +89,8 @@ class PreparedMinutiae3D(Framed):
     @cached_property
     def tree(self) -> scipy.spatial.cKDTree:
         """The looks in units of the tolerances; azimuths go round."""
+        import scipy.spatial  # noqa: PLC0415 - a comparison of templates needs none of it
+
         angle = np.deg2rad(_ANGLE_DEG)
         scaled = self.looks / np.array([_LENGTH_MM, angle, angle])
         round_ = 2 * np.pi / angle
@@ -225,6 +229,8 @@ class PreparedTetrahedra(Framed):
     @cached_property
     def tree(self) -> scipy.spatial.cKDTree:
         """The looks in units of the tolerances."""
+        import scipy.spatial  # noqa: PLC0415 - a comparison of templates needs none of it
+
         units = np.repeat([self.settings.edge_mm, self.settings.edge_mm, np.deg2rad(self.settings.angle_deg)], 3)
         return scipy.spatial.cKDTree(self.looks / units, leafsize=32)
 

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.matching.minutiae_record import SpaceMinutiae, pack_space_minutiae
 from splitknit.settings import Checked, Limits
+
+if TYPE_CHECKING:
+    import scipy.spatial
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
@@ -262,6 +261,8 @@ class PreparedSurface:
 
     def planes(self, turn_deg: float, size: tuple[int, int]) -> NDArray[Any]:
         """Transforms (4, ...) of the planes of the coarse grid, as plus and minus one, zero where there is no code."""
+        import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
         if ("planes", turn_deg, size) not in self._kept:
             code, mask = self.turned(turn_deg, self.settings.coarse_mm)
             signs = [np.where(mask, 1.0 - 2.0 * ((code >> plane) & 1), 0.0) for plane in range(PLANES)]
@@ -271,6 +272,8 @@ class PreparedSurface:
 
     def outline(self, size: tuple[int, int]) -> NDArray[Any]:
         """Transform of the coarse grid's mask."""
+        import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
         if ("outline", size) not in self._kept:
             _, mask = self.turned(0.0, self.settings.coarse_mm)
             self._kept["outline", size] = scipy.fft.rfft2(mask.astype(np.float32), size)
@@ -337,6 +340,8 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
 
     The overlap is taken to be that of the outlines as they came, whatever the turn.
     """
+    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+
     settings, pitch = a.settings, a.settings.coarse_mm
     grids = a.grid(pitch), b.grid(pitch)
     reach = [int(limit / pitch) for limit in (settings.shift_mm, settings.side_shift_mm)]

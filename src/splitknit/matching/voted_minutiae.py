@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
@@ -122,6 +121,8 @@ def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
 
 def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     """For each minutia those that are near enough to be the same, itself among them."""
+    import scipy.spatial  # noqa: PLC0415 - a comparison of templates needs none of it
+
     if not len(pool):
         return []
     places = np.stack([pool["x"], pool["y"]], axis=1)
