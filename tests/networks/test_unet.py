@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.networks.unet import NO_TELEMETRY, Network, _padded_index, _plan_tiles, load_network, run_network
+from splitknit.networks.unet import NO_TELEMETRY, Network, _plan_tiles, load_network, run_network
 from splitknit.separation.direct import direct_light, direct_of_enhanced, exposure_level, local_level
 
 TINY = Path(__file__).parent / "tiny.onnx"
@@ -37,11 +37,6 @@ def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None
             assert source.start in (0, target.start - 48)
             assert source.stop in (covered.shape[axis], target.stop + 48)
     assert (covered == 1).all()
-
-
-def test_reflection_lengthens_to_the_stride() -> None:
-    assert _padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
-    assert _padded_index(16, 8).tolist() == list(range(16))
 
 
 @pytest.mark.parametrize("value", ["0", "", None])
