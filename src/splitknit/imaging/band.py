@@ -107,14 +107,14 @@ def pick_channel(light: FloatArray, channel: str) -> FloatArray:
     return np.asarray(light[..., CHANNELS[channel]])
 
 
-def bin_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+def bin_mean(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
     """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is dropped."""
     if factor == 1:
         return image
-    height, width = (n // factor for n in image.shape[-2:])
-    trimmed = image[..., : height * factor, : width * factor]
+    height, width = (int(n // factor) for n in image.shape[-2:])
+    trimmed = image[..., : ceil(height * factor), : ceil(width * factor)]
     flat = trimmed.reshape(-1, *trimmed.shape[-2:])
-    small = [cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA) for plane in np.ascontiguousarray(flat)]
+    small = [block_means(plane, (height, width), factor) for plane in np.ascontiguousarray(flat)]
     return np.asarray(np.stack(small).reshape(*image.shape[:-2], height, width), dtype=np.float32)
 
 
