@@ -62,8 +62,9 @@ __all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings",
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
-WAYS = (0, 3, 5, 6)
-"""Ways to lay the finger down for the last estimate of the relief: upright, and turned by 180, 90 and 270 degrees."""
+WAYS = (0, 5, 6)
+"""Ways to lay the finger down for the relief's network: upright in every round, turned by 90 and by 270 degrees in the
+last, which takes the mean of these two and of what was drawn upright in the round before."""
 SLOW_MM = 0.32
 """Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
 DOUBTFUL = 0.5
@@ -84,6 +85,7 @@ def reconstruct(
     progress: Callable[[str, float], None] | None = None,
     *,
     memory: Memory | None = None,
+    let_go: bool = False,
 ) -> Reconstruction:
     """Reconstruct one finger.
 
@@ -97,6 +99,8 @@ def reconstruct(
     progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.
+    let_go : whether the images of `capture` may be let go as soon as they have been read
+        Saves 0.3 GB of a full frame; the capture has no bands afterwards.
 
     Returns
     -------
@@ -130,7 +134,7 @@ def reconstruct(
     if capture.material == "skin" and not capture.rig.camera.scale_known:
         capture = _with_working_scale(capture)
     algorithm = split_and_knit if chosen.method == "thesis" else metric
-    with steps.running(progress, memory) as seconds:
+    with steps.running(progress, memory, let_go) as seconds:
         result = algorithm(capture, chosen)
     if not capture.rig.camera.scale_known:
         result = _in_pixels(result)
@@ -285,11 +289,16 @@ def metric(capture: Capture, settings: PipelineSettings) -> Reconstruction:
         refuse_coloured_leds(white)
         bands = (white,) if nir is white else (white, nir)
         images = linear_images(capture, bands, finger.window, finger.inside, settings.metric)
-        skin = skin_surface(images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks)
+        source, seen, networks = source_of(white, nir), images.bands, images.networks
+        images = replace(images, bands=(), networks=None)  # what is read is let go where it is used last
+        del bands, white, nir
+        steps.let_go(capture)
+        skin = skin_surface(seen, images.grid, settings.skin, settings.metric, _report_surface, networks)
+        del seen, networks
         shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (skin.shape_mm, skin.relief_mm, skin.albedo))
         deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
         facts = {
-            "shape_source": source_of(white, nir),
+            "shape_source": source,
             "separation": HOW[skin.facts["relief_by"]],
             "optics": skin.facts,
         }
@@ -332,20 +341,24 @@ def reconstruct_skin(  # noqa: PLR0917
         shape.correct(settings.coarse)
     shape.see_colour()
     relief = np.zeros(grid.shape, dtype=np.float32)
+    drawn: FloatArray | None = None
     rounds = 1 if learned is not None and learned.shape is None else settings.rounds
     for turn in range(rounds):
         if turn > 0 and learned is not None and learned.shape is not None:
             shape.mend(learned.shape, relief)
-        smooth, light = shape.placed(), shape.light()
+        smooth = shape.placed()
         # Relief: what the slopes of the white band's colours lack on that shape, without blur and specular reflection.
         if learned is not None:
-            ways = WAYS if turn == rounds - 1 else (0,)
-            found = relief_by_network(white, grid, smooth, light, learned.relief, ways=ways)
+            last = turn == rounds - 1
+            ways, before = (WAYS if turn == 0 else WAYS[1:], drawn) if last else (WAYS[:1], None)
+            found = relief_by_network(white, grid, smooth, shape.light(), learned.relief, ways=ways, before=before)
+            drawn = found.drawn
         else:
             other = shape.optics_of(1 + skin.scattering_uncertainty)
             found = relief_by_colour(
-                white, grid, smooth, light, shape.optics, other, shape.found.brightness, relief, settings.by_colour
-            )
+                white, grid, smooth, shape.light(), shape.optics, other, shape.found.brightness, relief,
+                settings.by_colour,
+            )  # fmt: skip
         relief = found.relief_mm
         if progress is not None:
             progress((turn + 1) / (rounds + 1))
@@ -704,7 +717,7 @@ def finished(capture: Capture, finger: Finger, surface: Surface, settings: Pipel
 
     def whole_normals(part: FloatArray) -> FloatArray:
         image = np.zeros((*mask.shape, 3), dtype=np.float32)
-        image[window] = part * inside[..., None]
+        image[window] = np.where(inside[..., None], part, np.float32(0.0))  # no negative zeros, which pack badly
         return image
 
     return Reconstruction(

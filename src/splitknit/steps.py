@@ -43,6 +43,11 @@ class Memory:
         """
         require(capture is self._capture, "a memory serves one capture; make another for this one.")
 
+    def forget(self) -> tuple[Capture]:
+        """Forget all results, and return the capture that they followed from."""
+        self._known.clear()
+        return (self._capture,)
+
     def __call__(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what was made for `key`, or make it; errors are not remembered."""
         if key not in self._known:
@@ -57,6 +62,8 @@ class _Run:
 
     progress: Progress | None
     memory: Memory
+    frugal: bool = False
+    """Whether images may be let go when they have been read."""
     seconds: dict[str, float] = field(default_factory=dict)
     stage: str = ""
     """Under way now."""
@@ -68,20 +75,29 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 
 
 @contextmanager
-def running(progress: Progress | None, memory: Memory) -> Iterator[dict[str, float]]:
-    """Time the steps inside, report them to `progress`, and share results by `memory`.
+def running(progress: Progress | None, memory: Memory, frugal: bool = False) -> Iterator[dict[str, float]]:
+    """Time the steps inside, report them to `progress`, and share results by `memory`; let images go where `frugal`.
 
     Yields
     ------
     dict
         Seconds of every stage so far.
     """
-    run = _Run(progress, memory)
+    run = _Run(progress, memory, frugal)
     token = _RUN.set(run)
     try:
         yield run.seconds
     finally:
         _RUN.reset(token)
+
+
+def let_go(capture: Capture) -> None:
+    """Empty the bands of `capture`, and of the one that the run began with, in a run that may let images go."""
+    run = _RUN.get()
+    if run is not None and run.frugal:
+        for one in (capture, *run.memory.forget()):
+            if isinstance(one.bands, dict):
+                one.bands.clear()
 
 
 def report(stage: str, within: float) -> None:

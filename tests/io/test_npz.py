@@ -122,3 +122,25 @@ def test_arrays_are_mapped_as_they_are(tmp_path: Path) -> None:
         found = map_npy(tmp_path / "a.npy")
         np.testing.assert_array_equal(found, array)
         assert isinstance(found, np.memmap) and not found.flags.writeable
+
+
+def test_measured_numbers_are_stored_between_what_is_packed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A finger's heights are hardly deflated, NaN beside them are packed; the same bytes on any number of threads."""
+    rng = np.random.default_rng(0)
+    heights = np.full((700, 1000), np.nan, dtype=np.float32)
+    heights[100:600, 333:777] = rng.standard_normal((500, 444), dtype=np.float32)
+    inside = 4 * 500 * 444
+    files = []
+    for cores in (1, 4):
+        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
+        write_npz(tmp_path / f"{cores}.npz", {"heights": heights, "counts": np.arange(600_000) % 7})
+        files.append((tmp_path / f"{cores}.npz").read_bytes())
+    assert files[0] == files[1]
+    with zipfile.ZipFile(tmp_path / "1.npz") as stream:
+        assert stream.testzip() is None
+        packed = {one.filename: one.compress_size for one in stream.infolist()}
+    assert inside < packed["heights.npy"] < 1.1 * inside
+    assert packed["counts.npy"] < 0.05 * 8 * 600_000  # what shrinks is still deflated
+    with np.load(tmp_path / "1.npz") as found:
+        np.testing.assert_array_equal(found["heights"], heights)
+    np.testing.assert_array_equal(read_npz(tmp_path / "1.npz")["heights"], heights)

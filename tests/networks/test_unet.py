@@ -15,7 +15,6 @@ from splitknit.networks.unet import (
     CUDA_TOLERANCE,
     NO_TELEMETRY,
     Network,
-    _padded_index,
     _plan_tiles,
     load_network,
     run_network,
@@ -50,11 +49,6 @@ def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None
             assert source.start in (0, target.start - 48)
             assert source.stop in (covered.shape[axis], target.stop + 48)
     assert (covered == 1).all()
-
-
-def test_reflection_lengthens_to_the_stride() -> None:
-    assert _padded_index(10, 8).tolist() == [*range(10), 8, 7, 6, 5, 4, 3]
-    assert _padded_index(16, 8).tolist() == list(range(16))
 
 
 @pytest.mark.parametrize("value", ["0", "", None])

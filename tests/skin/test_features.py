@@ -23,6 +23,7 @@ from splitknit.skin.learned import (
     azimuth_waves,
     can_learn,
     features,
+    glare_of,
     relief_by_network,
     ridge_tensor,
     slopes_by_network,
@@ -160,7 +161,7 @@ def test_relief_and_glare_are_what_the_network_draws(scene):
     size = np.linalg.norm(light.vectors, axis=1)
     level = features(scene.white, grid, placed(scene), light).level[1]
     expected = np.maximum(2 + np.cos(azimuth), 0)[:, None, None] * GLARE * level * size
-    np.testing.assert_allclose(found.glare[:, inner], expected[:, inner], rtol=1e-4)
+    np.testing.assert_allclose(glare_of(found, scene.white.rig, light)[:, inner], expected[:, inner], rtol=1e-4)
 
 
 def coarse_of(scene, tilt=0.0):

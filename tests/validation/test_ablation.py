@@ -120,11 +120,12 @@ def test_glare_that_the_network_draws(script: Script, bench: Any, monkeypatch: p
 
     def in_two_turns(*_: object) -> str:
         for _ in range(2):
-            rows.pipeline.relief_by_network()
+            rows.pipeline.relief_by_network(SimpleNamespace(rig=None), None, None, None)
         return "surface"
 
     with monkeypatch.context() as patch:
         patch.setattr(rows.pipeline, "relief_by_network", drawing)
+        patch.setattr(rows, "glare_of", lambda found, *_: found.glare)
         patch.setattr(rows, "reconstruct", in_two_turns)
         patch.setattr(bench, "finger", replace(bench.finger, window=window))
         surface, glare = type(bench)._by_network.func(bench)

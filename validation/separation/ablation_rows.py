@@ -21,6 +21,7 @@ from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.presets import PipelineSettings, preset_settings
 from splitknit.separation.direct import direct_of_enhanced
 from splitknit.settings import override
+from splitknit.skin.learned import glare_of
 
 FIGURES = (
     "ridge_correlation",
@@ -228,9 +229,9 @@ class Bench:
         drawn: list[FloatArray] = []
         original = pipeline.relief_by_network
 
-        def listening(*arguments: Any) -> Any:
-            found = original(*arguments)
-            drawn.append(found.glare)
+        def listening(white: Any, grid: Any, smooth_mm: Any, light: Any, *others: Any, **named: Any) -> Any:
+            found = original(white, grid, smooth_mm, light, *others, **named)
+            drawn.append(glare_of(found, white.rig, light))
             return found
 
         capture = self.twin.capture

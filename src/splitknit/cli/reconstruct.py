@@ -112,9 +112,10 @@ def _reconstruct_to_folder(
             capture, note = naming(source, lambda: with_scale(capture, options.px_per_mm, options.ridge_period))
             notes = [note] if note else []
         read_s = time.perf_counter() - started
+        shown = _shown_of(capture)
         try:
             result = reconstruct(
-                capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
+                capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction), let_go=True
             )
             if device != "cpu":  # its last digits are others'
                 result = replace(result, facts={**result.facts, "device": device})
@@ -123,8 +124,7 @@ def _reconstruct_to_folder(
                 result, timings_s={"reading": read_s, **result.timings_s}, warnings=(*said, *result.warnings)
             )
             progress("writing", 0.8)
-            capture = _shown_of(capture)
-            facts = write_files(result, capture, target, _truth_of(capture))
+            facts = write_files(result, shown, target, _truth_of(shown))
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
@@ -145,9 +145,11 @@ def _truth_of(capture: Capture) -> dict[str, Any] | None:
 
 
 def _shown_of(capture: Capture) -> Capture:
-    """The capture with the images that a report shows; the others are let go, for the sake of memory."""
+    """The capture with small white images for a report, so that the others can be let go, for the sake of memory."""
+    from splitknit.report.photos import small_images  # noqa: PLC0415
+
     bands = {
-        name: band if name == "white" else replace(band, pixels=band.pixels[:0].copy(), ambient=None)
+        name: replace(band, pixels=small_images(band) if name == "white" else band.pixels[:0].copy(), ambient=None)
         for name, band in capture.bands.items()
     }
     return replace(capture, bands=bands)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_image, check_mask
@@ -237,7 +236,7 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     depth, coverage, tilt = best
     scatter = _scatter(depth)
     reach = max(1, round(_SIDE_MM * px_per_mm))
-    peaks = depth >= scipy.ndimage.maximum_filter1d(depth, 2 * reach + 1)
+    peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
     strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * scatter)) & (coverage >= _MIN_COVERAGE)
     for row in np.flatnonzero(strong):
         columns = np.flatnonzero(inside[row])

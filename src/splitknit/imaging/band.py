@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from math import ceil
 from typing import Any
 
 import cv2
@@ -44,7 +45,7 @@ def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def linear_image(
-    pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: int = 1
+    pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: float = 1
 ) -> FloatArray:
     """Linear light of one stored image, all its channels.
 
@@ -54,26 +55,36 @@ def linear_image(
     encoding : ``linear`` or ``srgb``
     exposure : relative exposure (time times gain) by which the light is divided
     black_level : stored value of no light
-    binning : average blocks of this many pixels a side; rows and columns that fill no block are dropped
+    binning : average blocks of this many pixels a side, a multiple of 1/8 from 1 upwards; rows and columns that fill no
+        block are dropped
 
     Returns
     -------
     (H // binning, W // binning, C) float32
     """
-    height, width = (n // binning for n in pixels.shape[:2])
+    height, width = (int(n // binning) for n in pixels.shape[:2])
     table = decode_table(pixels.dtype, encoding)
     light = np.empty((height, width, pixels.shape[2]), dtype=np.float32)
+    columns = ceil(width * binning)
     for top in range(0, height, CHUNK_ROWS):  # what is between stored values and means stays small
         part = slice(top, min(top + CHUNK_ROWS, height))
-        stored = pixels[part.start * binning : part.stop * binning, : width * binning]
+        stored = pixels[int(part.start * binning) : ceil(part.stop * binning), :columns]
         decoded = _decoded(np.ascontiguousarray(stored), table, encoding)
         if binning > 1:
-            size = (width, part.stop - part.start)
-            decoded = np.asarray(cv2.resize(decoded, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+            decoded = block_means(decoded, (part.stop - part.start, width), binning)
         light[part] = decoded.reshape(light[part].shape)
     light -= np.float32(np.interp(black_level, np.arange(table.size), table))
     light *= np.float32(1.0 / exposure)
     return light
+
+
+def block_means(image: NDArray[Any], shape: tuple[int, int], side: float) -> FloatArray:
+    """Means (h, w) or (h, w, C) over blocks of `side` pixels, fractions of pixels by their area."""
+    if side == int(side):
+        means = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
+    else:
+        means = cv2.resize(image, None, fx=1 / side, fy=1 / side, interpolation=cv2.INTER_AREA)
+    return np.asarray(means, dtype=np.float32)[: shape[0], : shape[1]]
 
 
 def _decoded(stored: NDArray[Any], table: FloatArray, encoding: str) -> FloatArray:
@@ -96,14 +107,14 @@ def pick_channel(light: FloatArray, channel: str) -> FloatArray:
     return np.asarray(light[..., CHANNELS[channel]])
 
 
-def bin_mean(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+def bin_mean(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
     """Mean over blocks of `factor` x `factor` pixels of the last two axes; what fills no block is dropped."""
     if factor == 1:
         return image
-    height, width = (n // factor for n in image.shape[-2:])
-    trimmed = image[..., : height * factor, : width * factor]
+    height, width = (int(n // factor) for n in image.shape[-2:])
+    trimmed = image[..., : ceil(height * factor), : ceil(width * factor)]
     flat = trimmed.reshape(-1, *trimmed.shape[-2:])
-    small = [cv2.resize(plane, (width, height), interpolation=cv2.INTER_AREA) for plane in np.ascontiguousarray(flat)]
+    small = [block_means(plane, (height, width), factor) for plane in np.ascontiguousarray(flat)]
     return np.asarray(np.stack(small).reshape(*image.shape[:-2], height, width), dtype=np.float32)
 
 
@@ -111,7 +122,7 @@ Window = tuple[slice, slice]
 
 
 def linear_channels(
-    band: Band, encoding: str, channels: Sequence[str], window: Window | None = None, binning: int = 1
+    band: Band, encoding: str, channels: Sequence[str], window: Window | None = None, binning: float = 1
 ) -> FloatArray:
     """Linear light (C, L, h, w) of a band inside `window`: black level and ambient removed, exposures made equal.
 
@@ -121,7 +132,7 @@ def linear_channels(
     encoding : ``linear`` or ``srgb``
     channels : names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them
     window : rows and columns, optional
-    binning : average blocks of this many pixels a side
+    binning : average blocks of this many pixels a side, see :func:`linear_image`
 
     Returns
     -------
@@ -140,7 +151,8 @@ def linear_channels(
     ambient = _ambient_light(band, encoding, where, binning)
     shape = band.pixels[0][where].shape[:2]
     count = band.pixels.shape[0]
-    stack = np.empty((len(channels), len(band.lights), shape[0] // binning, shape[1] // binning), dtype=np.float32)
+    size = (int(n // binning) for n in shape)
+    stack = np.empty((len(channels), len(band.lights), *size), dtype=np.float32)
     first, levels = _first_lights(band), _clip_levels(band, encoding)
 
     def work(k: int) -> None:
@@ -199,14 +211,14 @@ def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArr
     return total, grey
 
 
-def _ambient_light(band: Band, encoding: str, window: Window, binning: int) -> FloatArray | None:
+def _ambient_light(band: Band, encoding: str, window: Window, binning: float) -> FloatArray | None:
     if band.ambient is None:
         return None
     return linear_image(band.ambient[window], encoding, band.ambient_exposure, band.ambient_black_level, binning)
 
 
 def _lit_light(  # noqa: PLR0917
-    band: Band, k: int, encoding: str, window: Window, binning: int, ambient: FloatArray | None
+    band: Band, k: int, encoding: str, window: Window, binning: float, ambient: FloatArray | None
 ) -> FloatArray:
     """Linear light (h, w, C) of image k without the ambient light."""
     exposure, black = float(band.exposure[k]), float(band.black_level[k])

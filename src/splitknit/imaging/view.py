@@ -127,15 +127,15 @@ def view_of(
     rows: slice | None = None,
     columns: slice | None = None,
     *,
-    binning: int = 1,
+    binning: float = 1,
     along_rays: bool = False,
 ) -> View:
     """View of a window of the camera's image, of blocks of `binning` pixels a side (what fills no block is dropped)."""
     starts = [(part or slice(None)).indices(n) for part, n in zip((rows, columns), camera.image_size, strict=True)]
     (top, bottom, _), (left, right, _) = starts
     middle = 0.5 * (binning - 1)
-    row = np.asarray(top + np.arange((bottom - top) // binning) * binning + middle, dtype=np.float64)
-    column = np.asarray(left + np.arange((right - left) // binning) * binning + middle, dtype=np.float64)
+    row = np.asarray(top + np.arange(int((bottom - top) // binning)) * binning + middle, dtype=np.float64)
+    column = np.asarray(left + np.arange(int((right - left) // binning)) * binning + middle, dtype=np.float64)
     if camera.model == "orthographic":
         return View(*_pixel_axes_mm(camera, row, column))
     some_rows, some_columns = (_lattice(axis) for axis in (row, column))
@@ -238,7 +238,7 @@ def lens_shading(  # noqa: PLR0917
     image_size: Sequence[int],
     first_row: int = 0,
     first_column: int = 0,
-    binning: int = 1,
+    binning: float = 1,
     shape: Sequence[int] | None = None,
 ) -> FloatArray:
     """(h, w) brightness of the lens relative to the image's centre: 1 + a r^2 + b r^4 + ...
@@ -252,7 +252,7 @@ def lens_shading(  # noqa: PLR0917
     shape : of the window in blocks; the whole image by default
     """
     rows, columns = int(image_size[0]), int(image_size[1])
-    height, width = (rows // binning, columns // binning) if shape is None else (int(shape[0]), int(shape[1]))
+    height, width = (int(rows // binning), int(columns // binning)) if shape is None else (int(shape[0]), int(shape[1]))
     middle = 0.5 * (binning - 1)
     y = first_row + np.arange(height) * binning + middle - 0.5 * (rows - 1)
     x = first_column + np.arange(width) * binning + middle - 0.5 * (columns - 1)

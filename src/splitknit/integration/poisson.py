@@ -476,7 +476,8 @@ def _smallest_eigenvalue(lengths: list[float], ratios: list[float]) -> float:
     step, ratio = np.array(lengths), np.array(ratios[1 : len(lengths)])
     diagonal = 1 / step
     diagonal[1:] += ratio / step[:-1]
-    return float(scipy.linalg.eigvalsh_tridiagonal(diagonal, np.sqrt(ratio) / step[:-1])[0])
+    beside = np.sqrt(ratio) / step[:-1]
+    return float(np.linalg.eigvalsh(np.diag(diagonal) + np.diag(beside, -1))[0])  # it reads the lower triangle
 
 
 def _dot(a: NDArray[Any], b: NDArray[Any]) -> float:

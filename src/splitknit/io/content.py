@@ -69,8 +69,8 @@ def _check_image(band: Band, k: int) -> float:
         f"{_name(band, k)} shows nothing: every pixel is {int(sample.max())}; capture it again.",
     )
     clipped = sample >= _FULL_SCALE * scale
-    clipped_pixels = clipped.sum(axis=1) >= min(2, sample.shape[1])
-    lit = (light > _LIT_FRACTION * scale).any(axis=1)
+    clipped_pixels = clipped.sum(axis=0) >= min(2, len(sample))
+    lit = (light > _LIT_FRACTION * scale).any(axis=0)
     fraction = float(clipped_pixels.sum()) / max(1.0, float(lit.sum()))
     require(
         fraction <= _SATURATED_FRACTION or float(clipped_pixels.mean()) <= _SATURATED_AREA,
@@ -79,7 +79,7 @@ def _check_image(band: Band, k: int) -> float:
     )
     if band.ambient is not None:
         light -= _ambient_light(band, k, scale)
-    peak = float(np.quantile(light.max(axis=1), _BRIGHT_QUANTILE)) / scale
+    peak = float(np.quantile(light.max(axis=0), _BRIGHT_QUANTILE)) / scale
     require(
         peak > _DARK_FRACTION,
         f"{_name(band, k)} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
@@ -92,8 +92,8 @@ def _check_image(band: Band, k: int) -> float:
 def _ambient_light(band: Band, k: int, scale: float) -> NDArray[np.float32]:
     assert band.ambient is not None
     ambient = _sample(band.ambient).astype(np.float32) - np.float32(band.ambient_black_level)
-    if ambient.shape[1] != band.pixels.shape[3]:  # one is grey, the other RGB
-        ambient = ambient.mean(axis=1, keepdims=True)
+    if len(ambient) != band.pixels.shape[3]:  # one is grey, the other RGB
+        ambient = ambient.mean(axis=0, keepdims=True)
     factor = scale / float(np.iinfo(band.ambient.dtype).max) * float(band.exposure[k]) / band.ambient_exposure
     return np.asarray(ambient * np.float32(factor), dtype=np.float32)
 
@@ -115,9 +115,9 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
 
 
 def _sample(image: PixelArray) -> NDArray[Any]:
-    """Pixels (n, C) on a regular grid."""
+    """Pixels (C, n) on a regular grid."""
     step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
-    return np.asarray(image[::step, ::step].reshape(-1, image.shape[2]))
+    return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(image.shape[2], -1)
 
 
 def _name(band: Band, k: int) -> str:

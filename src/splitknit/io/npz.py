@@ -2,7 +2,8 @@
 
 :func:`numpy.savez_compressed` uses one core and a slow engine. Here an array is cut into blocks of fixed size that are
 deflated side by side and joined into one deflate stream, as pigz does; so the bytes do not depend on the number of
-threads, and any ``.npz`` reader reads them.
+threads, and any ``.npz`` reader reads them. Measured numbers, which deflate makes 10 % smaller in most of the time that
+writing a result takes, are stored in that stream, and only what is the same over long runs is packed.
 
 References
 ----------
@@ -21,6 +22,8 @@ import zipfile
 import zlib
 from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
 from typing import IO, Any, BinaryIO, Literal
 
 import numpy as np
@@ -30,6 +33,14 @@ from splitknit.io.atomic import atomic_file
 from splitknit.io.deflate import engine
 
 _BLOCK = 1 << 20
+_PAGE = 128
+"""Bytes in which a run of one value is looked for."""
+_SAMPLED = 192
+"""Pages of a block that are deflated to see whether the rest is worth it."""
+_HARDLY = 0.85
+"""Numbers whose pages do not shrink to this are stored: a finger's heights keep 90 % at six times the time."""
+_STORED = 65535
+"""Bytes of a stored block at most (RFC 1951, section 3.2.4)."""
 _LIMIT = (1 << 32) - 1
 _DATE = (0, (0 << 9) | (1 << 5) | 1)  # 1980-01-01 00:00, the first date a ZIP archive knows
 _DEFLATE = 8
@@ -183,8 +194,34 @@ def _write_member(
 
 
 def _deflate(block: memoryview, last: bool) -> bytes:
+    """Deflate a block: level 1, but measured numbers that hardly shrink are stored between runs that do."""
+    words = np.frombuffer(block[: len(block) // _PAGE * _PAGE], np.uint64).reshape(-1, _PAGE // 8)
+    constant = (words == words[:, :1]).all(axis=1)
+    mixed = np.flatnonzero(~constant)
+    sample = words[mixed[:: max(1, len(mixed) // _SAMPLED)]].tobytes()
+    if len(mixed) < _SAMPLED or len(zlib.compress(sample, 1)) < _HARDLY * len(sample):
+        return _packed(block, last)
+    ends = [0, *(np.flatnonzero(np.diff(constant)) + 1).tolist(), len(constant)]
+    parts: list[bytes | memoryview] = []
+    for first, end in pairwise(ends):
+        if constant[first]:
+            parts.append(_run(words[first, :1].tobytes(), (end - first) * _PAGE))
+            continue
+        for start in range(first * _PAGE, end * _PAGE, _STORED):
+            piece = block[start : min(start + _STORED, end * _PAGE)]
+            parts += [b"\0" + struct.pack("<HH", len(piece), len(piece) ^ 0xFFFF), piece]
+    return b"".join([*parts, _packed(block[len(constant) * _PAGE :], last)])
+
+
+def _packed(block: bytes | memoryview, last: bool) -> bytes:
     job = zlib.compressobj(1, zlib.DEFLATED, -15)
     return job.compress(block) + job.flush(zlib.Z_FINISH if last else zlib.Z_SYNC_FLUSH)
+
+
+@lru_cache(maxsize=1024)
+def _run(word: bytes, length: int) -> bytes:
+    """So many bytes of the same eight, such as the NaN beside a finger."""
+    return _packed(word * (length // 8), last=False)
 
 
 def _write_directory(stream: BinaryIO, entries: list[tuple[bytes, bytes, int]]) -> None:

@@ -7,7 +7,6 @@ separates direct light (thesis, section 3.3.1.4), and others of the library. The
 
 from __future__ import annotations
 
-import functools
 import os
 import sys
 from collections.abc import Iterator, Mapping
@@ -16,9 +15,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
@@ -101,7 +100,7 @@ def use_device(device: str = "cpu", threads: int = 2) -> str:
     return device
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Network:
     """A network that is ready to run; threads may share it."""
 
@@ -118,7 +117,8 @@ def load_network(name: str | os.PathLike[str]) -> Network:
     Parameters
     ----------
     name
-        Name of a network in the package (loaded once a process), or path of an ``.onnx`` file with its card beside it.
+        Name of a network in the package (loaded once while it is in use), or path of an ``.onnx`` file with its card
+        beside it.
 
     Raises
     ------
@@ -129,9 +129,16 @@ def load_network(name: str | os.PathLike[str]) -> Network:
     return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running.device)
 
 
-@functools.lru_cache(maxsize=8)
+_IN_USE: WeakValueDictionary[tuple[str, str], Network] = WeakValueDictionary()
+"""Networks of the package that somebody holds, by name and device: what they keep for running (0.4 GB) goes when
+nobody does."""
+
+
 def _load_shipped(name: str, device: str) -> Network:
-    return _load(name)
+    network = _IN_USE.get((name, device))
+    if network is None:
+        network = _IN_USE[name, device] = _load(name)
+    return network
 
 
 def _load(name: str) -> Network:
@@ -222,13 +229,17 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
     require(workers >= 1, f"workers must be at least 1, but it is {workers}.")
     count, channels, height, width = stack.shape
     stride = network.card.stride
-    rows, columns = _padded_index(height, stride), _padded_index(width, stride)
-    tiles = _plan_tiles((rows.size, columns.size), tile, reach=network.card.reach, stride=stride)
+    tiles = _plan_tiles(
+        (height + -height % stride, width + -width % stride), tile, reach=network.card.reach, stride=stride
+    )
     result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
 
     def one(job: tuple[int, _Tile]) -> None:
         k, part = job
-        piece = stack[k][:, rows[part.source[0]]][:, :, columns[part.source[1]]]
+        piece = stack[(k, slice(None), *part.source)]
+        beyond = [(0, s.stop - s.start - n) for s, n in zip(part.source, piece.shape[1:], strict=True)]
+        if any(more for _, more in beyond):
+            piece = np.pad(piece, ((0, 0), *beyond), mode="reflect")
         if channels != network.card.channels_in:
             piece = np.broadcast_to(piece, (network.card.channels_in, *piece.shape[1:]))
         made = _infer(network, np.ascontiguousarray(piece)[None])[0]
@@ -305,14 +316,6 @@ class _Tile:
     """Rows and columns of the network's result that count."""
     target: tuple[slice, slice]
     """Where these go."""
-
-
-def _padded_index(length: int, stride: int) -> NDArray[np.intp]:
-    """Index of every row (or column) of an image that reflection lengthens to the next multiple of `stride`. Raises
-    BadInput if `length` is below `stride`: there is too little to reflect.
-    """
-    require(length >= stride, f"an image side of {length} pixels is shorter than the network's stride of {stride}.")
-    return np.pad(np.arange(length, dtype=np.intp), (0, -length % stride), mode="reflect")
 
 
 def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri
-from splitknit.model import Capture, Reconstruction
+from splitknit.model import Band, Capture, PixelArray, Reconstruction
 
 _NO_LEGEND = Markup("")
 
@@ -62,6 +62,15 @@ LONGEST_PX = 700
 def _titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
     """A photograph with a caption and a scale bar."""
     return captioned(title, image, caption, pitch_mm=pitch_mm, photo=True)
+
+
+def small_images(band: Band) -> PixelArray:
+    """The images (L, h, w, C) of a band as small as a picture of the report shows them."""
+    rows, columns = band.pixels.shape[1:3]
+    scale = min(1.0, LONGEST_PX / max(rows, columns))
+    size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
+    small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in band.pixels]
+    return np.stack(small).reshape(len(small), size[1], size[0], -1)
 
 
 def mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:

@@ -8,13 +8,24 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from splitknit.finger.regions import largest_component
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
 
-WORKERS = 2
+
+def fast_length(least: int) -> int:
+    """Smallest length from `least` on that has no prime factor above five, so that its Fourier transform is fast."""
+    length = least
+    while True:
+        left = length
+        for factor in (2, 3, 5):
+            while left % factor == 0:
+                left //= factor
+        if left == 1:
+            return length
+        length += 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +60,7 @@ class Grid:
 
     @cached_property
     def _size(self) -> tuple[int, int]:
-        rows, columns = (scipy.fft.next_fast_len(n + 2 * self._margin, True) for n in self.shape)
+        rows, columns = (fast_length(n + 2 * self._margin) for n in self.shape)
         return rows, columns
 
     @cached_property
@@ -75,12 +86,12 @@ class Grid:
             padded[..., :, :m] = padded[..., :, m : m + 1]
         if right:
             padded[..., :, m + columns : 2 * m + columns] = padded[..., :, m + columns - 1 : m + columns]
-        return np.asarray(scipy.fft.rfft2(padded, workers=WORKERS))
+        return np.asarray(np.fft.rfft2(padded), dtype=np.complex64)
 
     def inverse(self, spectrum: NDArray[np.complex64]) -> FloatArray:
         """Back from :meth:`forward`, the margin cut off."""
         m, (rows, columns) = self._margin, self.shape
-        field = scipy.fft.irfft2(spectrum, self._size, workers=WORKERS)
+        field = np.fft.irfft2(spectrum, self._size)
         return np.ascontiguousarray(field[..., m : m + rows, m : m + columns], dtype=np.float32)
 
     def radial(self, omega: NDArray[np.float64], gain: NDArray[np.float64]) -> FloatArray:
@@ -119,10 +130,9 @@ def coarsen(grid: Grid, factor: int) -> Grid:
     """Grid of blocks of `factor` pixels a side, all of which belong to the mask; the largest part of it."""
     rows, columns = (n // factor for n in grid.shape)
     blocks = grid.mask[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    mask = np.asarray(scipy.ndimage.binary_opening(np.asarray(blocks.all(axis=(1, 3)))))
-    labels, count = scipy.ndimage.label(mask)
-    if count > 1:
-        mask = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
+    whole = np.pad(blocks.all(axis=(1, 3)).astype(np.uint8), 1)  # nothing belongs to the mask beyond the border
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    mask = largest_component(np.asarray(cv2.morphologyEx(whole, cv2.MORPH_OPEN, cross)[1:-1, 1:-1] > 0))
     if grid.x_mm.ndim == 1:
         x = grid.x_mm[: columns * factor].reshape(columns, factor).mean(axis=1)
         y = grid.y_mm[: rows * factor].reshape(rows, factor).mean(axis=1)
@@ -136,8 +146,10 @@ def coarsen(grid: Grid, factor: int) -> Grid:
 
 def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:
     """Smooth copy of a coarse field on the fine grid, continued beyond its mask by the nearest values."""
-    nearest = scipy.ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    filled = np.where(mask, field, np.float32(0.0))[tuple(nearest)].astype(np.float32)
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    filled = np.asarray(field, dtype=np.float32)[mask][nearest - 1]  # the mask's pixels are numbered row by row
     rows, columns = filled.shape
     large = cv2.resize(filled, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)
     large = cv2.GaussianBlur(large, (0, 0), factor / 2)

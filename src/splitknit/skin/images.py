@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil
 
 import cv2
 import numpy as np
 
-from splitknit.imaging.band import Window, has_colour, linear_channels
+from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.networks.unet import load_network, run_network
@@ -37,7 +38,7 @@ class SkinImages:
     """The white band first."""
     networks: Networks | None
     """Of relief and shape, where they can read the images."""
-    binning: int
+    binning: float
     """Pixels a side that make a block of the camera's grid."""
     finer: bool
     """Whether the working grid has half the blocks' pitch, so that the networks can read it."""
@@ -50,10 +51,11 @@ class SkinImages:
         if self.finer:
             field = coarser(field)
         if self.binning > 1:
-            size = (field.shape[1] * self.binning, field.shape[0] * self.binning)
-            field = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
-        missing = ((0, self.size[0] - field.shape[0]), (0, self.size[1] - field.shape[1]))
-        return np.pad(field, missing, mode="edge")
+            by = self.binning
+            field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
+        rows, columns = self.size
+        missing = ((0, max(0, rows - field.shape[0])), (0, max(0, columns - field.shape[1])))
+        return np.pad(field[:rows, :columns], missing, mode="edge")
 
 
 def working_images(
@@ -82,13 +84,13 @@ def working_images(
 
 def skin_images(
     capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, pitch_mm: float
-) -> tuple[Grid, tuple[BandImages, ...], int]:
+) -> tuple[Grid, tuple[BandImages, ...], float]:
     """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks.
 
     Parameters as for :func:`working_images`.
     """
     white, *others = bands
-    binning = max(1, round(pitch_mm / capture.rig.camera.pitch_mm))
+    binning = max(1.0, round(8 * pitch_mm / capture.rig.camera.pitch_mm) / 8)
     colour = has_colour(white)
     names = ("red", "green", "blue") if colour else ("grey",)
     light = linear_channels(white, capture.encoding, names, window, binning)
@@ -111,12 +113,14 @@ def shipped_networks(settings: MetricSettings) -> Networks | None:
     return Networks(runner(settings.network), runner(settings.shape_network) if settings.shape_network else None)
 
 
-def _grid(capture: Capture, window: Window, mask: BoolArray, binning: int) -> Grid:
+def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> Grid:
     """The working grid: blocks of pixels that all belong to the finger."""
     rows, columns = window
-    height, width = (n // binning for n in mask.shape)
-    blocks = mask[: height * binning, : width * binning].reshape(height, binning, width, binning)
-    inside: BoolArray = np.asarray(blocks.all(axis=(1, 3)), dtype=np.bool_)
+    height, width = (int(n // binning) for n in mask.shape)
+    covered = mask[: ceil(height * binning), : ceil(width * binning)].astype(np.float32)
+    if binning > 1:
+        covered = block_means(covered, (height, width), binning)
+    inside: BoolArray = np.asarray(covered > np.float32(0.999), dtype=np.bool_)
     full = capture.shape
     cut = (
         rows.start == 0 and bool(inside[0].any()),

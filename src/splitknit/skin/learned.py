@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import FineLight, lighting, predict, reached_by_all, slant_of, trust_of
 from splitknit.skin.relief import ReliefEstimate
-from splitknit.skin.turns import Turns
+from splitknit.skin.turns import Turns, between
 
 # What the network of the relief sees: the white band's light in a form that no particular rig, finger or exposure
 # has.
@@ -79,21 +79,25 @@ def features(
         for c in range(channels):
             bright[c, rows] = np.einsum("hwi,hwi->hw", g[c, rows], normals[rows])
 
-    def relative(rows: slice) -> None:
-        vectors, trust, entering = light.vectors[:, :, rows], light.trust[:, rows], light.entering[:, rows]
+    def relative(chunk: slice) -> None:
+        columns = np.flatnonzero(grid.mask[chunk].any(axis=0))
+        if not len(columns):
+            return
+        part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))  # the rest is no finger, and left out below
+        vectors, trust, entering = light.vectors[:, :, *part], light.trust[:, *part], light.entering[:, *part]
         size = np.sqrt((vectors * vectors).sum(axis=1))  # (L, h, w)
         left = np.empty_like(size)
         for c in range(channels):
-            level, here = levels[c, rows], g[c, rows]
-            bright[c, rows] = np.clip(bright[c, rows] / level - 1, -1, 1)
-            for axis, slope in ((0, slope_x[rows]), (1, slope_y[rows])):
-                lacking = -(here[..., axis] + slope * here[..., 2]) / (level * normals[rows, :, 2])
-                slopes[2 * c + axis, rows] = np.clip(lacking, -2, 2)
+            level, here = levels[c, *part], g[c, *part]
+            bright[c, *part] = np.clip(bright[c, *part] / level - 1, -1, 1)
+            for axis, slope in ((0, slope_x[part]), (1, slope_y[part])):
+                lacking = -(here[..., axis] + slope * here[..., 2]) / (level * normals[*part, 2])
+                slopes[2 * c + axis, *part] = np.clip(lacking, -2, 2)
             for k, v in enumerate(vectors):
                 matt = v[0] * here[..., 0] + v[1] * here[..., 1] + v[2] * here[..., 2]
-                stored = band.stack[c, k, rows] / entering[k]
+                stored = band.stack[c, k, *part] / entering[k]
                 left[k] = (stored - matt) * trust[k] / (level * size[k] + np.float32(1e-9))
-            beyond[4 * c : 4 * c + 4, rows] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
+            beyond[4 * c : 4 * c + 4, *part] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
 
     for_each_chunk(brightness, *grid.shape, lights)
     for c in range(channels):
@@ -115,8 +119,9 @@ def features(
     ]
     for room, field in zip(geometry, others, strict=True):
         room[...] = field
-    fields *= grid.mask
-    return Features(np.nan_to_num(fields, copy=False), levels)
+    for field in fields:  # one at a time, so that little memory is needed beside them
+        np.nan_to_num(np.multiply(field, grid.mask, out=field), copy=False)
+    return Features(fields, levels)
 
 
 def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[np.float32]:
@@ -178,9 +183,24 @@ RELIEF_TURNS = Turns(
 _RELIEF = Turns(vectors=((2, 3),), second_waves=((4, 5),), third_waves=((6, 7),))
 
 
-def _drawn_in(ways: Iterable[int], network: Network, fields: FloatArray, seen: Turns, drawn: Turns) -> FloatArray:
-    """Mean of what a network draws on the finger laid down in some of the eight ways; both kinds of fields turn."""
-    parts = [drawn.turned_back(network(seen.turned_by(fields, way)), way) if way else network(fields) for way in ways]
+def _drawn_in(  # noqa: PLR0917
+    ways: Sequence[int],
+    network: Network,
+    given: list[FloatArray],
+    seen: Turns,
+    drawn: Turns,
+    before: FloatArray | None = None,
+) -> FloatArray:
+    """Mean of what a network draws on the finger laid down in some of the eight ways, and of what it drew `before` in
+    one more; both kinds of fields turn. The fields are taken out of the list `given`: beside the network, which needs
+    most memory, there is one copy of them."""
+    parts = [] if before is None else [before]
+    laid, lies = given.pop(), 0
+    for way in ways:
+        if way != lies:
+            laid, lies = seen.turned_by(laid, between(lies, way)), way
+        part = network(laid)
+        parts.append(drawn.turned_back(part, way) if way else part)
     return np.asarray(sum(parts) / np.float32(len(parts)), dtype=np.float32)
 
 
@@ -216,9 +236,10 @@ def relief_by_network(  # noqa: PLR0917
     light: FineLight,
     network: Network,
     found: FloatArray | None = None,
-    ways: Iterable[int] = (0,),
+    ways: Sequence[int] = (0,),
+    before: FloatArray | None = None,
 ) -> ReliefEstimate:
-    """Relief and glare as the network draws them.
+    """Relief as the network draws it; :func:`glare_of` has the glare that it drew with it.
 
     Parameters
     ----------
@@ -229,9 +250,12 @@ def relief_by_network(  # noqa: PLR0917
     network : see :data:`Network`
     found : see :func:`splitknit.skin.learned.features`
     ways : to lay the finger down (0 to 7), over which the mean is taken
+    before : (9, h, w) what was drawn in one more way on an earlier shape, optional
     """
     seen = features(white, grid, smooth_mm, light, found)
-    drawn = _drawn_in(ways, network, seen.fields, RELIEF_TURNS, _RELIEF)
+    levels, given = seen.level, [seen.fields]
+    del seen, light  # of no use beside the network, where memory is needed most
+    drawn = _drawn_in(ways, network, given, RELIEF_TURNS, _RELIEF, before)
     slant = slant_of(smooth_mm, grid.pitch_mm)
     trust = trust_of(slant, grid)
     relief = drawn[0] * RELIEF_MM
@@ -245,15 +269,13 @@ def relief_by_network(  # noqa: PLR0917
     known = np.interp(slant, SLANT_DEG, SLANT_ERROR).astype(np.float32)
     deviation = np.hypot(np.sqrt(variance) * known * trust, typical * (1 - trust)) * grid.mask
     gloss = float((drawn[1][inner] * GLARE).mean()) if inner.any() else 0.0
-    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
-    waves = azimuth_waves(white.rig, 3)
-    glare = np.tensordot(waves, drawn[1:8] * GLARE, 1) * seen.level[1] * size
     return ReliefEstimate(
         relief_mm=relief.astype(np.float32),
         deviation_mm=deviation.astype(np.float32),
         trust=trust,
-        albedo=seen.level[0] * grid.mask,
-        glare=(np.maximum(glare, 0) * grid.mask).astype(np.float32),
+        albedo=levels[0] * grid.mask,
+        level=levels[1] * grid.mask,
+        drawn=drawn,
         facts={
             "relief_by": "network",
             "gloss": gloss,
@@ -262,6 +284,15 @@ def relief_by_network(  # noqa: PLR0917
             "relief_error_um": 1000 * float(np.sqrt(error)),
         },
     )
+
+
+def glare_of(found: ReliefEstimate, rig: Rig, light: FineLight) -> FloatArray:
+    """(L, h, w) light that the surface mirrors in each white image, as the network drew it."""
+    assert found.drawn is not None
+    assert found.level is not None
+    size = np.sqrt((light.vectors * light.vectors).sum(axis=1))
+    glare = np.tensordot(azimuth_waves(rig, 3), found.drawn[1:8] * GLARE, 1) * found.level * size
+    return np.asarray(np.maximum(glare, 0), dtype=np.float32)
 
 
 def with_its_power(found: ReliefEstimate) -> ReliefEstimate:
@@ -289,7 +320,7 @@ def slopes_by_network(  # noqa: PLR0917
     Parameters as for :func:`_shape_features`.
     """
     fields = _shape_features(bands, grid, height_mm, skin, ridges)
-    drawn = _drawn_in(range(8), network, fields, SHAPE_TURNS, _SLOPES) * SHAPE_SLOPE * grid.mask
+    drawn = _drawn_in(range(8), network, [fields], SHAPE_TURNS, _SLOPES) * SHAPE_SLOPE * grid.mask
     return drawn[0], drawn[1]
 
 

@@ -392,6 +392,8 @@ class ReliefEstimate:
     """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
     albedo: FloatArray
     """(h, w) diffuse brightness of the first channel, relative."""
-    glare: FloatArray | None = None
-    """(L, h, w) light that the surface mirrors in each white image, where it is known."""
+    level: FloatArray | None = None
+    """(h, w) brightness of the second channel, specular reflection included, where a network drew the relief."""
+    drawn: FloatArray | None = None
+    """(9, h, w) what that network drew."""
     facts: Mapping[str, Any] = field(default_factory=dict)

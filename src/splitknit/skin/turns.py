@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from splitknit.model import FloatArray
@@ -47,14 +48,30 @@ class Turns:
 
     def turned_by(self, fields: FloatArray, way: int) -> FloatArray:
         """One of the eight orientations (0 to 7) to lay down a square."""
+        marks = np.arange(1, len(fields) + 1, dtype=np.float32)[:, None, None]  # numbered, to see where each goes
         if way & 1:
-            fields = self.mirrored(fields)
+            marks = self.mirrored(marks)
         if way & 2:
-            fields = self.transposed(self.mirrored(self.transposed(fields)))  # top and bottom swapped
-        return self.transposed(fields) if way & 4 else fields
+            marks = self.transposed(self.mirrored(self.transposed(marks)))  # top and bottom swapped
+        if way & 4:
+            marks = self.transposed(marks)
+        down, across = (slice(None, None, -1 if way & bit else 1) for bit in (2, 1))
+        rows, columns = fields.shape[1:]
+        turned = np.empty((len(fields), columns, rows) if way & 4 else fields.shape, dtype=np.float32)
+        for room, mark in zip(turned, marks.ravel(), strict=True):
+            field = fields[int(abs(mark)) - 1]
+            seen = cv2.transpose(field)[across, down] if way & 4 else field[down, across]
+            np.multiply(seen, np.sign(mark), out=room)
+        return turned
 
     def turned_back(self, fields: FloatArray, way: int) -> FloatArray:
         """Undo :meth:`turned_by`."""
-        if way & 4:
-            fields = self.transposed(fields)
-        return self.turned_by(fields, way & 3)
+        return self.turned_by(fields, {5: 6, 6: 5}.get(way, way))
+
+
+def between(first: int, second: int) -> int:
+    """The way (0 to 7) that leads from fields laid down in the `first` way to the same laid down in the `second`."""
+    plain = Turns(vectors=(), second_waves=(), third_waves=())
+    square = np.arange(4, dtype=np.float32).reshape(1, 2, 2)
+    laid, wanted = (plain.turned_by(square, way) for way in (first, second))
+    return next(way for way in range(8) if np.array_equal(plain.turned_by(laid, way), wanted))

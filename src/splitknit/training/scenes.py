@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -262,7 +263,7 @@ TRUTH_FRACTION = 0.999
 class TruthOnGrid:
     """The truth of the simulator on the fine grid."""
 
-    def __init__(self, truth: Mapping[str, NDArray[Any]], window: Window, grid: Grid, binning: int) -> None:
+    def __init__(self, truth: Mapping[str, NDArray[Any]], window: Window, grid: Grid, binning: float) -> None:
         """Take the window of the simulator's arrays; `binning` pixels a side make one of the grid's."""
         self._truth, self._window, self._shape, self._binning = truth, window, grid.shape, binning
         self.mask: BoolArray = np.asarray(self._mean("mask") > TRUTH_FRACTION)
@@ -281,6 +282,6 @@ class TruthOnGrid:
         return self._mean("glare_white")
 
     def _mean(self, name: str) -> FloatArray:
-        rows, columns = (length * self._binning for length in self._shape)
+        rows, columns = (ceil(length * self._binning) for length in self._shape)
         cut = self._truth[name][(..., *self._window)][..., :rows, :columns]
         return bin_mean(np.nan_to_num(np.ascontiguousarray(cut, dtype=np.float32)), self._binning)
