@@ -20,7 +20,7 @@ from splitknit.simulator.twin import simulate_capture
 from splitknit.skin import learned, surface
 from splitknit.skin.grid import Grid
 from splitknit.skin.images import skin_images
-from splitknit.steps import Memory
+from splitknit.steps import Memory, frugal
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,8 @@ def test_images_are_let_go_before_the_surface_where_they_may_be(
     monkeypatch.setattr(surface.CoarseShape, "__init__", beginning)
     memory = Memory(given)
     settings = {"metric.relief": "colour", "metric.rounds": 1}
-    found = splitknit.reconstruct(given, settings=settings, memory=memory, let_go=True)
+    with frugal():
+        found = splitknit.reconstruct(given, settings=settings, memory=memory)
     assert seen == [{}] and not given.bands and not memory._known
     np.testing.assert_array_equal(found.height_mm, kept.height_mm)
 

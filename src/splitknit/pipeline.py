@@ -85,7 +85,6 @@ def reconstruct(
     progress: Callable[[str, float], None] | None = None,
     *,
     memory: Memory | None = None,
-    let_go: bool = False,
 ) -> Reconstruction:
     """Reconstruct one finger.
 
@@ -99,8 +98,6 @@ def reconstruct(
     progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.
-    let_go : whether the images of `capture` may be let go as soon as they have been read
-        Saves 0.3 GB of a full frame; the capture has no bands afterwards.
 
     Returns
     -------
@@ -134,7 +131,7 @@ def reconstruct(
     if capture.material == "skin" and not capture.rig.camera.scale_known:
         capture = _with_working_scale(capture)
     algorithm = split_and_knit if chosen.method == "thesis" else metric
-    with steps.running(progress, memory, let_go) as seconds:
+    with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)
     if not capture.rig.camera.scale_known:
         result = _in_pixels(result)

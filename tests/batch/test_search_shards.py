@@ -58,7 +58,7 @@ def test_of_three_workers_of_a_cluster_one_is_killed(shards: Shards) -> None:
         class Killing:
             """A client one of whose workers is killed when half of the shards are given out."""
 
-            loop = client.loop
+            loop, nthreads = client.loop, client.nthreads
 
             def submit(self, *arguments: object, **named: object) -> object:
                 if len(done) == 6:

@@ -13,7 +13,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.results import read_fields, read_result
 from splitknit.model import surface_of
-from written_files import read_height_tiff
+from written_files import read_light_tiff
 
 AZIMUTH = 2 * np.pi * np.arange(5) / 5
 LIGHTS = np.stack([0.5 * np.cos(AZIMUTH), 0.5 * np.sin(AZIMUTH), np.full(5, 0.87)], axis=1)
@@ -65,8 +65,7 @@ def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:
     assert "in pixels: its scale is unknown" in page and "finger" not in page.split("<h2>Quality")[0]
     assert " mm" not in page.split("<h2>Quality")[0].split("</style>")[1].replace("--px-per-mm", "")
     assert b"unit pixel, the scale is unknown" in (result / "phalange.ply").read_bytes()[:500]
-    with pytest.raises(BadInput, match="not a height map"):
-        read_height_tiff(result / "height.tiff")
+    assert read_light_tiff(result / "height.tiff")[1]["unit"] == "pixel"
 
 
 def test_nothing_takes_pixels_for_millimetres(result: Path, photos: Path, capsys) -> None:

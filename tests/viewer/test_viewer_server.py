@@ -459,7 +459,7 @@ def test_our_own_failure_says_nothing_of_the_inside(
         raise RuntimeError("inside")
 
     server = asking(shown / "metric")
-    monkeypatch.setattr(service, "describe", fail)
+    monkeypatch.setattr(service, "_describe", fail)
     status, _, words = server.get("api/result/0")
     assert status == 500 and b"inside" not in words
     assert "inside" in caplog.text

@@ -12,6 +12,7 @@ import io
 import os
 import signal
 import sys
+from importlib import import_module
 
 TYPE_CHECKING = False  # typing itself takes longer to import than all of the above
 if TYPE_CHECKING:
@@ -100,8 +101,6 @@ _VERBS = {
 
 def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     """Return the parser with all verbs, or with `verb` alone, for which less is loaded."""
-    from importlib import import_module  # noqa: PLC0415
-
     from splitknit.cli.verb import Parser  # noqa: PLC0415
 
     parser = Parser(

@@ -91,6 +91,7 @@ def _reconstruct_to_folder(
     from splitknit.presets import preset_settings  # noqa: PLC0415
     from splitknit.report.result import write_files  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
+    from splitknit.steps import frugal  # noqa: PLC0415
 
     started = time.perf_counter()
     source, out, preset = options.capture or options.images, options.out, options.preset
@@ -114,9 +115,10 @@ def _reconstruct_to_folder(
         read_s = time.perf_counter() - started
         shown = _shown_of(capture)
         try:
-            result = reconstruct(
-                capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction), let_go=True
-            )
+            with frugal():
+                result = reconstruct(
+                    capture, preset, changes, lambda stage, fraction: progress(stage, 0.15 + 0.65 * fraction)
+                )
             if device != "cpu":  # its last digits are others'
                 result = replace(result, facts={**result.facts, "device": device})
             said = [note for note in notes if not any(note in warning for warning in result.warnings)]
