@@ -34,7 +34,7 @@ def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def data_dir() -> Path:
     """Folder of independent data (SPLITKNIT_DATA, else ../shared/data beside the checkout); skips where absent."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("SPLITKNIT_DATA", default))
+    folder = Path(os.environ.get("SPLITKNIT_DATA") or default)
     if not folder.is_dir():
         pytest.skip(f"independent data not found at {folder} (set SPLITKNIT_DATA)")
     return folder
