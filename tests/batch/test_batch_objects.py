@@ -217,7 +217,7 @@ def program(folder: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
 
 @pytest.fixture
 def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Objects]:
-    """An empty bucket of a server that speaks S3; who wants it is told by the environment alone."""
+    """An empty bucket of a server that speaks S3, whose address and credentials are in the environment alone."""
     pytest.importorskip("moto")
     pytest.importorskip("s3fs")
     port = free_port()

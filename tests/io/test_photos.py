@@ -16,7 +16,7 @@ from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import _Photographs, capture_from_photographs, read_named_lights
+from splitknit.io.plain import Photographs, capture_from_photographs, read_named_lights
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array([[0.5, 0, 0.9], [-0.5, 0, 0.9], [0, 0.5, 0.9], [0, -0.5, 0.9], [0.1, 0.1, 1.0]])
@@ -138,7 +138,7 @@ def folder(tmp_path: Path) -> Path:
     return root
 
 
-def files_of(found: _Photographs) -> list[str]:
+def files_of(found: Photographs) -> list[str]:
     return [Path(name).name for name in found.capture.bands["white"].files]
 
 

@@ -32,7 +32,7 @@ from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.skin import SkinSettings, fresnel
 from splitknit.simulator.mirror_scene import _light_through
 from splitknit.simulator.mirror_twin import _bare_behind, _section_points
-from splitknit.simulator.mirror_view import _Gate, _Reflection, as_built, lights_of, outline_coverage
+from splitknit.simulator.mirror_view import Reflection, _Gate, as_built, lights_of, outline_coverage
 from splitknit.simulator.rigs import HolderProfile, MirrorViews, _MirrorParts, _nominal_mirrors, mirror_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
@@ -118,7 +118,7 @@ def test_the_default_mirrors_fit_the_picture_and_the_drawn_sizes_are_the_same():
 
 def test_a_reflection_is_its_own_inverse_and_keeps_the_plane():
     mirror = mirror_rig(MirrorViews(names=("right",)), 0.3).mirrors[0]
-    once = _Reflection.of(mirror)
+    once = Reflection.of(mirror)
     points = np.random.default_rng(0).normal(size=(50, 3)) * 20
     np.testing.assert_allclose(once.points(once.points(points)), points, atol=1e-12)
     corners = np.array(mirror.corners_mm)
@@ -195,7 +195,7 @@ def test_a_pixel_in_a_mirror_shows_what_its_reflected_ray_meets(taken):
         for row, column, at_mirror, turned, distance in traced(truth, capture.rig.camera, name):
             met = at_mirror + turned * distance
             mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
-            behind = _Reflection.of(mirror).points(met)
+            behind = Reflection.of(mirror).points(met)
             apart.append(float(truth[f"view_{name}_shape_mm"][row, column]) - behind[2])
         assert np.median(np.abs(apart)) < 0.03
         assert np.quantile(np.abs(apart), 0.9) < 0.05
@@ -220,7 +220,7 @@ def test_what_a_mirror_shows_lies_on_the_finger(taken):
     for name in ALL:
         points, rows, columns = places_in_view(truth, capture.rig.camera, name)
         mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
-        back = _Reflection.of(mirror)
+        back = Reflection.of(mirror)
         real = back.points(points)
         distance, *_ = body.distance_and_chart(*placement.to_finger(*real.T))
         relief = 1e-3 * truth[f"view_{name}_relief_um"][rows, columns]
@@ -239,7 +239,7 @@ def test_silhouettes_of_views_and_of_the_body_agree(taken):
     for name in ("left", "right"):
         mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
         body = truth["body_shape_mm"].astype(float).reshape(-1, 3)
-        column, row = pixels_of_points(camera, *_Reflection.of(mirror).points(body).T)
+        column, row = pixels_of_points(camera, *Reflection.of(mirror).points(body).T)
         mask = truth[f"view_{name}_mask"]
         rows = np.flatnonzero(mask.sum(axis=1) > 40)[3::8]
         assert rows.size > 5
@@ -389,7 +389,7 @@ def test_the_lip_hides_the_lowest_part_of_a_finger_that_lies_low():
     camera, profile = capture.rig.camera, HolderProfile(low.mirrors.parts)
     for name, inner, outer in (("left", "max", "min"), ("right", "min", "max")):
         mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
-        edge = _Reflection.of(mirror).points(profile.quad(name, camera, profile.lip[1], profile.lip[1]))
+        edge = Reflection.of(mirror).points(profile.quad(name, camera, profile.lip[1], profile.lip[1]))
         face, _ = pixels_of_points(camera, *np.array(mirror.corners_mm).T)
         image, rows = pixels_of_points(camera, *edge.T)
         seen = truth[f"view_{name}_mask"][int(rows.min()) + 3 : int(rows.max()) - 3]

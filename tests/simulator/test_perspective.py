@@ -14,7 +14,7 @@ from splitknit.model import Camera, Led
 from splitknit.simulator.camera.lens import pixels_of_points, slopes_of_pixels
 from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, place
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
-from splitknit.simulator.finger.raycast import _Rays
+from splitknit.simulator.finger.raycast import Rays
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.light.lighting import cut_out, light_on, white_card
 from splitknit.simulator.light.renderer import render_ambient, render_band
@@ -162,7 +162,7 @@ def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: Maste
 
 def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
     slopes = (np.array([0.2, 0.2, 0.0]), np.array([0.0, 0.0, -0.3]))
-    rays = _Rays(np.zeros(3), np.zeros(3), slopes)
+    rays = Rays(np.zeros(3), np.zeros(3), slopes)
     normals = np.array([[0.0, 0.0, 1.0], [0.99, 0.0, np.sqrt(1 - 0.99**2)], [0.0, -0.96, 0.28]])
     given = normals.copy()
     rays.turn_to_view(normals)
@@ -170,7 +170,7 @@ def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
     view = np.array([-0.2, 0.0, 1.0]) / np.sqrt(1.04), np.array([0.0, 0.3, 1.0]) / np.sqrt(1.09)
     np.testing.assert_allclose([normals[1] @ view[0], normals[2] @ view[1]], 1e-3, rtol=0.01)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
-    parallel = _Rays(np.zeros(3), np.zeros(3))
+    parallel = Rays(np.zeros(3), np.zeros(3))
     parallel.turn_to_view(given)
     np.testing.assert_array_equal(given[2], [0.0, -0.96, 0.28])
 

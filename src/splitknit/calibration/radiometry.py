@@ -204,7 +204,7 @@ def _round(value: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _CardCheck:
+class CardCheck:
     """A later card against the stored one."""
 
     ratio: Array
@@ -223,7 +223,7 @@ class _CardCheck:
 
 def check_card(
     capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
-) -> _CardCheck:
+) -> CardCheck:
     """Compare a card with the calibration that a rig carries.
 
     Parameters
@@ -256,7 +256,7 @@ def check_card(
     own = ratio / np.array([middle[band] for band in bands])
     comparable = given and images.exposures_given
     common: dict[str, float | None] = {band: value if comparable else None for band, value in middle.items()}
-    return _CardCheck(
+    return CardCheck(
         ratio=ratio,
         common=common,
         own=own,
@@ -319,7 +319,7 @@ def _change(value: float) -> str:
     return f"{100 * abs(value - 1):.0f} % {'darker' if value < 1 else 'brighter'}"
 
 
-def check_facts(check: _CardCheck, rig: Rig) -> dict[str, Any]:
+def check_facts(check: CardCheck, rig: Rig) -> dict[str, Any]:
     """Return the check as plain JSON."""
     return {
         "verdict": "drifted" if check.sentences else "as calibrated",

@@ -45,7 +45,7 @@ class CheckSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Look:
+class Look:
     """What the checks keep of a shot: small copies."""
 
     grey: FloatArray
@@ -76,7 +76,7 @@ class Examiner:
         self._px_per_mm = px_per_mm
         self._masks: dict[tuple[int, int], tuple[BoolArray, FloatArray]] = {}
 
-    def look(self, frame: Frame) -> _Look:
+    def look(self, frame: Frame) -> Look:
         """Reduce a shot to what the checks need."""
         step = max(1, int(self._px_per_mm / (2.5 * _WORKING_PX_PER_MM)))
         full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
@@ -89,7 +89,7 @@ class Examiner:
         relative = np.asarray(grey / local, dtype=np.float32)
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
         sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-        return _Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
+        return Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
 
     @property
     def moved_mm(self) -> float:
@@ -105,7 +105,7 @@ class Examiner:
         """Scale of a copy with so many columns."""
         return self._px_per_mm * columns / full_columns
 
-    def shift_mm(self, before: _Look, after: _Look, full_columns: int) -> tuple[float, float] | None:
+    def shift_mm(self, before: Look, after: Look, full_columns: int) -> tuple[float, float] | None:
         """How far the finger moved between two shots (x right, y up), or None if they show different things."""
         (x, y), response = cv2.phaseCorrelate(before.details, after.details)
         if response < 0.2:
@@ -113,7 +113,7 @@ class Examiner:
         px = self.working_px_per_mm(before.details.shape[1], full_columns)
         return float(x) / px, -float(y) / px
 
-    def drift(self, looks: Sequence[_Look], dark: _Look, full_columns: int) -> NDArray[np.float64]:
+    def drift(self, looks: Sequence[Look], dark: Look, full_columns: int) -> NDArray[np.float64]:
         """(L,) distance in mm of the finger in each shot of a band from its place in all of them."""
         stack = np.stack([look.grey - dark.grey for look in looks])
         inside, _ = self._mask((stack.shape[1], stack.shape[2]))
@@ -184,9 +184,9 @@ class Shooting:
         self.shots: list[Shot] = []
         self.verdict: list[str] = []
         self.taken = 0
-        self._before: tuple[str, _Look] | None = None
+        self._before: tuple[str, Look] | None = None
         self._steady = True
-        self._looks: list[tuple[str, Sequence[int], list[_Look], _Look]] = []
+        self._looks: list[tuple[str, Sequence[int], list[Look], Look]] = []
 
     def band(self, band: str, leds: Sequence[int], exposure: Exposure, total: int) -> None:
         """Take a band's ambient frame and its lit ones; `total` is the number of frames of all bands."""
@@ -206,7 +206,7 @@ class Shooting:
         self._looks.append((band, leds, looks, dark))
         self.bands[band] = _as_band(band, pixels, leds, frames, room)
 
-    def _lit(self, led: int, dark: _Look, expected: float) -> tuple[Frame, _Look]:
+    def _lit(self, led: int, dark: Look, expected: float) -> tuple[Frame, Look]:
         """Photograph the finger under one LED, again where it went wrong."""
         for attempt in range(self._settings.retries + 1):
             if attempt:
@@ -226,12 +226,12 @@ class Shooting:
             self._before = (self._names[led], look)
         return frame, look
 
-    def _take(self) -> tuple[Frame, _Look]:
+    def _take(self) -> tuple[Frame, Look]:
         frame = self._camera.capture()
         self.taken += 1
         return frame, self._examiner.look(frame)
 
-    def _examine(self, led: int, look: _Look, dark: _Look, expected: float) -> tuple[float | None, list[_Trouble]]:
+    def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[_Trouble]]:
         """Motion in mm, and what is wrong."""
         name = self._names[led]
         if look.level - dark.level < _MIN_LIGHT * expected:
@@ -270,9 +270,7 @@ class Shooting:
                 where = f"under the {band} LEDs (most at {self._names[leds[worst]]})"
                 self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
 
-    def _note(
-        self, name: str, led: int | None, frame: Frame, look: _Look, *, moved: float | None, retries: int
-    ) -> None:
+    def _note(self, name: str, led: int | None, frame: Frame, look: Look, *, moved: float | None, retries: int) -> None:
         self.shots.append(
             Shot(
                 name=name,

@@ -42,7 +42,7 @@ _LONGEST_S = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Grab:
+class Grab:
     """One frame of a stream and what is known of it."""
 
     pixels: PixelArray
@@ -74,7 +74,7 @@ class Stream(Protocol):
     def set(self, exposure_s: float, gain: float) -> None:
         """Set exposure time and gain, within :attr:`exposures`, for frames that come sooner or later."""
 
-    def grab(self) -> _Grab:
+    def grab(self) -> Grab:
         """Return the next frame; one that is triggered, where the camera can be."""
 
     def now_s(self) -> float:
@@ -116,7 +116,7 @@ class StreamCamera(Closing):
         require(not self._closed, "the camera is closed; open it again.")
         since_s, blind = self._stream.now_s(), _BLIND_FRAMES + self._late
         exposure_s, gain = self._wanted
-        last: _Grab | None = None
+        last: Grab | None = None
         for discarded in range(_MAX_FRAMES):
             last = self._stream.grab()
             known = last.began_s is not None
@@ -244,11 +244,11 @@ class _Uvc:
             "photometric stereo needs a camera with manual exposure.",
         )
 
-    def grab(self) -> _Grab:
+    def grab(self) -> Grab:
         good, pixels = self._capture.read()
         require(bool(good), "the UVC camera gave no picture; plug it in again, and close other programs that use it.")
         colours = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
-        return _Grab(self._table[colours], self.now_s())
+        return Grab(self._table[colours], self.now_s())
 
     def now_s(self) -> float:
         return time.monotonic()
@@ -320,7 +320,7 @@ class _GenICam:
         self._nodes.ExposureTime.value = exposure_s * 1e6
         self._nodes.Gain.value = 20 * math.log10(gain)
 
-    def grab(self) -> _Grab:
+    def grab(self) -> Grab:
         began = self.now_s()
         self._nodes.TriggerSoftware.execute()
         try:
@@ -334,7 +334,7 @@ class _GenICam:
             ) from error
         pixels = developed(values.astype(np.uint16), self._bits, 0, self._order)
         exposure_s = float(self._nodes.ExposureTime.value) * 1e-6
-        return _Grab(pixels, self.now_s(), began, exposure_s, 10 ** (float(self._nodes.Gain.value) / 20))
+        return Grab(pixels, self.now_s(), began, exposure_s, 10 ** (float(self._nodes.Gain.value) / 20))
 
     def now_s(self) -> float:
         return time.monotonic()

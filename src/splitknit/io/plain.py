@@ -29,7 +29,7 @@ _BRIGHTEST = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Photographs:
+class Photographs:
     """Photographs as a capture, and what is to be known about how they became one."""
 
     capture: Capture
@@ -123,7 +123,7 @@ def capture_from_photographs(
     encoding: str | None = None,
     background: Background = None,
     tip_direction_deg: float | None = None,
-) -> _Photographs:
+) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
     Parameters
@@ -180,7 +180,7 @@ def capture_from_photographs(
     capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if skipped:
         notes.append(f"skipped in {root}: {_listed(skipped)}.")
-    return _Photographs(capture, tuple(skipped), (*notes, *more))
+    return Photographs(capture, tuple(skipped), (*notes, *more))
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:

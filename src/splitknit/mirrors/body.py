@@ -71,13 +71,13 @@ class Body:
         """Distance from the tip over the length, just above zero beyond the tip, at most one."""
         return np.asarray(np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0))
 
-    def sections(self, u: Array) -> _Sections:
+    def sections(self, u: Array) -> Sections:
         """Centre, half axes and shear at `u` (n,)."""
         w = self.fraction(u)
         s = np.sqrt(w)
         along, root = _between(self._lines[0], w), _between(self._lines[1], s)
         shear = self.shear + self.shear_slope * (w - 0.5)
-        return _Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
+        return Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
 
     def grown(self, step: Array) -> Body:
         """With `step` (4 K,) added to the coefficients."""
@@ -85,7 +85,7 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sections:
+class Sections:
     """Sections of a body at n places."""
 
     t: Array

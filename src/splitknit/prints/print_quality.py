@@ -182,7 +182,7 @@ _MIN_PART = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
+class Part:
     """How one figure enters the score: worth nothing at `useless`, all from `good` on, straight in between."""
 
     useless: float
@@ -214,31 +214,31 @@ _PERIOD_TOLERANCE = 0.35
 class PrintQualitySettings:
     """What counts as ridges, and how the figures make the score."""
 
-    ridge_share: _Part = field(default_factory=lambda: _Part(0.2, 1.0, 0.3))
+    ridge_share: Part = field(default_factory=lambda: Part(0.2, 1.0, 0.3))
     """Fraction of the finger's area on the print that has ridges."""
-    ridge_height_um: _Part = field(default_factory=lambda: _Part(5.0, 50.0, 0.3))
+    ridge_height_um: Part = field(default_factory=lambda: Part(5.0, 50.0, 0.3))
     """Height of the ridges above their valleys in um (prints of the relief)."""
-    coherence: _Part = field(default_factory=lambda: _Part(0.5, 1.0, 0.15))
+    coherence: Part = field(default_factory=lambda: Part(0.5, 1.0, 0.15))
     """How much ridges agree in their direction, 0 to 1."""
-    plausible_share: _Part = field(default_factory=lambda: _Part(0.5, 1.0, 0.15))
+    plausible_share: Part = field(default_factory=lambda: Part(0.5, 1.0, 0.15))
     """Fraction of the ridges whose period is plausible."""
-    sharpness: _Part = field(default_factory=lambda: _Part(0.02, 0.11, 0.15))
+    sharpness: Part = field(default_factory=lambda: Part(0.02, 0.11, 0.15))
     """Second harmonic of the ridges over the first."""
-    ridge_area_mm2: _Part = field(default_factory=lambda: _Part(20.0, 300.0, 0.15))
+    ridge_area_mm2: Part = field(default_factory=lambda: Part(20.0, 300.0, 0.15))
     """Ridges in mm2."""
-    ridge_length_mm: _Part = field(default_factory=lambda: _Part(6.0, 20.0, 0.3))
+    ridge_length_mm: Part = field(default_factory=lambda: Part(6.0, 20.0, 0.3))
     """From the tip to the last ridges in mm."""
-    gap_share: _Part = field(default_factory=lambda: _Part(0.4, 0.0, 0.15))
+    gap_share: Part = field(default_factory=lambda: Part(0.4, 0.0, 0.15))
     """Fraction without ridges of what ridges surround: creases, scars, specular reflection, shadows."""
-    centre_offset_mm: _Part = field(default_factory=lambda: _Part(8.0, 1.0, 0.1))
+    centre_offset_mm: Part = field(default_factory=lambda: Part(8.0, 1.0, 0.1))
     """How far the ridges' centre lies beside the finger's middle, in mm."""
 
     def __post_init__(self) -> None:
         require(sum(part.weight for part in self.parts().values()) > 0, "a quality's weight must be above 0.")
 
-    def parts(self) -> dict[str, _Part]:
+    def parts(self) -> dict[str, Part]:
         """Parts of the score by the name of their figure."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), _Part)}
+        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Part)}
 
 
 @dataclass(frozen=True, slots=True)

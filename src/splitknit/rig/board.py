@@ -48,7 +48,7 @@ Node = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class _Pad:
+class Pad:
     """A round hole with copper on both sides."""
 
     ref: str
@@ -61,7 +61,7 @@ class _Pad:
 
 
 @dataclass(frozen=True, slots=True)
-class _Placed:
+class Placed:
     """A part on the board."""
 
     part: Component
@@ -69,7 +69,7 @@ class _Placed:
     """Of its first pin."""
     outline_mm: tuple[float, float, float, float]
     """Left, top, right, bottom of its body, from its first pin."""
-    pads: tuple[_Pad, ...]
+    pads: tuple[Pad, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,13 +79,13 @@ class Board:
     size_mm: tuple[float, float]
     holes_mm: tuple[tuple[float, float], ...]
     """Centres of the screw holes."""
-    parts: tuple[_Placed, ...]
+    parts: tuple[Placed, ...]
     tracks: tuple[tuple[str, int, tuple[tuple[float, float], ...]], ...]
     """Net, side (0 front, 1 back) and corners of every track."""
     vias: tuple[tuple[str, tuple[float, float]], ...]
 
     @property
-    def pads(self) -> Iterator[_Pad]:
+    def pads(self) -> Iterator[Pad]:
         """All of them."""
         return (pad for placed in self.parts for pad in placed.pads)
 
@@ -146,7 +146,7 @@ def lay_out(circuit: Circuit, settings: BoardSettings | None = None) -> Board:
     chosen = settings or BoardSettings()
     inset = ((chosen.pcb_x_mm - chosen.pcb_hole_x_mm) / 2, (chosen.pcb_y_mm - chosen.pcb_hole_y_mm) / 2)
     holes = tuple((x, y) for y in (inset[1], size[1] - inset[1]) for x in (inset[0], size[0] - inset[0]))
-    joined: tuple[_Pad, ...] = ()
+    joined: tuple[Pad, ...] = ()
     for _ in range(_PLANES):
         tracks, vias = _Router(Board(size, holes, parts, (), ()), joined).route()
         board = Board(size, holes, parts, tracks, vias)
@@ -165,7 +165,7 @@ def _shape_of(part: Component) -> tuple[str, _Shape]:
     return next((name, shape) for name, shape in _SHAPES.items() if name in part.footprint)
 
 
-def _placed(circuit: Circuit, settings: BoardSettings) -> tuple[tuple[_Placed, ...], tuple[float, float]]:
+def _placed(circuit: Circuit, settings: BoardSettings) -> tuple[tuple[Placed, ...], tuple[float, float]]:
     """Two rows of stages, the header and the jack between them, the rest of the supply above."""
     by_ref = {part.ref: part for part in circuit.components}
     count = len(circuit.channels)
@@ -200,7 +200,7 @@ def _placed(circuit: Circuit, settings: BoardSettings) -> tuple[tuple[_Placed, .
         _, shape = _shape_of(part)
         origin = half_x + at[part.ref][0] * GRID_MM, half_y + at[part.ref][1] * GRID_MM
         pads = tuple(
-            _Pad(
+            Pad(
                 part.ref,
                 pin,
                 nets.get((part.ref, pin), ""),
@@ -210,14 +210,14 @@ def _placed(circuit: Circuit, settings: BoardSettings) -> tuple[tuple[_Placed, .
             )
             for pin, (dx, dy) in shape.pins.items()
         )
-        placed.append(_Placed(part, (round(origin[0], 4), round(origin[1], 4)), shape.outline_mm, pads))
+        placed.append(Placed(part, (round(origin[0], 4), round(origin[1], 4)), shape.outline_mm, pads))
     return tuple(placed), (round(2 * half_x, 2), round(2 * half_y, 2))
 
 
 class _Router:
     """Finds tracks on the grid; a net for which there is no way is routed first the next time."""
 
-    def __init__(self, board: Board, grounds: Sequence[_Pad] = ()) -> None:
+    def __init__(self, board: Board, grounds: Sequence[Pad] = ()) -> None:
         self.board = board
         width, height = board.size_mm
         # the grid goes through the middle of the board
@@ -232,7 +232,7 @@ class _Router:
         # pads that keep a track, or a via, off a place: all of them, and by net
         self.near: NDArray[np.int64] = np.zeros((2, *self.shape), dtype=np.int64)
         self.own: dict[str, NDArray[np.int64]] = {}
-        self.on: dict[_Pad, list[tuple[int, int]]] = {}
+        self.on: dict[Pad, list[tuple[int, int]]] = {}
         for pad in board.pads:
             away = np.hypot(x - pad.at_mm[0], y - pad.at_mm[1]) - pad.size_mm / 2
             reaches = (TRACK_MM / 2 + CLEARANCE_MM - 1e-6, VIA_MM / 2 + CLEARANCE_MM - 1e-6)
@@ -241,7 +241,7 @@ class _Router:
             self.own[pad.net] = self.own.get(pad.net, 0) + near
             inside = np.argwhere(away <= 1e-6 - TRACK_MM / 2)
             self.on[pad] = [(int(i), int(j)) for i, j in inside]
-        terminals: dict[str, list[_Pad]] = {"GND": list(grounds)} if grounds else {}
+        terminals: dict[str, list[Pad]] = {"GND": list(grounds)} if grounds else {}
         for pad in board.pads:
             if pad.net and pad.net != "GND":
                 terminals.setdefault(pad.net, []).append(pad)
@@ -305,7 +305,7 @@ class _Router:
         self,
         net: str,
         tree: set[Node],
-        goals: Mapping[Node, _Pad],
+        goals: Mapping[Node, Pad],
         blocked: BoolArray,
         taken: Mapping[Node, str],
     ) -> list[Node] | None:
@@ -383,7 +383,7 @@ class _Router:
         return tuple(self._at(node) for node in kept)
 
 
-def _off_the_plane(board: Board) -> set[_Pad]:
+def _off_the_plane(board: Board) -> set[Pad]:
     """Ground pads that the largest part of the plane does not reach. Drawn at 0.1 mm."""
     scale = 10.0
     width, height = (round(side * scale) for side in board.size_mm)
@@ -422,7 +422,7 @@ def _off_the_plane(board: Board) -> set[_Pad]:
     return {pad for pad in board.pads if pad.net == "GND"} - bridged
 
 
-def spokes(board: Board) -> Iterator[tuple[_Pad, tuple[float, float]]]:
+def spokes(board: Board) -> Iterator[tuple[Pad, tuple[float, float]]]:
     """Ground pads, each with the ends of its bridges to the plane: those that keep off other nets and the edge."""
     need = SPOKE_MM / 2 + PLANE_CLEARANCE_MM - 1e-6
     others = [(pad.at_mm, pad.at_mm, pad.size_mm / 2) for pad in board.pads if pad.net != "GND"]

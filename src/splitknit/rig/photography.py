@@ -93,7 +93,7 @@ class PhotonSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class _Exposure:
+class Exposure:
     """How one band is exposed."""
 
     time_s: float
@@ -119,7 +119,7 @@ def electrons_per_s(radiance: float, lamp: _Lamp, settings: PhotonSettings) -> f
     return float(photons * lamp.quantum_efficiency)
 
 
-def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> _Exposure:
+def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> Exposure:
     """Shutter first, then gain, then darkness.
 
     Parameters
@@ -134,7 +134,7 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> _Exposure:
     wanted = TARGET_LEVEL * FULL_WELL_E / rate_e_s
     time = float(np.clip(wanted, settings.shortest_s, _LONGEST_S))
     gain = float(np.clip(wanted / time, 1.0, _MAX_GAIN))
-    return _Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
+    return Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
 
 
 def _tremor_blur_mm(time_s: float) -> float:
@@ -160,7 +160,7 @@ class Shot:
     """A capture and how it was exposed."""
 
     capture: Capture
-    exposures: Mapping[str, _Exposure]
+    exposures: Mapping[str, Exposure]
 
 
 def photograph(
@@ -208,7 +208,7 @@ def photograph(
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         frames, brightest = _frames(surface, [rig.leds[k] for k in members], name, skin, walks)
         if rendered:
-            exposure = _Exposure(0.0, 1.0, brightest * W_PER_UNIT)
+            exposure = Exposure(0.0, 1.0, brightest * W_PER_UNIT)
             sensor = SensorSettings(noise=False, raw_bits=16, encoding="srgb")
         else:
             exposure = plan_exposure(electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons)

@@ -26,7 +26,7 @@ Numbers = NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Reflection:
+class Reflection:
     """Reflection in a plane: x -> matrix x + offset, its own inverse."""
 
     matrix: Array
@@ -35,7 +35,7 @@ class _Reflection:
     """(3,) mm."""
 
     @classmethod
-    def of(cls, mirror: Mirror) -> _Reflection:
+    def of(cls, mirror: Mirror) -> Reflection:
         """The reflection in a mirror's plane."""
         normal, point = mirror.normal, mirror.point_mm
         return cls(np.eye(3) - 2.0 * np.outer(normal, normal), 2.0 * normal * float(normal @ point))
@@ -70,7 +70,7 @@ class _Gate:
     corners: Array
     """(N, 3)."""
 
-    def reflected(self, reflection: _Reflection) -> _Gate:
+    def reflected(self, reflection: Reflection) -> _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
@@ -118,7 +118,7 @@ class Light:
     led: Led
     gate: _Gate | None = None
 
-    def reflected(self, reflection: _Reflection) -> Light:
+    def reflected(self, reflection: Reflection) -> Light:
         """The same behind a mirror, at full strength."""
         gate = None if self.gate is None else self.gate.reflected(reflection)
         return Light(reflection.led(self.led, 1.0), gate)
@@ -130,7 +130,7 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     Light that meets two mirrors one after the other is left out.
     """
     images = [
-        Light(_Reflection.of(mirror).led(led, mirror.reflectance), _Gate(np.asarray(mirror.corners_mm)))
+        Light(Reflection.of(mirror).led(led, mirror.reflectance), _Gate(np.asarray(mirror.corners_mm)))
         for mirror in mirrors
     ]
     return [Light(led), *images]
@@ -187,7 +187,7 @@ class View:
 
     mirror: Mirror
     """As it truly is."""
-    reflection: _Reflection
+    reflection: Reflection
     surface: Surface
     """The reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror."""
     coverage: Coverage
@@ -219,7 +219,7 @@ def mirror_view(
     BadInput
         If the mirror lies outside the picture, or no part of the finger is seen in it.
     """
-    reflection = _Reflection.of(mirror)
+    reflection = Reflection.of(mirror)
     behind = reflection.placement(placement)
     coverage = outline_coverage(camera, np.asarray(mirror.corners_mm))
     require(

@@ -291,7 +291,7 @@ class ReferenceSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ReferenceImage:
+class ReferenceImage:
     """Radiance of a crop in the rig's units, in independent parts."""
 
     batches: FloatArray
@@ -316,7 +316,7 @@ class _ReferenceImage:
 def render_crop(
     surface: Surface, window: tuple[slice, slice], leds: Sequence[Led], optics: ChannelOptics,
     settings: ReferenceSettings | None = None,
-) -> _ReferenceImage:  # fmt: skip
+) -> ReferenceImage:  # fmt: skip
     """Light that came through the skin, in one channel, by random walks in its volume.
 
     Parameters
@@ -349,7 +349,7 @@ def reference_scene(
     return build(engine, surface, window, leds, binning=settings.binning, margin_mm=settings.margin_mm)
 
 
-def render_volume(crop: ReferenceScene, optics: ChannelOptics, settings: ReferenceSettings) -> _ReferenceImage:
+def render_volume(crop: ReferenceScene, optics: ChannelOptics, settings: ReferenceSettings) -> ReferenceImage:
     """Random walks of one channel; see :func:`render_crop`."""
     parts, walks = BATCHES, settings.samples // BATCHES
     smooth = settings.boundary == "smooth"
@@ -363,7 +363,7 @@ def render_volume(crop: ReferenceScene, optics: ChannelOptics, settings: Referen
     # what is spread evenly inside leaves towards the camera as from a matt surface; a smooth one keeps directions
     scale = 1.0 / walks if smooth else 1.0 / (walks * np.pi * diffuse_transmittance())
     entered = 1.0 - np.asarray(crop.mi.fresnel(seen.normal.z, REFRACTIVE_INDEX)[0], dtype=np.float64)
-    return _ReferenceImage(
+    return ReferenceImage(
         _images(crop, [np.asarray(one) * scale for one in sums], parts),
         float(np.asarray(left, dtype=np.float64).sum() / (walks * entered.sum())),
         float(np.asarray(steps, dtype=np.float64).mean() / walks),
@@ -372,7 +372,7 @@ def render_volume(crop: ReferenceScene, optics: ChannelOptics, settings: Referen
 
 def render_glare(
     crop: ReferenceScene, roughness: float, settings: ReferenceSettings, samples: int | None = None
-) -> _ReferenceImage:
+) -> ReferenceImage:
     """Light that the surface alone reflects (GGX of `roughness`), with shadows and inter-reflection.
 
     `samples` rays a pixel are sent, ``settings.samples`` unless it is given. `left` of the result is the fraction of
@@ -389,7 +389,7 @@ def render_glare(
     sums = np.array([[np.asarray(one) for one in order] for order in orders], dtype=np.float64)
     by_part = sums.reshape(*sums.shape[:2], -1, rays).mean(axis=-1)
     total = by_part.sum(axis=0)
-    return _ReferenceImage(_images(crop, list(total), BATCHES), float(by_part[1:].sum() / max(total.sum(), 1e-30)), 1.0)
+    return ReferenceImage(_images(crop, list(total), BATCHES), float(by_part[1:].sum() / max(total.sum(), 1e-30)), 1.0)
 
 
 def _images(crop: ReferenceScene, lights: list[Any], parts: int) -> FloatArray:

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class _Tolerances(Checked):
+class Tolerances(Checked):
     """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
 
     led_position_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
@@ -71,7 +71,7 @@ class _Tolerances(Checked):
         require(low <= high, f"tolerances.corner_vignetting must be (low, high), but it is ({low}, {high}).")
 
 
-def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
+def built_rig(seed: int, *, scale: float = 1.0, tolerances: Tolerances | None = None) -> Rig:
     """Return the rig as a person builds it: the truth that calibration has to find.
 
     Parameters
@@ -91,7 +91,7 @@ def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None =
         If `scale` or `seed` is out of range.
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
-    tolerances = tolerances or _Tolerances()
+    tolerances = tolerances or Tolerances()
     drawn = nominal_rig(scale)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
     camera = _built_camera(drawn.camera, tolerances, rng)
@@ -110,7 +110,7 @@ def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None =
     return Rig(camera=camera, leds=leds, provenance=provenance)
 
 
-def _built_camera(drawn: Camera, tolerances: _Tolerances, rng: np.random.Generator) -> Camera:
+def _built_camera(drawn: Camera, tolerances: Tolerances, rng: np.random.Generator) -> Camera:
     assert drawn.matrix is not None
     rows, columns = drawn.image_size
     focal, height, *offset = _normal(rng, 4)
@@ -135,7 +135,7 @@ def _built_camera(drawn: Camera, tolerances: _Tolerances, rng: np.random.Generat
 
 def _built_led(
     drawn: Led,
-    tolerances: _Tolerances,
+    tolerances: Tolerances,
     rng: np.random.Generator,
     seen_from_camera: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
 ) -> Led:

@@ -178,7 +178,7 @@ def simulate_capture(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _LaidDown:
+class LaidDown:
     """A finger under a rig."""
 
     surface: Surface
@@ -195,7 +195,7 @@ def lay_down(
     *,
     impression: int = 0,
     finger: Finger | None = None,
-) -> _LaidDown:
+) -> LaidDown:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
     finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
@@ -205,7 +205,7 @@ def lay_down(
         surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
     else:
         surface = finger_surface(finger, pose, camera, workers=workers)
-    return _LaidDown(surface, rig, skin, photo_seed)
+    return LaidDown(surface, rig, skin, photo_seed)
 
 
 def _drawn(

@@ -24,7 +24,7 @@ STEPS = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Export:
+class Export:
     """A file on its way out."""
 
     name: str
@@ -33,7 +33,7 @@ class _Export:
     chunks: Iterable[bytes]
 
 
-def export(entry: Entry, surface: Surface, kind: str, step: int) -> _Export:
+def export(entry: Entry, surface: Surface, kind: str, step: int) -> Export:
     """Make a file of every `step`-th value along rows and columns.
 
     Raises
@@ -55,14 +55,14 @@ def export(entry: Entry, surface: Surface, kind: str, step: int) -> _Export:
     require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
     if kind == "stl":
         title = f"{entry.report.get('preset', '')} {name}"
-        return _Export(name, KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title))
+        return Export(name, KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title))
     used = index >= 0
     normals = _normals(entry, surface)[::step, ::step][used]
     intensity = _albedo(entry, surface)[::step, ::step][used]
     facts = _origin(entry, step, "mm" if surface.scale_known else "pixel, the scale is unknown")
     if kind == "glb":
         size, chunks = glb_chunks(vertices, normals, intensity, faces, facts)
-        return _Export(name, KINDS[kind], size, chunks)
+        return Export(name, KINDS[kind], size, chunks)
     with tempfile.TemporaryDirectory(prefix="splitknit-") as folder:
         comments = [f"{key} {value}" for key, value in facts.items()]
         plain = [text.encode("ascii", "replace").decode("ascii") for text in comments]
@@ -70,9 +70,9 @@ def export(entry: Entry, surface: Surface, kind: str, step: int) -> _Export:
         return _opened(name, kind, open_below(Path(folder), name))  # open: it outlives its name
 
 
-def _opened(name: str, kind: str, stream: BinaryIO) -> _Export:
+def _opened(name: str, kind: str, stream: BinaryIO) -> Export:
     pieces = Pieces(stream)
-    return _Export(name, KINDS[kind], pieces.size, pieces)
+    return Export(name, KINDS[kind], pieces.size, pieces)
 
 
 def _origin(entry: Entry, step: int, unit: str) -> dict[str, Any]:

@@ -27,7 +27,7 @@ _WIDEST = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class _Photo:
+class Photo:
     """One photograph."""
 
     name: str
@@ -41,10 +41,10 @@ class _Photo:
 
 
 @dataclass(frozen=True, slots=True)
-class _Photographs:
+class Photographs:
     """The photographs of a folder, and what a person should know of them."""
 
-    photos: tuple[_Photo, ...]
+    photos: tuple[Photo, ...]
     plain: bool
     """A folder of photographs, no capture."""
     facts: tuple[tuple[str, str], ...] = ()
@@ -54,7 +54,7 @@ class _Photographs:
 
 
 @lru_cache(maxsize=16)
-def photographs_of(folder: Path) -> _Photographs:
+def photographs_of(folder: Path) -> Photographs:
     """Return the photographs of a capture, or of any folder that holds some, band by band.
 
     Raises
@@ -68,7 +68,7 @@ def photographs_of(folder: Path) -> _Photographs:
         return _plain(folder, where, out)
     plan = read_plan(folder / "capture.json")
     photos = tuple(
-        _Photo(
+        Photo(
             name,
             band,
             number,
@@ -80,7 +80,7 @@ def photographs_of(folder: Path) -> _Photographs:
     )
     camera, about = plan.rig.camera, plan.subject
     facts = (
-        ("_Photographs", ", ".join(f"{len(shots.names)} {band}" for band, shots in plan.bands.items())),
+        ("Photographs", ", ".join(f"{len(shots.names)} {band}" for band, shots in plan.bands.items())),
         ("Pixels", f"{camera.image_size[1]} x {camera.image_size[0]}"),
         ("Scale", f"{camera.px_per_mm:.4g} px/mm" if camera.scale_known else "unknown"),
         ("Stored", "sRGB" if plan.encoding == "srgb" else plan.encoding),
@@ -91,10 +91,10 @@ def photographs_of(folder: Path) -> _Photographs:
             if about.get(key)
         ),
     )
-    return _Photographs(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
+    return Photographs(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
 
 
-def _plain(folder: Path, where: str, out: str) -> _Photographs:
+def _plain(folder: Path, where: str, out: str) -> Photographs:
     table, notes = folder / "lights.txt", []
     lights: Sequence[Any] = ()
     try:
@@ -117,17 +117,17 @@ def _plain(folder: Path, where: str, out: str) -> _Photographs:
     notes += [f"Not used: {', '.join(skipped[:8])}{' and more' if len(skipped) > 8 else ''}."] if skipped else []
     curves = ["srgb" if file.suffix.lower() in SRGB_SUFFIXES else "linear" for file in files]
     photos = tuple(
-        _Photo(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
+        Photo(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
         for number, (file, curve) in enumerate(zip(files, curves, strict=True))
     )
     facts = (
-        ("_Photographs", str(len(photos))),
+        ("Photographs", str(len(photos))),
         ("Lights", f"{len(lights)} directions" if lights else "not known"),
         ("Stored", "sRGB (assumed)" if curves[0] == "srgb" else "linear (assumed; --encoding srgb changes it)"),
         ("Mask", masks[0].name if masks else "none"),
     )
     named = "" if table.is_file() else "--lights FILE "
-    return _Photographs(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
+    return Photographs(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
 
 
 def _unit(vector: Any) -> tuple[float, float, float] | None:
@@ -157,7 +157,7 @@ def photo_jpeg(entry: Entry, number: int, width: int) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _jpeg(folder: Path, photo: _Photo, sha256: str, plain: bool, width: int) -> bytes:
+def _jpeg(folder: Path, photo: Photo, sha256: str, plain: bool, width: int) -> bytes:
     data = read_below(folder, photo.name)
     same = not sha256 or hashlib.sha256(data).hexdigest() == sha256
     require(same, f"{photo.name} is not the file that this result was made from: its hash is another.")

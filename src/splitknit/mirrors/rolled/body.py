@@ -42,7 +42,7 @@ CUT_TURN_DEG = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _BodyBetweenMirrors:
+class BodyBetweenMirrors:
     """What the outlines determine."""
 
     body: Body
@@ -61,7 +61,7 @@ def body_between_mirrors(  # noqa: PLR0917
     tip_direction_deg: float = 0.0,
     settings: MirrorShapeSettings | None = None,
     slopes_on: Callable[[MirrorShape], Slopes | None] | None = None,
-) -> _BodyBetweenMirrors:
+) -> BodyBetweenMirrors:
     """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front.
 
     Parameters
@@ -127,7 +127,7 @@ def body_between_mirrors(  # noqa: PLR0917
             fit = fit_body(body, planes, seen, poses, chosen, slopes)
     refuse_misfit(fit, seen)
     found = {name: fit.poses[name].of(seen[name]) for name in seen}
-    return _BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in seen), tuple(useless))
+    return BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in seen), tuple(useless))
 
 
 def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows | None:

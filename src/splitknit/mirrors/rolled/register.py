@@ -63,7 +63,7 @@ FEW = 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Correction:
+class Correction:
     """What moves the surface and the mirrors."""
 
     radius_mm: Array
@@ -124,7 +124,7 @@ class Seen:
 
 def align(  # noqa: PLR0917
     chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, mirrors: Sequence[Seen], pose_free: bool = True
-) -> _Correction:
+) -> Correction:
     """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at once.
 
     Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
@@ -182,7 +182,7 @@ def align(  # noqa: PLR0917
     smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
     poses = [(float(a), float(b), float(c)) for a, b, c in values[count:].reshape(-1, 3)]
-    return _Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
+    return Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
 
 
 class _Part:

@@ -62,7 +62,7 @@ class SearchSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
+class Found:
     """What makes two views meet."""
 
     radius_mm: Array
@@ -82,7 +82,7 @@ def search(  # noqa: PLR0917
     second: FloatArray,
     both: BoolArray,
     settings: SearchSettings | None = None,
-) -> _Found:
+) -> Found:
     """Find how the surface bulges and where the mirror lies.
 
     Parameters
@@ -92,7 +92,7 @@ def search(  # noqa: PLR0917
     both : (n, m) where both see the finger
     """
     chosen = settings or SearchSettings()
-    nothing = _Found(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
+    nothing = Found(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
     rows, columns = np.nonzero(both)
     if rows.size < 500:
         return nothing
@@ -150,7 +150,7 @@ def search(  # noqa: PLR0917
     _, at = refined(at, slice(None))
     best = score(modes @ at.astype(np.float32), slice(None))
     if best < MIN_CORRELATION:
-        return _Found(nothing.radius_mm, nothing.pose, best)
+        return Found(nothing.radius_mm, nothing.pose, best)
     there = (
         (np.sign(chart.angle_rad) == side) * np.sin(2 * chart.angle_rad) ** 2 * (np.abs(chart.angle_rad) < np.pi / 2)
     )
@@ -158,7 +158,7 @@ def search(  # noqa: PLR0917
     rising = np.clip(rising, float(along.min()), float(along.max()))
     further = (np.abs(chart.angle_rad) - np.pi / 4) / np.deg2rad(20.0)
     radius = there[None] * (at[3] + at[4] * rising[:, None] + at[5] * further[None])
-    return _Found(radius, (float(at[0]), float(at[1]), float(at[2])), best)
+    return Found(radius, (float(at[0]), float(at[1]), float(at[2])), best)
 
 
 def _explained(modes: FloatArray, move: Array, spread: Array, pitch_mm: float) -> Array:

@@ -41,7 +41,7 @@ def glass_in(mirror: Mirror, normal: Array, offset_mm: float) -> Glass:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Skin:
+class Skin:
     """Points of the finger on a grid of one view's pixels."""
 
     points_mm: Array
@@ -54,7 +54,7 @@ class _Skin:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ViewLight:
+class ViewLight:
     """The lights of one view."""
 
     rig: Rig
@@ -66,8 +66,8 @@ class _ViewLight:
 
 
 def view_light(  # noqa: PLR0917
-    rig: Rig, sight: Sight, glasses: Sequence[Glass], skin: _Skin, origin_mm: Array, pitch_mm: float
-) -> _ViewLight:  # fmt: skip
+    rig: Rig, sight: Sight, glasses: Sequence[Glass], skin: Skin, origin_mm: Array, pitch_mm: float
+) -> ViewLight:  # fmt: skip
     """The lights as one view has them: in the view's frame, its origin moved to `origin_mm` (of that frame).
 
     Light that meets two mirrors one after the other is left out.
@@ -89,7 +89,7 @@ def view_light(  # noqa: PLR0917
         others = [_in_view(light, sight, origin_mm, skin) for light in lights if light.path != ring]
         ring_led = replace(first[0], reflected=False)
         leds.append(replace(ring_led, also=(*(replace(led, reflected=False) for led in first[1:]), *others)))
-    return _ViewLight(replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32))
+    return ViewLight(replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ class _Light:
     """(h, w) fraction that comes within the mirror's outline."""
 
 
-def _lights(led: Led, glasses: Sequence[Glass], skin: _Skin) -> list[_Light]:
+def _lights(led: Led, glasses: Sequence[Glass], skin: Skin) -> list[_Light]:
     found = [_Light(led, "", facing_fraction(skin.points_mm, skin.normals, led))]
     for glass in glasses:
         image = led_image(led, glass.plane, glass.reflectance)
@@ -126,7 +126,7 @@ def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
     return np.asarray(t * t * (3.0 - 2.0 * t), dtype=np.float32)
 
 
-def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: _Skin) -> Led:
+def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: Skin) -> Led:
     """A light of the rig's frame in the view's moved frame, with its shade."""
     seen = light.led if sight.plane is None else led_image(light.led, sight.plane)
     if seen.position_mm is not None:
@@ -139,13 +139,13 @@ def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: _Skin) -> Led:
 
 def skin_points(  # noqa: PLR0917
     heights_mm: FloatArray, x_mm: Array, y_mm: Array, normals: FloatArray, sight: Sight, origin_mm: Array
-) -> _Skin:
+) -> Skin:
     """Points and normals of a surface in a view's moved frame (heights (h, w) over x (w,), y (h,)), in the rig's."""
     place = np.stack([*np.broadcast_arrays(x_mm[None, :], y_mm[:, None]), heights_mm], axis=-1).astype(np.float64)
     points = place + origin_mm
     if sight.plane is not None:
         points = reflect_points(points, sight.plane)
-    return _Skin(
+    return Skin(
         points, sight.turned(np.asarray(normals, dtype=np.float64)), (float(x_mm[0]), float(x_mm[-1])),
         (float(y_mm[0]), float(y_mm[-1])),
     )  # fmt: skip

@@ -225,14 +225,14 @@ _EDGE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class _BoardPose:
+class BoardPose:
     """One pose of a board."""
 
     rotation_vector: tuple[float, float, float]
     translation_mm: tuple[float, float, float]
 
 
-def board_poses(seed: int, count: int, camera: Camera, board: Board | None = None) -> list[_BoardPose]:
+def board_poses(seed: int, count: int, camera: Camera, board: Board | None = None) -> list[BoardPose]:
     """Draw poses of a board, all of its squares in the picture.
 
     Parameters
@@ -254,7 +254,7 @@ def board_poses(seed: int, count: int, camera: Camera, board: Board | None = Non
     require(seed >= 0 and count >= 1, "seed must not be negative and count must be at least one.")
     board = board or Board()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
-    poses: list[_BoardPose] = []
+    poses: list[BoardPose] = []
     for _ in range(_TRIES * count):
         pose = _draw(rng, camera, board)
         if pose is not None:
@@ -268,7 +268,7 @@ def board_poses(seed: int, count: int, camera: Camera, board: Board | None = Non
     )
 
 
-def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> _BoardPose | None:
+def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> BoardPose | None:
     """One pose, or None where so turned a board does not fit."""
     tilt, turn, height = (low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM))
     axis = 2.0 * np.pi * rng.random()
@@ -289,7 +289,7 @@ def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> _BoardPose 
     if slack < 0.0:
         return None
     x, y, z = (float(v) for v in middle)
-    return _BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
+    return BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
 
 
 def _outer_corners(

@@ -129,7 +129,7 @@ TRUTH_STEP_MM = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _MovingFinger:
+class MovingFinger:
     """A finger, its pose in the reference shot, and its path."""
 
     finger: Finger
@@ -208,7 +208,7 @@ def moving_finger(  # noqa: PLR0917
     shots: int,
     workers: int,
     reference: int | None = None,
-) -> _MovingFinger:
+) -> MovingFinger:
     """Draw the motion of a finger that lies in `pose` in its reference shot.
 
     Parameters
@@ -226,7 +226,7 @@ def moving_finger(  # noqa: PLR0917
     rng = np.random.default_rng(slip_seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
     first, second = (_scaled(draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM), 1 / unit_mm) for _ in "12")
-    return _MovingFinger(finger, pose, camera, master, path, (first, second), workers)
+    return MovingFinger(finger, pose, camera, master, path, (first, second), workers)
 
 
 def _scaled(deformation: Deformation, factor: float) -> Deformation:

@@ -27,7 +27,7 @@ Triple = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Rays:
+class Rays:
     """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
 
     x: Array
@@ -36,10 +36,10 @@ class _Rays:
     slopes: tuple[Array, Array] | None = None
     """(N,) each: how far they move along x and y per mm downwards; None: they are parallel to z."""
 
-    def some(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> _Rays:
+    def some(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rays:
         """The rays with these indices."""
         slopes = None if self.slopes is None else (self.slopes[0][which], self.slopes[1][which])
-        return _Rays(self.x[which], self.y[which], slopes)
+        return Rays(self.x[which], self.y[which], slopes)
 
     def at(self, z: Array) -> Triple:
         """(N,) x, y and z of the points at heights `z`."""
@@ -83,16 +83,16 @@ class _Rays:
         normals[away] /= np.sqrt((normals[away] ** 2).sum(axis=1, keepdims=True))
 
 
-def rays_of(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Rays:
+def rays_of(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Rays:
     """The rays of all pixels in these rows and columns, row by row."""
     if camera.model == "perspective":
         across, up = slopes_of_pixels(camera, columns[None, :], rows[:, None])
         across, up = across.ravel(), up.ravel()
-        return _Rays(across * camera.height_mm, up * camera.height_mm, (across, up))
+        return Rays(across * camera.height_mm, up * camera.height_mm, (across, up))
     x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
     y = ((camera.image_size[0] - 1) / 2 - rows) / camera.px_per_mm
     grid_x, grid_y = np.meshgrid(x, y)
-    return _Rays(grid_x.ravel(), grid_y.ravel())
+    return Rays(grid_x.ravel(), grid_y.ravel())
 
 
 Gap = Callable[[NDArray[np.intp], Array], Array]
@@ -266,7 +266,7 @@ def finger_in_view(body: FingerBody, skin: SkinMap, placement: Placement, camera
 
 
 def cast_rays(
-    body: FingerBody, skin: SkinMap, placement: Placement, rays: _Rays, start: Array, *, bottom: float | None = None
+    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, start: Array, *, bottom: float | None = None
 ) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
     """Which of the rays meet the skin, and for those height, shape height, normals, shape normals, relief (um), pigment
     and chart; of a perspective camera also x and y of the skin (mm), which do not follow from the grid.
@@ -295,7 +295,7 @@ def cast_rays(
     )  # fmt: skip
 
 
-def meets(body: FingerBody, placement: Placement, rays: _Rays, start: Array) -> NDArray[np.bool_]:
+def meets(body: FingerBody, placement: Placement, rays: Rays, start: Array) -> NDArray[np.bool_]:
     """(N,) whether rays meet the smooth finger below the heights `start`."""
     return _meet_body(body, placement, rays, start)[1]
 
@@ -330,7 +330,7 @@ def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: 
     return np.asarray(guess.ravel(), dtype=np.float64)
 
 
-def _meet_body(body: FingerBody, placement: Placement, rays: _Rays, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _meet_body(body: FingerBody, placement: Placement, rays: Rays, start: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Newton from above: heights of the front intersection with a body that is convex along every ray."""
     z = start.copy()
     settled = np.zeros(z.shape, dtype=np.bool_)
@@ -353,7 +353,7 @@ def _meet_body(body: FingerBody, placement: Placement, rays: _Rays, start: Array
 def _meet_along(
     body: FingerBody,
     placement: Placement,
-    rays: _Rays,
+    rays: Rays,
     heights: tuple[Array, float],
     found: tuple[Array, NDArray[np.bool_]],
 ) -> None:
@@ -378,7 +378,7 @@ def _meet_along(
 
 
 def _meet_skin(  # noqa: PLR0917
-    body: FingerBody, skin: SkinMap, placement: Placement, rays: _Rays, z0: Array, facing: Array
+    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, z0: Array, facing: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met it.
 
@@ -412,7 +412,7 @@ def _meet_skin(  # noqa: PLR0917
 
 
 def _ray_model(
-    body: FingerBody, placement: Placement, rays: _Rays, z0: Array, facing: Array
+    body: FingerBody, placement: Placement, rays: Rays, z0: Array, facing: Array
 ) -> list[tuple[Array, Array, Array]]:
     """Quadratics in the depth under the smooth skin for distance, u and v along every ray."""
     step = 0.05 / np.maximum(facing, 0.2)

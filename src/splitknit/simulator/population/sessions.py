@@ -95,7 +95,7 @@ class SessionRanges(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class _Impression:
+class Impression:
     """One finger in one session."""
 
     yaw_deg: float
@@ -130,7 +130,7 @@ class _Impression:
 
 def draw_impression(
     own: OwnFinger, ranges: SessionRanges, camera: Camera, *, seed: int, number: int, session: int
-) -> _Impression:
+) -> Impression:
     """Draw how the finger `own` of person `number` in the population `seed` is laid down in a session, from 1.
 
     What a person's fingers share in a session (swelling, moisture, gain of the camera) is drawn for the person.
@@ -160,7 +160,7 @@ def draw_impression(
     partial = bool(rng.random() < ranges.partial_share)
     full, short = even(ranges.insertion_mm), even(ranges.partial_insertion_mm)
     _, lower, upper = picture_on_plane(camera)
-    return _Impression(
+    return Impression(
         yaw_deg=ranges.yaw_sd_deg * normal(),
         pitch_deg=ranges.pitch_sd_deg * normal(),
         roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
@@ -219,7 +219,7 @@ class PopulationSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Shown:
+class Shown:
     """One capture of the population."""
 
     capture: Capture
@@ -235,7 +235,7 @@ def population_capture(
     session: int,
     *,
     master: MasterPrint | None = None,
-) -> _Shown:
+) -> Shown:
     """Simulate one capture.
 
     Parameters
@@ -284,10 +284,10 @@ def population_capture(
     truth["deformation_shift_mm"] = deformation.shift_mm
     truth["deformation_u_mm"], truth["deformation_v_mm"] = deformation.u_mm, deformation.v_mm
     truth |= {f"impression_{name}": np.asarray(value) for name, value in facts.items()}
-    return _Shown(replace(capture, rig=rig, subject=subject), truth, facts)
+    return Shown(replace(capture, rig=rig, subject=subject), truth, facts)
 
 
-def finger_of_today(finger: Finger, impression: _Impression) -> Finger:
+def finger_of_today(finger: Finger, impression: Impression) -> Finger:
     """The finger, swollen and pressed as in this impression, its ridges as deep as its moisture makes them."""
     shape, skin = finger.shape, finger.skin
     return replace(
@@ -305,7 +305,7 @@ def finger_of_today(finger: Finger, impression: _Impression) -> Finger:
     )
 
 
-def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinSettings:
+def _skin_of_today(own: OwnFinger, impression: Impression) -> SkinSettings:
     """The optics of the finger's skin, as moist and as full of blood as in this impression."""
     return replace(
         own.optics,
@@ -325,7 +325,7 @@ def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
     return replace(rig, leds=leds)
 
 
-def _twin_settings(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
+def _twin_settings(settings: PopulationSettings, impression: Impression) -> TwinSettings:
     return TwinSettings(
         render=settings.render,
         background=BackgroundSettings(
@@ -338,7 +338,7 @@ def _twin_settings(settings: PopulationSettings, impression: _Impression) -> Twi
 
 
 def _facts(
-    person: Person, own: OwnFinger, today: Finger, master: MasterPrint, impression: _Impression
+    person: Person, own: OwnFinger, today: Finger, master: MasterPrint, impression: Impression
 ) -> dict[str, Any]:
     return {
         "sex": person.sex,
