@@ -51,6 +51,21 @@ def test_a_finger_that_is_missing_in_a_session() -> None:
         comparisons(["x", "y"], [1, 1])
 
 
+def test_two_fingers_are_drawn_once_for_all_sessions() -> None:
+    asked: list[tuple[str, str]] = []
+
+    def drawn(one: str, other: str) -> bool:
+        asked.append((one, other))
+        return {one, other} == {"x", "z"}
+
+    finger, session = ["x", "y", "z"] * 3, [k for k in (1, 2, 3) for _ in range(3)]
+    few, every = comparisons(finger, session, drawn), comparisons(finger, session)
+    assert len(asked) == 3
+    kept = [finger[a] == finger[b] or "y" not in (finger[a], finger[b]) for a, b in zip(every.a, every.b, strict=True)]
+    assert few.a.tolist() == every.a[kept].tolist() and few.b.tolist() == every.b[kept].tolist()
+    assert few.genuine.tolist() == every.genuine[kept].tolist()
+
+
 def test_averages_by_hand() -> None:
     # session pairs (1,2), (1,3), (2,3), each xx, xy, yx, yy
     averaged = average_sessions(small())

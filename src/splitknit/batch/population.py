@@ -150,18 +150,12 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
     BadInput
         If the captures are of one session.
     """
-    found = comparisons([one.finger for one in captures], [one.session for one in captures])
-    kept = np.ones(found.a.size, dtype=np.bool_)
-    if impostors < 1.0:
-        names = [one.finger for one in captures]
-        other = np.flatnonzero(~found.genuine)
-        for start in range(0, other.size, 1 << 16):  # lists of numbers take much more memory than arrays
-            part = other[start : start + (1 << 16)]
-            kept[part] = [
-                draw(names[a], names[b], seed) < impostors
-                for a, b in zip(found.a[part].tolist(), found.b[part].tolist(), strict=True)
-            ]
-    return Pairs(found.a[kept], found.b[kept], found.genuine[kept])
+    found = comparisons(
+        [one.finger for one in captures],
+        [one.session for one in captures],
+        None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors,
+    )
+    return Pairs(found.a, found.b, found.genuine)
 
 
 def draw(a: str, b: str, seed: int) -> float:

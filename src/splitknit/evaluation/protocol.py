@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -30,12 +30,16 @@ def _session_pairs(sessions: Iterable[Any]) -> list[tuple[Any, Any]]:
     return list(combinations(sorted(set(sessions)), 2))
 
 
-def comparisons(finger: Sequence[Any], session: Sequence[Any]) -> Comparisons:
+def comparisons(
+    finger: Sequence[Any], session: Sequence[Any], drawn: Callable[[Any, Any], bool] | None = None
+) -> Comparisons:
     """Every finger of a session with every finger of every later session.
 
     Parameters
     ----------
     finger, session : of each capture, one capture for each finger and session
+    drawn : whether two different fingers are compared, in all sessions; None: all are. It is asked once for two
+        fingers, before their comparisons are listed, so that memory follows what is compared.
 
     Returns
     -------
@@ -54,11 +58,17 @@ def comparisons(finger: Sequence[Any], session: Sequence[Any]) -> Comparisons:
     require(len(set(captures)) == len(captures), "a finger has two captures in one session; keep one of them.")
     pairs = _session_pairs(sessions.tolist())
     require(len(pairs) > 0, "captures of two sessions at least are needed.")
+    names, number = np.unique(fingers, return_inverse=True)
+    wanted = np.ones((names.size, names.size), dtype=np.bool_)
+    if drawn is not None:
+        for row, name in enumerate(names.tolist()):
+            wanted[row, :row] = wanted[:row, row] = [drawn(name, other) for other in names[:row].tolist()]
     a, b = [], []
     for early, late in pairs:
         first, second = np.flatnonzero(sessions == early), np.flatnonzero(sessions == late)
-        a.append(np.repeat(first, second.size))
-        b.append(np.tile(second, first.size))
+        at_first, at_second = np.nonzero(wanted[np.ix_(number[first], number[second])])
+        a.append(first[at_first])
+        b.append(second[at_second])
     at_a, at_b = np.concatenate(a), np.concatenate(b)
     return Comparisons(at_a, at_b, fingers[at_a] == fingers[at_b])
 
