@@ -1,7 +1,7 @@
 """Searches through millions, on reconstructions: is the right finger among the best 500, and what does a key hide?
 
     python validation/match/shards.py recall --work FOLDER --store STORE [--fingers 10000000]
-    python validation/match/shards.py prints --work FOLDER
+    python validation/match/shards.py prints|bits --work FOLDER --store STORE
     python validation/match/shards.py keys --work FOLDER --store STORE
 
 write their parts of ``shards.json`` here. STORE is of ``splitknit batch``: reconstructions by ``metric``, of which the
@@ -40,7 +40,7 @@ from splitknit.gallery.key import Key
 from splitknit.gallery.shards import ROWS_A_SHARD, Shards, write_shards
 from splitknit.io.prints import read_print_png
 from splitknit.matching.code import SCALE, ProbeSettings, code_of, code_size, probe_codes
-from splitknit.matching.renewable import RenewableCode
+from splitknit.matching.renewable import BITS, RenewableCode
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.template import Template, make_template, unpack
 from splitknit.model import FloatArray
@@ -165,21 +165,73 @@ def by_finger(hits: NDArray[np.bool_], owners: Sequence[str]) -> list[float]:
     return [round(float(value), 4) for value in (hits.mean(), low, high)]
 
 
-def prints(work: Path, base: NDArray[np.int8], size: int, fingers: int) -> dict[str, Any]:
-    """The same on flat prints: simulated presses, and real ones (FVC2002 DB1_B), which served for no choice."""
+def flat_prints(fingers: int) -> dict[str, tuple[dict[str, Template], dict[str, Template]]]:
+    """Galleries and probes of flat prints: simulated presses, and real ones (FVC2002 DB1_B), which served for no
+    choice."""
     folder = Path(os.environ.get("SPLITKNIT_DATA", RESULT.parents[3] / "shared" / "data")) / "fvc2002_db1b"
     real = [(one.stem.split("_"), read_print_png(one).image) for one in sorted(folder.glob("*.png"))]
     files = {"simulated": [], "real": [(f"{who}/session_{number}/x", image) for (who, number), image in real]}
     for number in range(fingers):
         master = finger(95_000 + number)
         files["simulated"] += [(f"{number}/session_{k + 1}/x", press(master, k)) for k in range(4)]
+    made = {kind: {name: make_template(print_band(image)) for name, image in images} for kind, images in files.items()}
+    full = {kind: {name: one for name, one in some.items() if not one.empty} for kind, some in made.items()}
+    return {kind: split(some) for kind, some in full.items() if some}
+
+
+def prints(work: Path, base: NDArray[np.int8], size: int, fingers: int) -> dict[str, Any]:
+    """The same on flat prints."""
     found = {}
-    for kind, images in files.items():
-        made = {name: make_template(print_band(image)) for name, image in images}
-        made = {name: template for name, template in made.items() if not template.empty}
-        if made:
-            found[kind] = recall(work, *split(made), sizes=[size], base=base)
-            found[f"{kind}, more variants"] = recall(work, *split(made), sizes=[size], base=base, settings=MORE)
+    for kind, (gallery, probes) in flat_prints(fingers).items():
+        found[kind] = recall(work, gallery, probes, sizes=[size], base=base)
+        found[f"{kind}, more variants"] = recall(work, gallery, probes, sizes=[size], base=base, settings=MORE)
+    return found
+
+
+def learned_rotation(directions: FloatArray, seed: int, rounds: int = 50) -> FloatArray:
+    """(K, K) whose signs lose least of centred `directions` (N, K).
+
+    Gong and Lazebnik 2011, Iterative quantization: a Procrustean approach to learning binary codes.
+    """
+    start = np.random.default_rng(seed).standard_normal((directions.shape[1],) * 2)
+    rotation = np.linalg.qr(start)[0].astype(np.float32)
+    for _ in range(rounds):
+        left, _, right = np.linalg.svd(np.sign(directions @ rotation).T @ directions)
+        rotation = (left @ right).T
+    return rotation
+
+
+def bits(work: Path, base: NDArray[np.int8], sets: dict[str, tuple[dict[str, Template], dict[str, Template]]],
+         size: int) -> dict[str, Any]:  # fmt: skip
+    """Ranks by bits alone, of a key and learned on the drawn fields, beside those of the numbers they are made of."""
+    directions = base / norm(base)[:, None]
+    mean = directions.mean(axis=0).astype(np.float32)
+    away = (directions - mean).astype(np.float32)
+    learned = np.concatenate([learned_rotation(away, seed) for seed in range(3)], axis=1)[:, :BITS]
+    keyed = RenewableCode(KEY.secret)
+    found: dict[str, Any] = {}
+    for kind, (gallery, probes) in sets.items():
+        names, owners = list(gallery), [finger_of(name) for name in probes]
+        file = distractors(base, size, work)
+        codes = np.fromfile(file, np.int8).reshape(-1, code_size())[:size]
+        codes = np.concatenate([codes, np.stack([code_of(gallery[name]) for name in names])])
+        fine = (codes / norm(codes)[:, None]).astype(np.float32)
+        stored = {"keyed": keyed.stored(codes)[0], "learned": np.packbits((fine - mean) @ learned > 0, axis=1)}
+        for settings in (ProbeSettings(), MORE):
+            ranks: dict[str, list[int]] = {}
+            for owner, probe in zip(owners, probes.values(), strict=True):
+                variants, row = probe_codes(probe, settings) * np.float32(SCALE), size + names.index(owner)
+                best = np.max([(fine @ part.T).max(axis=1) for part in np.array_split(variants, 9)], axis=0)
+                ranks.setdefault("numbers", []).append(1 + int((best > best[row]).sum()))
+                few = variants[settings.coarse()]
+                seen = {"keyed": keyed.probe(few)[0], "learned": np.packbits((few - mean) @ learned > 0, axis=1)}
+                for name, words in stored.items():
+                    away_by = np.min([np.bitwise_count(one ^ words).sum(axis=1) for one in seen[name]], axis=0)
+                    ranks.setdefault(name, []).append(1 + int((away_by < away_by[row]).sum()))
+            found[f"{kind}, {settings.count} variants"] = {
+                name: by_finger(np.array(some) <= max(RANKS), owners) for name, some in ranks.items()
+            }
+            print(kind, settings.count, found[f"{kind}, {settings.count} variants"], flush=True)
     return found
 
 
@@ -261,7 +313,7 @@ def ranks_of(mine: NDArray[np.int64], found: Sequence[FloatArray]) -> list[int]:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("recall", "prints", "keys"))
+    parser.add_argument("what", choices=("recall", "prints", "keys", "bits"))
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--store", type=Path, required=True)
     parser.add_argument("--first", type=int, default=DESIGNED_ON + 1, help="subject that is reported (default: 6)")
@@ -282,6 +334,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = recall(options.work, gallery, probes, sizes=sizes or [options.fingers], base=base)
     elif options.what == "prints":
         found = prints(options.work, base, options.fingers, fingers=24)
+    elif options.what == "bits":
+        found = bits(options.work, base, flat_prints(24), options.fingers)
     else:
         found = keys(options.work, gallery, probes, base, options.fingers, pairs=options.pairs)
     known = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
