@@ -26,6 +26,7 @@ def registered(most_mm: float, before: float, after: float) -> Registered:
             False,
         ),  # shots that do not fit together, and hardly any motion seen: no skin, wet skin
         (0.30, 0.60, 0.40, 0.06, True),  # the same with motion that would be warned of: to be refused
+        (0.15, 0.47, 0.466, 0.06, False),  # a still finger with few ridges and much gloss: nothing to be undone
     ],
 )
 def test_what_is_undone(most_mm: float, before: float, after: float, seen_mm: float, undone: bool) -> None:

@@ -284,9 +284,9 @@ def _worth_undoing(registered: Registered, seen_mm: float, settings: FingerSetti
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
         return False
-    if registered.after > motion.most_left:  # no skin, or shots that do not fit together
-        return seen_mm >= WARN_MM
-    return registered.after < HELPS * registered.before
+    if registered.after > motion.most_left and seen_mm < WARN_MM:  # no skin, wet skin
+        return False
+    return registered.after < HELPS * registered.before  # nothing helps where nothing moved, however much is left over
 
 
 _SWITCH = (
