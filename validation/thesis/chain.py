@@ -16,7 +16,7 @@ def run_chain(options: argparse.Namespace) -> None:
     if options.store is None:
         options.store = options.population.parent / f"{options.population.name}-store"
     if options.small:
-        options.people, options.scales_impostors, options.impostors = SMALL["subjects"], 1.0, 1.0
+        options.people, options.fraction, options.impostors = SMALL["subjects"], 1.0, 1.0
     for command in commands(options):
         print(" ".join(command), flush=True)
         job = subprocess.Popen([sys.executable, "-m", *command])

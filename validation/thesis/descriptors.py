@@ -10,8 +10,8 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from compared import Extract, Read, Way, compare_pairs
-from trials import Captures, StoreLike, Table, read_table
+from compared import Extract, Read, Way, compare_pairs, drawn
+from trials import Captures, Pairs, StoreLike, Table, read_table
 
 from splitknit.batch.reading import Place, images_of
 from splitknit.matching.features import gabor_features, hog_features, shape_context_features
@@ -26,7 +26,7 @@ MATCHED = ("normals", "relief")
 
 
 def descriptors_table(  # noqa: PLR0917
-    store: StoreLike, case: str, captures: Captures, read: Read, scratch: Path, jobs: int
+    store: StoreLike, case: str, captures: Captures, read: Read, scratch: Path, fraction: float, seed: int, jobs: int
 ) -> Table:
     """Trials of all features on the comparisons that the store has of a case by the thesis's matcher.
 
@@ -37,12 +37,19 @@ def descriptors_table(  # noqa: PLR0917
     captures : all of the store
     read : images of a capture
     scratch : folder of finished comparisons, of this store and case alone
+    fraction : of the store's impostor pairs
+    seed : which of them
     jobs : processes
     """
     table = read_table(store, captures, (case,), ("thesis",))
-    patterns = [replace(trial, case="lbp", label="lbp") for trial in table.trials if trial.attribute in MATCHED]
+    every, finger = table.pairs, captures.finger
+    kept = every.genuine | drawn(finger[every.a], finger[every.b], fraction, seed)
+    pairs = Pairs(captures, every.a[kept], every.b[kept])
+    patterns = [
+        replace(trial.at(kept), case="lbp", label="lbp") for trial in table.trials if trial.attribute in MATCHED
+    ]
     ways = [Way(name, extract, of, ATTRIBUTES[of]) for of in MATCHED for name, extract in OTHERS.items()]
-    return Table(table.pairs, (*patterns, *compare_pairs(table.pairs, read, ways, scratch, jobs)), table.missing)
+    return Table(pairs, (*patterns, *compare_pairs(pairs, read, ways, scratch, jobs)), table.missing)
 
 
 def reader(places: Mapping[str, Place]) -> Read:

@@ -76,7 +76,7 @@ def _against(first: str, case: str, trials: Sequence[Trial]) -> list[tuple[Trial
     return [(named[first], named[name]) for name in named if first in named and name != first]
 
 
-def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row], part: str = "cases") -> Row:
+def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Figures 5.4 and 5.5: cases on normals and on relief, by the thesis's matcher."""
     captures = read_captures(store, options.cases)
     table = read_table(store, captures, options.cases, ("thesis",))
@@ -85,17 +85,10 @@ def run_cases(options: argparse.Namespace, store: Any, truth: Mapping[str, Row],
     trials = [trial for group in by_attribute.values() for trial in group]
     rows = rate_rows(work, trials, options.jobs)
     differences = difference_rows(work, by_attribute.values(), COMPARED, options.jobs)
-    _write(options, part, rows, differences)
-    if part != "cases":
-        return _facts(table, trials)
+    _write(options, "cases", rows, differences)
     for figure, name in (("figure-5-4", "normals"), ("figure-5-5", "relief")):
         _rocs(options, work, figure, by_attribute[name], lambda trial: trial.case)
     return _facts(table, trials)
-
-
-def run_order(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """The same on a population of its own: surfaces that are not split beside the same ones split by shapelets."""
-    return run_cases(options, store, truth, "order")
 
 
 def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
@@ -207,14 +200,14 @@ def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     people = sorted({name.split("/")[0] for name in truth})[: options.people]
     names = [name for name in truth if name.split("/")[0] in people]
     scratch = _scratch(options, "scales")
-    table = scales_table(options.population, names, scratch, options.scales_impostors, options.seed, options.jobs)
+    table = scales_table(options.population, names, scratch, options.fraction, options.seed, options.jobs)
     work = _work(options, table, truth)
     rows = rate_rows(work, table.trials, options.jobs)
     three = next(trial for trial in table.trials if trial.case == "snk3")
     groups = [(three, trial) for trial in table.trials if trial is not three]
     _write(options, "scales", rows, difference_rows(work, groups, COMPARED, options.jobs))
     _rocs(options, work, "figure-3-21", table.trials, lambda trial: trial.label)
-    return _facts(table, table.trials) | {"people": len(people), "impostor_share": options.scales_impostors}
+    return _facts(table, table.trials) | {"people": len(people), "impostor_share": options.fraction}
 
 
 def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
@@ -225,7 +218,7 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
     captures = read_captures(store, (case,))
     read = reader(places_of(store.files("features", case)))
     scratch = _scratch(options, "descriptors", [store.document()["cases"][case], __version__])
-    table = descriptors_table(store, case, captures, read, scratch, options.jobs)
+    table = descriptors_table(store, case, captures, read, scratch, options.fraction, options.seed, options.jobs)
     work = _work(options, table, truth)
     rows = rate_rows(work, table.trials, options.jobs)
     groups = [
@@ -276,7 +269,7 @@ def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[
 PARTS = (
     "fusion", "cases", "matchers", "sensitivity", "failures", "descriptors", "figures", "scales", "neighbours",
 )  # fmt: skip
-"""What ``all`` makes; ``family`` and ``order`` have cases of their own, and stores of their own, of fewer people."""
+"""What ``all`` makes; ``family`` has cases of its own, and a store of its own, of fewer people."""
 WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "figures": run_figures}
 PART_OF = {
     "descriptors": run_descriptors,
@@ -286,7 +279,6 @@ PART_OF = {
     "sensitivity": run_sensitivity,
     "failures": run_failures,
     "family": run_family,
-    "order": run_order,
 }
 
 

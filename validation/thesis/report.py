@@ -14,7 +14,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from page_facts import failures_table, figures_table, population_words, run_words, sensitivity_table
+from page_facts import failures_table, figures_table, run_words, sensitivity_table
 from page_tables import (
     JUDGED,
     PLAIN,
@@ -89,12 +89,6 @@ def blocks(folder: Path) -> dict[str, str]:
         made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
         made[f"{name}_margin"] = margin_table(rows)
         made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
-    ordered, apart = (read(folder / f"order{ending}.csv") for ending in ("", "_differences"))
-    made["order_run"] = population_words(runs["order"]) if "order" in runs else "Not measured."
-    for name in ("relief", "normals"):
-        rows, two = ([row for row in part if row["attribute"] == name] for part in (ordered, apart))
-        made[f"order_{name}"] = rate_table(rows, f"matched: {name}", lambda row: row["case"], (WHOLE,))
-        made[f"order_{name}_differences"] = difference_table(two, (WHOLE,))
     made["family"] = rate_table(
         read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
     )

@@ -4,7 +4,7 @@
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|descriptors --store STORE \\
         --population POPULATION
     python validation/thesis/run.py scales|neighbours|figures --population POPULATION
-    python validation/thesis/run.py family|order --store STORE --population POPULATION
+    python validation/thesis/run.py family --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
     python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
@@ -75,7 +75,7 @@ def finished(out: Path, part: str, inputs: str) -> bool:
 
 def _inputs(options: argparse.Namespace, part: str) -> str:
     """Hash of what a part's figures follow from: options, version, population and the files of the store."""
-    names = ("cases", "people", "scales_impostors", "small")
+    names = ("cases", "people", "fraction", "small")
     given = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
     files = [] if store is None else sorted(path for path in store.rglob("*.parquet") if path.is_file())
@@ -124,7 +124,7 @@ def _store(options: argparse.Namespace) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "family", "order", "all", "chain"])
+    parser.add_argument("part", choices=[*PARTS, "family", "all", "chain"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=None, help="of tables and plots (default: this folder)")
@@ -135,7 +135,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--again", action="store_true", help="make finished parts again")
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
-    parser.add_argument("--scales-impostors", type=float, default=1.0, help="fraction of its impostor pairs")
+    parser.add_argument(
+        "--fraction", type=float, default=1.0, help="of the impostor pairs, in the parts scales and descriptors"
+    )
     parser.add_argument(
         "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
     )

@@ -88,6 +88,12 @@ class Trial:
     def name(self) -> str:
         return " ".join(part for part in (self.case, self.matcher, self.attribute) if part)
 
+    def at(self, chosen: NDArray[np.bool_]) -> Trial:
+        """Of some of the comparisons."""
+        parts = (self.similarity, self.ratio, self.gated)
+        similarity, ratio, gated = (None if part is None else part[chosen] for part in parts)
+        return replace(self, similarity=similarity, ratio=ratio, gated=gated)
+
     def other(self, attribute: str, similarity: Values) -> Trial:
         """The same case and comparisons, another similarity."""
         return replace(self, attribute=attribute, similarity=similarity, label=attribute)
