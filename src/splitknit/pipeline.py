@@ -506,9 +506,7 @@ def linear_images(capture: Capture, finger: Finger, settings: PipelineSettings) 
 @step("surface")
 def skin_surface(images: SkinImages, settings: PipelineSettings) -> Surface:
     """The surface of skin by :func:`reconstruct_skin`, on the window's pixels."""
-    skin = reconstruct_skin(
-        images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks
-    )
+    skin = reconstruct_skin(images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks)
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (skin.shape_mm, skin.relief_mm, skin.albedo))
     deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
     facts = {
