@@ -37,20 +37,20 @@ def test_ctrl_c_is_for_the_run_and_not_for_its_workers(tmp_path: Path) -> None:
 
 
 def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Glibc:
-        calls: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
 
+    class Glibc:
         def __init__(self, name: None) -> None:
             pass
 
         def mallopt(self, parameter: int, value: int) -> int:
-            self.calls.append((parameter, value))
+            calls.append((parameter, value))
             return 1
 
     monkeypatch.setattr(workers.ctypes, "CDLL", Glibc)
     monkeypatch.setattr(workers.os, "confstr", lambda name: "glibc 2.36", raising=False)
     workers._one_heap()
-    assert Glibc.calls == [(-8, 1)]  # M_ARENA_MAX
+    assert calls == [(-8, 1)]  # M_ARENA_MAX
     monkeypatch.setattr(workers.os, "confstr", lambda name: None, raising=False)
     workers._one_heap()
-    assert len(Glibc.calls) == 1
+    assert len(calls) == 1
