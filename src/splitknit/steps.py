@@ -107,7 +107,7 @@ def reads_last(function: Callable[Concatenate[Capture, P], T]) -> Callable[Conca
     """Decorator of the step that reads the images of a capture last: inside :func:`frugal` they then are let go."""
 
     @functools.wraps(function)
-    def reading(capture: Capture, *args: P.args, **kwargs: P.kwargs) -> T:
+    def reading(capture: Capture, /, *args: P.args, **kwargs: P.kwargs) -> T:
         found = function(capture, *args, **kwargs)
         run = _RUN.get()
         if run is not None and _FRUGAL.get():
