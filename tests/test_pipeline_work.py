@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import weakref
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ import splitknit
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit.networks import unet
+from splitknit.networks.weights import read_network
 from splitknit.report.photos import LONGEST_PX, small_images
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -77,17 +80,26 @@ def test_no_more_is_computed_than_was(capture: Capture, counts: Counter[str]) ->
     assert counts["transforms"] <= 207
 
 
+def test_the_relief_network_computes_in_eight_bits() -> None:
+    """All but four of its convolutions: in single precision they take twice as long and 0.1 GB a thread more."""
+    card, weights = read_network("relief")
+    assert weights.count(b"QLinearConv") + weights.count(b"DequantizeLinear") > 30
+    assert card.facts["quantised"]["from_sha256"] != card.sha256
+
+
 def test_images_are_let_go_before_the_surface_where_they_may_be(
     capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = splitknit.reconstruct(capture, settings={"metric.relief": "colour", "metric.rounds": 1})
     assert set(capture.bands) == {"white", "nir"}
-    given = Capture(**{name: getattr(capture, name) for name in Capture.__slots__} | {"bands": dict(capture.bands)})
+    bands = {name: replace(band, pixels=band.pixels.copy()) for name, band in capture.bands.items()}
+    given = replace(capture, bands=bands)
+    pixels = [weakref.ref(band.pixels) for band in bands.values()]
     seen = []
     first = surface.CoarseShape.__init__
 
     def beginning(*arguments: object, **named: object) -> None:
-        seen.append(dict(given.bands))
+        seen.extend(reference() for reference in pixels)
         first(*arguments, **named)
 
     monkeypatch.setattr(surface.CoarseShape, "__init__", beginning)
@@ -95,7 +107,7 @@ def test_images_are_let_go_before_the_surface_where_they_may_be(
     settings = {"metric.relief": "colour", "metric.rounds": 1}
     with frugal():
         found = splitknit.reconstruct(given, settings=settings, memory=memory)
-    assert seen == [{}] and not given.bands and not memory._known
+    assert seen == [None, None] and not given.bands and not memory._known  # nobody holds them any more
     np.testing.assert_array_equal(found.height_mm, kept.height_mm)
 
 

@@ -49,7 +49,7 @@ from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
 from splitknit.skin.diffusion import SkinSettings
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.images import HOW, working_images
+from splitknit.skin.images import HOW, SkinImages, working_images
 from splitknit.skin.learned import LITTLE_GLOSS, Networks, can_learn, relief_by_network, with_its_power
 from splitknit.skin.relief import detail_of
 from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
@@ -279,29 +279,10 @@ def metric(capture: Capture, settings: PipelineSettings) -> Reconstruction:
     """
     capture, finger = locate_finger(capture, settings.finding())
     mirrors = views_in_mirrors(capture, settings)
-    white, nir, warnings = bands_of(capture, settings)
-    if not undoes_blur(capture, settings):
-        surface = opaque_surface(capture, finger, white, nir, settings)
+    if undoes_blur(capture, settings):
+        surface = skin_surface(linear_images(capture, finger, settings), settings)
     else:
-        refuse_coloured_leds(white)
-        bands = (white,) if nir is white else (white, nir)
-        images = linear_images(capture, bands, finger.window, finger.inside, settings.metric)
-        source, seen, networks = source_of(white, nir), images.bands, images.networks
-        images = replace(images, bands=(), networks=None)  # what is read is let go where it is used last
-        del bands, white, nir
-        steps.let_go(capture)
-        skin = skin_surface(seen, images.grid, settings.skin, settings.metric, _report_surface, networks)
-        del seen, networks
-        shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (skin.shape_mm, skin.relief_mm, skin.albedo))
-        deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
-        facts = {
-            "shape_source": source,
-            "separation": HOW[skin.facts["relief_by"]],
-            "optics": skin.facts,
-        }
-        notes = (*images.warnings, *doubts_of(skin.facts))
-        surface = Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, notes)
-    surface = replace(surface, warnings=(*warnings, *surface.warnings))
+        surface = opaque_surface(capture, finger, settings)
     return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
 
 
@@ -511,8 +492,35 @@ def slopes_of(normals: FloatArray, finger: Finger, capture: Capture, photometric
     return gradients_from_normals(own, finger.inside, photometric.max_slope)
 
 
-def opaque_surface(capture: Capture, finger: Finger, white: Band, nir: Band, settings: PipelineSettings) -> Surface:
+@steps.reads_last
+@step("light")
+def linear_images(capture: Capture, finger: Finger, settings: PipelineSettings) -> SkinImages:
+    """Linear images of the white band, and of that of the shape, on the working grid."""
+    white, nir, warnings = bands_of(capture, settings)
+    refuse_coloured_leds(white)
+    bands = (white,) if nir is white else (white, nir)
+    images = working_images(capture, bands, finger.window, finger.inside, settings.metric)
+    return replace(images, warnings=(*warnings, *images.warnings))
+
+
+@step("surface")
+def skin_surface(images: SkinImages, settings: PipelineSettings) -> Surface:
+    """The surface of skin by :func:`reconstruct_skin`, on the window's pixels."""
+    skin = reconstruct_skin(images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks)
+    shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (skin.shape_mm, skin.relief_mm, skin.albedo))
+    deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
+    facts = {
+        "shape_source": "nir" if len(images.bands) > 1 else "white",
+        "separation": HOW[skin.facts["relief_by"]],
+        "optics": skin.facts,
+    }
+    notes = (*images.warnings, *doubts_of(skin.facts))
+    return Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, notes)
+
+
+def opaque_surface(capture: Capture, finger: Finger, settings: PipelineSettings) -> Surface:
     """The surface of a thing that does not scatter light inside."""
+    white, nir, warnings = bands_of(capture, settings)
     slopes, albedo, normals = near_slopes(capture, white, finger, settings)
     height_mm = integrate(slopes, finger, capture, settings)
     ridge_mm = ridge_relief(slopes, finger, capture, settings)
@@ -521,7 +529,7 @@ def opaque_surface(capture: Capture, finger: Finger, white: Band, nir: Band, set
         shape_mm = integrate(below, finger, capture, settings)
         height_mm = crossover(height_mm, shape_mm, ridge_response(capture, settings), finger.inside)
     facts = {"shape_source": source_of(white, nir), "separation": "none (opaque material)"}
-    return Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, (), normals)
+    return Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, warnings, normals)
 
 
 def source_of(white: Band, nir: Band) -> str:
@@ -619,9 +627,7 @@ def smooth(
 
 
 linear_grey = step("light")(linear_stack)
-linear_images = step("light")(working_images)
 near_normals = step("normals")(near_light)
-skin_surface = step("surface")(reconstruct_skin)
 
 
 def _report_surface(fraction: float) -> None:

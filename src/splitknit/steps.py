@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from splitknit.errors import require
 from splitknit.model import Capture, Progress
@@ -103,13 +103,20 @@ def running(progress: Progress | None, memory: Memory) -> Iterator[dict[str, flo
         _RUN.reset(token)
 
 
-def let_go(capture: Capture) -> None:
-    """Empty the bands of `capture`, and of the one that the run began with, inside :func:`frugal`."""
-    run = _RUN.get()
-    if run is not None and _FRUGAL.get():
-        for one in (capture, *run.memory.forget()):
-            if isinstance(one.bands, dict):
-                one.bands.clear()
+def reads_last(function: Callable[Concatenate[Capture, P], T]) -> Callable[Concatenate[Capture, P], T]:
+    """Decorator of the step that reads the images of a capture last: inside :func:`frugal` they then are let go."""
+
+    @functools.wraps(function)
+    def reading(capture: Capture, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found = function(capture, *args, **kwargs)
+        run = _RUN.get()
+        if run is not None and _FRUGAL.get():
+            for one in (capture, *run.memory.forget()):
+                if isinstance(one.bands, dict):
+                    one.bands.clear()
+        return found
+
+    return reading
 
 
 def report(stage: str, within: float) -> None:

@@ -4,6 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from splitknit.batch import workers
+
 JOBS = """
 import os, signal
 from pathlib import Path
@@ -30,3 +34,23 @@ def test_ctrl_c_is_for_the_run_and_not_for_its_workers(tmp_path: Path) -> None:
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "interrupted\n", "")
     assert (tmp_path / "done_0").exists()
+
+
+def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[int, int]] = []
+
+    class Glibc:
+        def __init__(self, name: None) -> None:
+            pass
+
+        def mallopt(self, parameter: int, value: int) -> int:
+            calls.append((parameter, value))
+            return 1
+
+    monkeypatch.setattr(workers.ctypes, "CDLL", Glibc)
+    monkeypatch.setattr(workers.os, "confstr", lambda name: "glibc 2.36", raising=False)
+    workers._one_heap()
+    assert calls == [(-8, 1)]  # M_ARENA_MAX
+    monkeypatch.setattr(workers.os, "confstr", lambda name: None, raising=False)
+    workers._one_heap()
+    assert len(calls) == 1
