@@ -7,7 +7,7 @@ ones.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, Literal
@@ -125,9 +125,10 @@ def _close_codes(strip: FloatArray, diagonal: float, values: FloatArray, bits: B
     np.greater_equal(right[:-1], up_left[lower], out=lower_left)
     np.negative(right, out=right)
     # from the highest bit to the lowest: each doubles what is there
-    code, none = codes.view(np.uint8), np.float32(0)
+    code: Codes = codes.view(np.uint8)
+    none = np.float32(0)
     np.greater_equal(right[1:], up_right[lower], out=codes)
-    for reached in (
+    others: tuple[Callable[[], BoolArray], ...] = (
         lambda: np.less_equal(up[lower], none, out=bit),
         lambda: lower_left,
         lambda: np.less_equal(right[:-1], none, out=bit),
@@ -135,10 +136,11 @@ def _close_codes(strip: FloatArray, diagonal: float, values: FloatArray, bits: B
         lambda: np.greater_equal(up[:size], none, out=bit),
         lambda: upper_right,
         lambda: np.greater_equal(right[1:], none, out=bit),
-    ):
+    )
+    for reached in others:
         np.add(code, code, out=code)
         np.add(code, reached().view(np.uint8), out=code)
-    return code.reshape(-1, width)[:, 1:-1]
+    return np.asarray(code.reshape(-1, width)[:, 1:-1])
 
 
 def _far_codes(strip: FloatArray, border: int, diagonal: float, radius: float) -> Codes:

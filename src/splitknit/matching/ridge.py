@@ -230,7 +230,7 @@ def _ridge_pass() -> FloatArray:
     """(rows, columns // 2 + 1) 1 at the frequencies of ridges, periods of 0.26 to 0.83 mm, 0 elsewhere."""
     down, right = np.fft.fftfreq(_PLANE_PX[0], _PITCH_MM), np.fft.rfftfreq(_PLANE_PX[1], _PITCH_MM)
     cycles = np.hypot(down[:, None], right)
-    return ((cycles > 1.2) & (cycles < min(3.8, 0.5 / _PITCH_MM))).astype(np.float32)
+    return np.asarray((cycles > 1.2) & (cycles < min(3.8, 0.5 / _PITCH_MM)), dtype=np.float32)
 
 
 def _band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
