@@ -11,7 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splitknit.errors import BadInput
-from splitknit.matching.features import LbpSettings, _cell_histograms, lbp_codes, lbp_features, uniform_bins
+from splitknit.matching import features
+from splitknit.matching.features import (
+    LbpSettings,
+    _cell_counts,
+    _far_codes,
+    _histograms,
+    lbp_codes,
+    lbp_features,
+    uniform_bins,
+)
 
 
 @pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.3])
@@ -100,24 +109,60 @@ def test_interpolated_codes_keep_under_gain_and_offset() -> None:
     assert np.mean(lbp_codes(image, 1.5) == lbp_codes(4.0 * image + 2.0, 1.5)) > 0.999
 
 
+@pytest.mark.parametrize("radius", [0.3, 0.8, 1.0])
+def test_close_neighbours_are_those_of_any_distance(radius: float) -> None:
+    """The fast way against the general one."""
+    image = np.random.default_rng(6).normal(size=(70, 51)).astype(np.float32)
+    image[20:40, 10:30] = 0.0
+    padded = cv2.copyMakeBorder(image, 2, 2, 2, 2, cv2.BORDER_REPLICATE)
+    straight = 1.0  # nearer, it is interpolated with the pixel itself, and no larger or smaller for that
+    general = _far_codes(padded, 2, radius * float(np.sqrt(0.5)), straight)
+    np.testing.assert_array_equal(lbp_codes(image, radius), general)
+    assert (lbp_codes(np.full((9, 8), 0.3, np.float32), radius) == 255).all()
+
+
 def test_histograms_count() -> None:
     codes = np.random.default_rng(2).integers(0, 256, (70, 45)).astype(np.uint8)
-    counts = _cell_histograms(codes, 20, LbpSettings(uniform=False, normalisation="none"))
+    counts = _cell_counts(codes, 20)
     assert counts.shape == (3, 2, 256)
     for row in range(3):
         for column in range(2):
             part = codes[20 * row : 20 * row + 20, 20 * column : 20 * column + 20]
             assert counts[row, column].tolist() == [int((part == code).sum()) for code in range(256)]
-    many = _cell_histograms(np.tile(codes, (3, 30)), 4, LbpSettings(uniform=False, normalisation="none"))
+    np.testing.assert_array_equal(_histograms(counts, LbpSettings(uniform=False, normalisation="none")), counts)
+    joined = _histograms(counts, LbpSettings(normalisation="none"))
+    assert joined[1, 1].tolist() == np.bincount(uniform_bins()[codes[20:40, 20:40]].ravel(), minlength=59).tolist()
+    many = _cell_counts(np.tile(codes, (3, 30)), 4)
     assert many.shape == (52, 337, 256)  # more columns than fit into one count
     assert (
         many[17, 300].tolist() == np.bincount(np.tile(codes, (3, 30))[68:72, 1200:1204].ravel(), minlength=256).tolist()
     )
-    fractions = _cell_histograms(codes, 20, LbpSettings(normalisation="l1"))
+    fractions = _histograms(counts, LbpSettings(normalisation="l1"))
     assert fractions.shape == (3, 2, 59)
     np.testing.assert_allclose(fractions.sum(axis=2), 1.0, rtol=1e-6)
-    lengths = np.linalg.norm(_cell_histograms(codes, 20, LbpSettings()), axis=2)
+    lengths = np.linalg.norm(_histograms(counts, LbpSettings()), axis=2)
     np.testing.assert_allclose(lengths, 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("px_per_mm", "size"), [(75.7, (200, 150)), (37.85, (133, 100)), (20.0, (35, 90)), (5.0, (9, 600))]
+)
+def test_features_are_those_of_all_codes(px_per_mm: float, size: tuple[int, int]) -> None:
+    """Strips end with cells, and what lies beyond whole cells is left out."""
+    image = np.random.default_rng(7).random(size).astype(np.float32)
+    chosen = LbpSettings(normalisation="none")
+    cell = chosen.cell(px_per_mm)
+    counts = _cell_counts(lbp_codes(image), cell)
+    assert lbp_features(image, px_per_mm, chosen).tolist() == _histograms(counts, chosen).ravel().tolist()
+
+
+def test_a_pixel_is_described_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work that is counted: pixels of the strips, their borders included, and of what is counted."""
+    seen = []
+    close = features._close_codes
+    monkeypatch.setattr(features, "_close_codes", lambda strip, *given: seen.append(strip.size) or close(strip, *given))
+    lbp_features(np.random.default_rng(8).random((330, 230), dtype=np.float32), 75.7)  # 5 x 3 cells of 64 pixels
+    assert sum(seen) <= 1.08 * 5 * 3 * 64 * 64
 
 
 def test_sizes_scale_with_the_image() -> None:

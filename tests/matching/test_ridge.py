@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from dataclasses import replace
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
+from splitknit.matching import ridge
 from splitknit.matching.elastic import PatchSettings
 from splitknit.matching.ridge import PhaseSettings, Prepared, RidgeMatchSettings, _median, peaks, ridge_match
 from splitknit.matching.ridge_band import RidgeBand, RidgeBandSettings, ridge_band
@@ -194,3 +196,26 @@ def test_the_middle_of_some_values_is_their_median() -> None:
     for count in (1, 2, 7, 8):
         values = np.random.default_rng(count).random(count).astype(np.float32)
         assert _median(values) == np.median(values)
+
+
+def test_the_work_of_a_comparison_is_counted(templates, monkeypatch) -> None:
+    """Correlations of whole prints, local comparisons, and spectra: none is made twice for a prepared side."""
+    done: Counter[str] = Counter()
+    for name in ("ridge_view", "_peak", "compare_patches", "block_directions"):
+        work = getattr(ridge, name)
+        monkeypatch.setattr(ridge, name, lambda *given, _n=name, _w=work: done.update([_n]) or _w(*given))
+    one, same, other = (Prepared(templates[k]) for k in (0, 1, 3))
+    ridge_match(one, same)
+    assert done["_peak"] <= 18  # nine rotations, each there and half a step on
+    assert done["ridge_view"] <= done["_peak"] + 1
+    assert done["block_directions"] == 2
+    assert done["compare_patches"] <= 4  # two candidates, one refinement, the score
+    done.clear()
+    ridge_match(one, same)
+    assert done["ridge_view"] == done["block_directions"] == 0
+    ridge_match(one, other)
+    assert done["compare_patches"] <= 8
+    own = Prepared(templates[0])
+    done.clear()
+    ridge_match(own, own)
+    assert done["compare_patches"] == 3  # the second candidate of a clear case is left out

@@ -7,7 +7,9 @@ ones.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
 from splitknit.matching.ridge_band import blur
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 # Local binary patterns in cells: the features of the thesis's matching.
@@ -30,7 +32,8 @@ AnyArray = np.ndarray[Any, Any]
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis's sizes in pixels hold."""
-_STRIP = 128
+_STRIP = 64
+"""Rows whose codes are found at once, about."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,57 +77,98 @@ def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "line
     1
     """
     image = check_image(image)
+    return np.concatenate([strip.copy() for strip in _code_strips(image, radius, interpolation, _STRIP)])
+
+
+def _code_strips(image: FloatArray, radius: float, interpolation: str, rows: int) -> Iterator[Codes]:
+    """Codes of `rows` rows after the other: few enough for the cache. Each lies where the one before lay."""
     require(np.isfinite(radius) and 0 < radius < 1000, f"the radius must be positive, but it is {radius}.")
     diagonal = radius * float(np.sqrt(0.5))
+    close = radius <= 1 and interpolation == "linear"
     if interpolation == "nearest":
         diagonal, radius = float(np.round(diagonal)), float(np.round(radius))
-    border = int(np.ceil(radius)) + 1
-    # Rows keep their border throughout, so that what is compared is contiguous.
-    padded = cv2.copyMakeBorder(image, border + 1, border + 1, border, border, cv2.BORDER_REPLICATE)
-    height, width = image.shape[0], padded.shape[1]
-    codes = np.empty((height, width), dtype=np.uint8)
-    right, left = np.zeros((2, _STRIP + 2 * border, width), dtype=np.float32)
-    between = np.zeros((_STRIP, width), dtype=np.float32)
-    reached = np.empty((_STRIP, width), dtype=np.bool_)
+    border = 1 if close else int(np.ceil(radius)) + 1
+    height, width = image.shape[0], image.shape[1] + 2 * border
+    rows = min(rows, height)
+    values = np.empty((4, (rows + 2 * border) * width), dtype=np.float32)
+    bits = np.empty((4, rows * width), dtype=np.bool_)
+    for top in range(0, height, rows):
+        bottom = min(top + rows, height)
+        above, below = max(border - top, 0), max(bottom + border - height, 0)
+        strip = values[0, : (bottom - top + 2 * border) * width].reshape(-1, width)
+        part = image[top - border + above : bottom + border - below]
+        cv2.copyMakeBorder(part, above, below, border, border, cv2.BORDER_REPLICATE, dst=strip)
+        yield _close_codes(strip, diagonal, values[1:], bits) if close else _far_codes(strip, border, diagonal, radius)
 
-    def seen(source: AnyArray, rows: slice, shift: float, step: int, out: AnyArray) -> AnyArray:
-        """`rows` of `source` as seen from places `shift` columns (step 1) or rows (step `width`) further on, linear."""
+
+def _close_codes(strip: FloatArray, diagonal: float, values: FloatArray, bits: BoolArray) -> Codes:
+    """Codes (H, W) of a strip (H + 2, W + 2), for neighbours within a pixel: the circle's radius is at most 1.
+
+    A neighbour to the right is at least as large as the pixel where the step to the next pixel is not negative. One at
+    the upper right is where that step and the step upwards, interpolated to the right, have no negative sum, and so on:
+    four fields of steps serve all eight. The steps to the right are divided by 1 - `diagonal`, which saves a factor.
+    The fields take `values` (4, at least (H + 1)(W + 2)) and `bits` (4, as many): memory that the cache has already.
+    """
+    width, flat = strip.shape[1], strip.reshape(-1)
+    size = len(flat) - 2 * width
+    right = values[0, : size + 1]  # from the pixel before the first one on
+    # the last row of each are the steps from below; the last one lies where the strip lay
+    up, up_left, up_right = *values[1:, : size + width], flat[: size + width]
+    lower = slice(width, None)
+    codes, bit, upper_right, lower_left = bits[:, :size]
+    np.subtract(flat[width : width + size + 1], flat[width - 1 : width + size], out=right)
+    np.subtract(flat[:-width], flat[width:], out=up)
+    right *= np.float32(-1 / (1 - diagonal))
+    cv2.scaleAdd(up[:-1], diagonal / (1 - diagonal), up[1:], dst=up_left[1:])
+    cv2.scaleAdd(up[1:], diagonal / (1 - diagonal), up[:-1], dst=up_right[:-1])
+    np.greater_equal(up_right[:size], right[1:], out=upper_right)
+    np.greater_equal(right[:-1], up_left[lower], out=lower_left)
+    np.negative(right, out=right)
+    # from the highest bit to the lowest: each doubles what is there
+    code: Codes = codes.view(np.uint8)
+    none = np.float32(0)
+    np.greater_equal(right[1:], up_right[lower], out=codes)
+    others: tuple[Callable[[], BoolArray], ...] = (
+        lambda: np.less_equal(up[lower], none, out=bit),
+        lambda: lower_left,
+        lambda: np.less_equal(right[:-1], none, out=bit),
+        lambda: np.greater_equal(up_left[:size], right[:-1], out=bit),
+        lambda: np.greater_equal(up[:size], none, out=bit),
+        lambda: upper_right,
+        lambda: np.greater_equal(right[1:], none, out=bit),
+    )
+    for reached in others:
+        np.add(code, code, out=code)
+        np.add(code, reached().view(np.uint8), out=code)
+    return np.asarray(code.reshape(-1, width)[:, 1:-1])
+
+
+def _far_codes(strip: FloatArray, border: int, diagonal: float, radius: float) -> Codes:
+    """Codes (H, W) of a strip (H + 2 border, W + 2 border), for neighbours at any distance below `border`."""
+
+    def seen(source: FloatArray, shift: float, axis: int) -> FloatArray:
+        """`source` as seen from `shift` pixels further along an axis, without the border there; linear."""
         first = int(np.floor(shift + 1e-9))
-        part = shift - first
-        near, far = (
-            source.reshape(-1)[rows.start * width + by : rows.stop * width + by].reshape(-1, width)
-            for by in (first * step, (first + 1) * step)
-        )
-        if part <= 1e-9:
-            return near
-        inside = slice(border, -border)
-        cv2.addWeighted(near[:, inside], 1.0 - part, far[:, inside], part, 0.0, dst=out[: len(near), inside])
-        return out[: len(near)]
+        part, length = shift - first, source.shape[axis] - 2 * border
 
-    for top in range(0, height, _STRIP):  # strips stay in the cache
-        rows = min(_STRIP, height - top)
-        code, bit = codes[top : top + rows], reached[:rows]
-        strip = slice(top + 1, top + 1 + rows + 2 * border)
-        inner = slice(strip.start + border, strip.stop - border)
-        middle = slice(border, border + rows)
-        to_right, to_left = seen(padded, strip, diagonal, 1, right), seen(padded, strip, -diagonal, 1, left)
-        # from the highest bit to the lowest: each pass doubles what is there
-        neighbours = (
-            (to_right, middle, diagonal, width),
-            (padded, inner, radius, width),
-            (to_left, middle, diagonal, width),
-            (padded, inner, -radius, 1),
-            (to_left, middle, -diagonal, width),
-            (padded, inner, -radius, width),
-            (to_right, middle, -diagonal, width),
-            (padded, inner, radius, 1),
-        )
-        code[:] = 0
-        for source, part, shift, step in neighbours:
-            np.greater_equal(seen(source, part, shift, step, between), padded[inner], out=bit)
-            np.add(code, code, out=code)
-            np.add(code, bit.view(np.uint8), out=code)
-    return codes[:, border:-border]
+        def cut(start: int) -> FloatArray:
+            inside = slice(border + start, border + start + length)
+            return source[inside] if axis == 0 else source[:, inside]
+
+        if part <= 1e-9:
+            return np.ascontiguousarray(cut(first))
+        return np.asarray(cv2.addWeighted(cut(first), 1.0 - part, cut(first + 1), part, 0.0))
+
+    middle, right, left = (seen(strip, shift, 1) for shift in (0.0, diagonal, -diagonal))
+    beside, pixel = seen(strip, 0.0, 0), seen(middle, 0.0, 0)
+    codes = np.zeros(pixel.shape, dtype=np.uint8)
+    for source, shift, axis in (
+        (right, diagonal, 0), (middle, radius, 0), (left, diagonal, 0), (beside, -radius, 1),
+        (left, -diagonal, 0), (middle, -radius, 0), (right, -diagonal, 0), (beside, radius, 1),
+    ):  # fmt: skip
+        codes += codes  # from the highest bit to the lowest: each doubles what is there
+        codes += (seen(source, shift, axis) >= pixel).view(np.uint8)
+    return codes
 
 
 def uniform_bins() -> Codes:
@@ -135,42 +179,65 @@ def uniform_bins() -> Codes:
     return np.where(changes <= 2, np.cumsum(changes <= 2) - 1, 58).astype(np.uint8)
 
 
-_UNIFORM = uniform_bins()
+_UNIFORM_CODES = np.flatnonzero(uniform_bins() < 58)
 
 
-def _cell_histograms(codes: Codes, cell: int, settings: LbpSettings | None = None) -> NDArray[np.float32]:
-    """Histograms of codes (H, W) in whole cells, normalised: shape (rows, columns, 59 or 256). Raises BadInput if the
-    image is smaller than a cell.
-    """
-    settings = settings or LbpSettings()
+@lru_cache(maxsize=4)
+def _cell_numbers(down: int, across: int, cell: int) -> Codes:
+    """Where each pixel of some cells is counted: two places for a cell."""
+    column = np.arange(across * cell)
+    row = np.arange(down).repeat(cell)[:, None]
+    return (row * 2 * across + column // cell * 2 + column % 2).astype(np.uint8)
+
+
+def _cell_counts(codes: Codes, cell: int) -> NDArray[np.float32]:
+    """How often each code occurs in whole cells of codes (H, W): shape (rows, columns, 256)."""
     rows, columns = codes.shape[0] // cell, codes.shape[1] // cell
-    require(rows > 0 and columns > 0, f"the image of {codes.shape} pixels is smaller than a cell of {cell} pixels.")
     result = np.empty((rows, columns, 256), dtype=np.float32)
-    across = min(columns, 256)
-    down = min(rows, 256 // across)
-    number = np.arange(down * across, dtype=np.uint8).reshape(down, across).repeat(cell, axis=0).repeat(cell, axis=1)
-    for i in range(0, rows, down):
+    # even and odd columns are counted apart: codes beside each other are often equal, and no count waits for the last
+    across = min(columns, 128)
+    down = min(rows, 128 // across)
+    number = _cell_numbers(down, across, cell)
+    for i in range(0, rows, max(down, 1)):
         for j in range(0, columns, across):
             block = result[i : i + down, j : j + across]
             part = codes[i * cell : (i + block.shape[0]) * cell, j * cell : (j + block.shape[1]) * cell]
-            cells = np.ascontiguousarray(number[: part.shape[0], : part.shape[1]])
-            counts = cv2.calcHist([cells, part], [0, 1], None, [down * across, 256], [0, down * across, 0, 256])
-            block[:] = counts.reshape(down, across, 256)[: block.shape[0], : block.shape[1]]
-    if settings.uniform:  # bins of a few hundred cells are joined sooner than codes of a million pixels
-        joined = np.argsort(_UNIFORM, kind="stable")
-        result = np.add.reduceat(result[..., joined], np.searchsorted(_UNIFORM[joined], np.arange(59)), axis=2)
-    if settings.normalisation == "l2":
-        result /= np.sqrt((result * result).sum(axis=2, keepdims=True))
-    elif settings.normalisation == "l1":
-        result /= result.sum(axis=2, keepdims=True)
+            cells = number[: part.shape[0], : part.shape[1]]
+            bins = [2 * down * across, 256]
+            counts = cv2.calcHist([cells, part], [0, 1], None, bins, [0, bins[0], 0, 256])
+            pairs = counts.reshape(down, across, 2, 256)[: block.shape[0], : block.shape[1]]
+            np.add(pairs[:, :, 0], pairs[:, :, 1], out=block)
     return result
 
 
+def _histograms(counts: NDArray[np.float32], settings: LbpSettings) -> NDArray[np.float32]:
+    """Counts of codes (rows, columns, 256), normalised: the last axis has 59 or 256 bins."""
+    if settings.uniform:
+        every = counts[0, 0].sum()
+        counts = counts[..., _UNIFORM_CODES]
+        counts = np.concatenate([counts, every - counts.sum(axis=2, keepdims=True)], axis=2)
+    if settings.normalisation == "none":
+        return counts
+    squared = settings.normalisation == "l2"
+    length = (counts * counts if squared else counts).sum(axis=2, keepdims=True)
+    return np.asarray(counts / (np.sqrt(length) if squared else length))
+
+
 def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | None = None) -> NDArray[np.float32]:
-    """Feature vector of one channel (H, W): the normalised histograms of all cells."""
-    settings = settings or LbpSettings()
-    codes = lbp_codes(image, settings.radius(px_per_mm), settings.interpolation)
-    return _cell_histograms(codes, settings.cell(px_per_mm), settings).ravel()
+    """Feature vector of one channel (H, W): the normalised histograms of all whole cells.
+
+    Raises
+    ------
+    BadInput
+        If the image is not finite and two-dimensional, or smaller than a cell.
+    """
+    settings, image = settings or LbpSettings(), check_image(image)
+    radius, cell = settings.radius(px_per_mm), settings.cell(px_per_mm)
+    whole = [side // cell * cell for side in image.shape]
+    require(min(whole) > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
+    used = image[: whole[0] + int(radius) + 2, : whole[1] + int(radius) + 2]
+    strips = _code_strips(used, radius, settings.interpolation, max(1, _STRIP // cell) * cell)
+    return _histograms(np.concatenate([_cell_counts(strip, cell) for strip in strips]), settings).ravel()
 
 
 Vector = NDArray[np.float32]

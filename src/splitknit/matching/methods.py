@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from functools import cache, partial
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -408,7 +407,7 @@ def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
 @cache
 def _fmr_table(name: str) -> FmrTable | None:
     """Table in the package's file `name`; None where it was not measured."""
-    file = resources.files("splitknit.matching") / name
+    file = Path(__file__).with_name(name)
     if not file.is_file():
         return None
     document = json.loads(file.read_text(encoding="utf-8"))

@@ -105,9 +105,14 @@ def _overlaps(a: BoolArray, b: BoolArray, shifts: range) -> NDArray[np.int64]:
 
 def _runs(mask: BoolArray) -> tuple[NDArray[np.int64], NDArray[np.int64], BoolArray]:
     """Of each row: first column, column behind the last, and whether all between them belong to the mask."""
-    first, width = mask.argmax(axis=1), mask.shape[1]
-    last = np.where(mask[np.arange(len(mask)), first], width - mask[:, ::-1].argmax(axis=1), first)
-    return first, last, mask.view(np.uint8).sum(axis=1, dtype=np.uint32) == last - first
+    width = mask.shape[1] + 1
+    flat = np.zeros(1 + len(mask) * width, dtype=np.bool_)  # a place without finger before and behind each row
+    flat[1:].reshape(-1, width)[:, :-1] = mask
+    first, last = np.flatnonzero(flat[1:] != flat[:-1]).reshape(-1, 2).T
+    row = first // width
+    ends = np.zeros((2, len(mask)), dtype=np.int64)
+    ends[:, row] = np.stack([first, last]) - row * width
+    return ends[0], ends[1], np.bincount(row, minlength=len(mask)) <= 1
 
 
 def _overlap(a: BoolArray, b: BoolArray, right: int) -> int:
