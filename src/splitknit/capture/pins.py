@@ -21,11 +21,6 @@ WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)
 NIR_PINS = (18, 23, 24, 25, 12, 16, 20)
 """BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)."""
 DEFAULT_PINS: Mapping[str, tuple[int, ...]] = {"white": WHITE_PINS, "nir": NIR_PINS}
-HEADER_PINS: Mapping[int, int] = {
-    17: 11, 27: 13, 22: 15, 13: 33, 19: 35, 26: 37, 21: 40,
-    18: 12, 23: 16, 24: 18, 25: 22, 12: 32, 16: 36, 20: 38,
-}  # fmt: skip
-"""Where the default lines are on the 40-pin header."""
 USABLE = range(2, 28)
 """Lines that a rig may use; 0 and 1 belong to the ID EEPROM."""
 

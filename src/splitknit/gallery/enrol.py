@@ -207,7 +207,6 @@ def _session(taken: dict[str, str], source_sha256: str) -> str:
     return str(1 + max((int(session) for session in taken if session.isascii() and session.isdigit()), default=0))
 
 
-KEEP = ("none", "thumbnail", "raw")
 _THUMBNAIL_PPI = 250.0
 _NOT_INPUTS = ("truth.npz", ".splitknit")
 LARGEST_RAW = 1_000_000_000
