@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH
+from splitknit.prints.ridges import MM_PER_INCH, blur
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
@@ -347,8 +347,8 @@ def resample(
         weight, values = (_shrunk(image[cut], (width, height)) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
-        fraction = _blur(weight, sigma)
-        values = np.asarray(_blur(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        fraction = blur(weight, sigma)
+        values = np.asarray(blur(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (
@@ -375,8 +375,3 @@ def mask_box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
         slice(max(0, int(rows[0]) - margin), min(mask.shape[0], int(rows[-1]) + margin + 1)),
         slice(max(0, int(columns[0]) - margin), min(mask.shape[1], int(columns[-1]) + margin + 1)),
     )
-
-
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)

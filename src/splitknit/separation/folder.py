@@ -7,7 +7,6 @@ outside the mask), 8-bit previews of both, for sinusoids also ``phase.tiff`` (ra
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Mapping
@@ -25,7 +24,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import StackReader, image_size, write_image
-from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation.checkerboard import checkerboard
@@ -200,7 +199,7 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
 
 
 def _write_report(path: Path, facts: Mapping[str, Any]) -> None:
-    path.write_text(json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json_text(facts), encoding="utf-8")
 
 
 # Previews of separated light for people.

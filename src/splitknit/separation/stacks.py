@@ -150,12 +150,10 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings,
     )
 
 
-def check_fraction(value: float, name: str, low: float = 0.0, high: float = 1.0) -> float:
-    """Return `value` as a float in (low, high], or [0, high) where it is the dark level."""
+def check_fraction(value: float, name: str) -> float:
+    """Return `value` as a float in (0, 1], or [0, 1) where it is the dark level."""
     number = float(value)
-    dark = name == "dark"
-    good = low <= number < high if dark else low < number <= high
-    limits = f"[{low:g}, {high:g})" if dark else f"({low:g}, {high:g}]"
+    good, limits = (0 <= number < 1, "[0, 1)") if name == "dark" else (0 < number <= 1, "(0, 1]")
     require(good, f"{name} must lie in {limits}, but it is {number:g}.")
     return number
 
