@@ -68,7 +68,7 @@ def separate_to_folder(
         progress("writing", 0.8)
         facts = _write(parts, plan, light, target)
         facts["total_s"] = time.perf_counter() - started
-        _write_report(target / "report.json", facts)
+        (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
 
@@ -196,10 +196,6 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
         "against_white": white,
         "warnings": warnings,
     }
-
-
-def _write_report(path: Path, facts: Mapping[str, Any]) -> None:
-    path.write_text(json_text(facts), encoding="utf-8")
 
 
 # Previews of separated light for people.
