@@ -89,7 +89,7 @@ def relief_print(  # noqa: PLR0917
     input_per_print = px_per_mm * MM_PER_INCH / settings.ppi
     size = (max(1, round(upright_size[0] / input_per_print)), max(1, round(upright_size[1] / input_per_print)))
 
-    rows, columns = _box(mask, margin=int(4 * input_per_print) + 2)
+    rows, columns = mask_box(mask, int(4 * input_per_print) + 2)
     inside = mask[rows, columns].astype(np.float32)
     relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
@@ -147,7 +147,8 @@ def blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(blurred, dtype=np.float32)
 
 
-def _box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
+def mask_box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
+    """Rows and columns of the mask and `margin` pixels around it, inside the image."""
     rows = np.flatnonzero(mask.any(axis=1))
     columns = np.flatnonzero(mask.any(axis=0))
     return (
