@@ -136,6 +136,20 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def differing(one: Any, other: Any, name: str = "") -> list[str]:
+    """Dotted names of what differs between two documents of settings.
+
+    Examples
+    --------
+    >>> differing({"knit": {"mode": "none"}, "seed": 1}, {"knit": {"mode": "whole"}, "seed": 1})
+    ['knit.mode']
+    """
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        keys = sorted(one.keys() | other.keys())
+        return [found for key in keys for found in differing(one.get(key), other.get(key), f"{name}.{key}".strip("."))]
+    return [] if one == other else [name]
+
+
 def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return `settings` (nested frozen dataclasses) with the fields of `changes` replaced.
 

@@ -16,7 +16,7 @@ from splitknit.calibration.card_model import (
     _squared_radius,
     card_light,
 )
-from splitknit.calibration.flat_field import FlatFieldSettings, _fit_order, fit_flat_field
+from splitknit.calibration.flat_field import _fit_order, fit_flat_field
 from splitknit.errors import BadInput
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Led, default_rig, nominal_rig
@@ -198,8 +198,6 @@ def test_what_is_no_stack_of_cards_is_refused(rig):
         fit_flat_field(placed.camera, distant, pixels, light)
     with pytest.raises(BadInput, match="below the camera"):
         card_light(rig.camera, rig.leds[0], pixels, CardPlane(200.0))
-    with pytest.raises(BadInput, match=r"flat_field\.dust_percent"):
-        FlatFieldSettings(dust_percent=0)
 
 
 def test_a_fit_of_what_it_is_does_not_move(rig):

@@ -220,19 +220,17 @@ def test_images_that_are_black_or_clipped(rig, capture):
         calibrate_radiometry(with_image(2, lambda image: np.minimum(image.astype(int) * 2, 65535).astype("u2")), placed)
 
 
-def test_cards_that_do_not_serve(rig, capture):
+def test_cards_that_do_not_serve(rig, capture, monkeypatch):
     placed = as_placed(rig)
     shadowed = capture.bands["white"].pixels.copy()
     shadowed[4, :, 100:160] = shadowed[4, :, 100:160] // 10 * 9
     bands = {**capture.bands, "white": replace(capture.bands["white"], pixels=shadowed)}
-    with pytest.raises(BadInput, match=r"LED 4 \(white 4\) lights the card otherwise .*rms is \d"):
-        calibrate_radiometry(
-            replace(capture, bands=bands),
-            placed,
-            settings=replace(
-                RadiometrySettings(), flat_field=replace(RadiometrySettings().flat_field, dust_percent=50.0)
-            ),
-        )
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(BadInput, match=r"LED 4 \(white 4\) lights the card otherwise .*rms is \d"),
+    ):
+        patch.setattr("splitknit.calibration.flat_field.DUST_PERCENT", 50.0)
+        calibrate_radiometry(replace(capture, bands=bands), placed)
     with pytest.raises(BadInput, match="lights the card otherwise"):
         calibrate_radiometry(capture, placed, settings=RadiometrySettings(limit_percent=0.02))
 

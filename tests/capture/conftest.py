@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from twin_bench import Devices, twin_devices
 
-from splitknit.simulator.camera.device import FaultyScene, _Faults
+from faulty_scene import Faults, FaultyScene
 from splitknit.simulator.finger.finger import Pose
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import FingerScene
@@ -28,4 +28,4 @@ def sharp_finger() -> FingerScene:
 @pytest.fixture
 def faulty(finger: FingerScene) -> Callable[..., Devices]:
     """Return devices around the small finger with faults."""
-    return lambda **faults: twin_devices(FaultyScene(finger, _Faults(**faults)))
+    return lambda **faults: twin_devices(FaultyScene(finger, Faults(**faults)))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from splitknit.capture.pins import DEFAULT_PINS, HEADER_PINS, led_names, pins_of
+from splitknit.capture.pins import DEFAULT_PINS, led_names, pins_of
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 
@@ -20,8 +20,6 @@ def test_default_lines_are_fourteen_that_are_pulled_down_and_belong_to_nobody():
     assert len(set(lines)) == 14
     assert lines == DEFAULT_PINS["white"] + DEFAULT_PINS["nir"]
     assert set(lines).isdisjoint({*range(9), 9, 10, 11, 14, 15})  # pulled up, SPI, UART
-    assert set(HEADER_PINS) == set(lines)
-    assert len(set(HEADER_PINS.values())) == 14
 
 
 def test_the_rig_file_decides():

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from twin_bench import twin_devices
 
+from faulty_scene import Faults, FaultyScene
 from splitknit.capture.exposure import ExposureSettings
 from splitknit.capture.session import SessionSettings, _check_fit, run_session
 from splitknit.capture.shots import CheckSettings
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.model import default_rig
-from splitknit.simulator.camera.device import FaultyScene, TwinDeviceSettings, _Faults
+from splitknit.simulator.camera.device import TwinDeviceSettings
 
 # photographs of a session that measures focus once
 FOCUS, WHITE_AMBIENT, WHITE, NIR_AMBIENT, NIR = 0, 1, 2, 9, 10
@@ -169,11 +170,11 @@ def test_no_finger_is_no_capture(finger, faulty):
 
 def test_light_that_comes_on_later_overexposes(finger, faulty):
     camera, lights, _ = faulty()
-    camera._scene.faults = _Faults()
+    camera._scene.faults = Faults()
     scene = camera._scene
 
     def begins(number):
-        scene.faults = _Faults(room=0.3 if number == WHITE + 3 else 0.0)
+        scene.faults = Faults(room=0.3 if number == WHITE + 3 else 0.0)
 
     scene.frame_begins = begins
     session = run_session(camera, lights, finger.rig, SessionSettings(checks=CheckSettings(retries=0)))
@@ -182,7 +183,7 @@ def test_light_that_comes_on_later_overexposes(finger, faulty):
 
 @pytest.mark.slow
 def test_a_blurred_finger_is_refused_where_that_can_be_judged(sharp_finger):
-    camera, lights, _ = twin_devices(FaultyScene(sharp_finger, _Faults(blur_mm={0: 0.35})))
+    camera, lights, _ = twin_devices(FaultyScene(sharp_finger, Faults(blur_mm={0: 0.35})))
     with lights, camera:
         session = run_session(camera, lights, sharp_finger.rig, SessionSettings(exposure=ExposureSettings()))
     assert any("out of focus" in words for words in session.verdict)

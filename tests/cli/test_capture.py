@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from faulty_scene import Faults, FaultyScene
 from splitknit.cli.main import main
 from splitknit.io.capture import read_capture
 from splitknit.io.rig import write_rig
 from splitknit.model import default_rig
 from splitknit.rig import devices
-from splitknit.simulator.camera.device import FaultyScene, _Faults
 from splitknit.simulator.twin import FingerScene
 
 SMALL = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
@@ -54,7 +54,7 @@ def faults(monkeypatch: pytest.MonkeyPatch):
         class Spoilt(FingerScene):
             def __init__(self, *args: object, **options: object) -> None:
                 super().__init__(*args, **options)
-                self._faulty = FaultyScene(self._plain(), _Faults(**given))
+                self._faulty = FaultyScene(self._plain(), Faults(**given))
 
             def _plain(self):
                 scene = self

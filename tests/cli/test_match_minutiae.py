@@ -8,30 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perfect_results import write_perfect
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.evaluation.gallery_scores import gallery_scores
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit.matching.minutiae import extract, minutiae_match
-from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
-    pytest.importorskip("nbis")
-    folder = tmp_path_factory.mktemp("minutiae")
-    camera = default_rig(0.27).camera
-    for seed, pose, name in (
-        (731, Pose(insertion_mm=27.0), "a"),
-        (731, Pose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05), "again"),
-        (732, Pose(insertion_mm=27.0), "other"),
-    ):
-        seen = finger_surface(draw_finger(seed, "right_loop"), pose, camera)
-        write_perfect(folder / name, seen, camera)
-    return folder
 
 
 def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object, method: str = "minutiae") -> dict:
@@ -41,9 +22,9 @@ def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object, method: str
     return json.loads(printed.out)
 
 
-def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
-    same = facts_of(capsys, results / "a", results / "again")
-    other = facts_of(capsys, results / "a", results / "other")
+def test_one_finger_is_told_from_another(impressions: Path, capsys) -> None:
+    same = facts_of(capsys, impressions / "a", impressions / "again")
+    other = facts_of(capsys, impressions / "a", impressions / "other")
     assert same["similarity"] > 80 > 40 > other["similarity"]  # noqa: PLR0133
     assert same["compared"]
     assert same["a"]["minutiae"] > 20
@@ -53,26 +34,26 @@ def test_one_finger_is_told_from_another(results: Path, capsys) -> None:
     assert same["similarity_with_ridges"] > 3 > other["similarity_with_ridges"]
 
 
-def test_the_similarity_is_that_of_the_prints(results: Path, capsys) -> None:
+def test_the_similarity_is_that_of_the_prints(impressions: Path, capsys) -> None:
     """What a result's print.png gives, taken as it is."""
-    found = facts_of(capsys, results / "a", results / "again")
-    sides = [extract(read_print_png(results / name / "print.png").image) for name in ("a", "again")]
+    found = facts_of(capsys, impressions / "a", impressions / "again")
+    sides = [extract(read_print_png(impressions / name / "print.png").image) for name in ("a", "again")]
     assert found["similarity"] == minutiae_match(*sides)
-    assert found["similarity"] == facts_of(capsys, results / "again", results / "a")["similarity"]
+    assert found["similarity"] == facts_of(capsys, impressions / "again", impressions / "a")["similarity"]
 
 
-def test_prints_match_their_surfaces(results: Path, capsys) -> None:
-    found = facts_of(capsys, results / "a", results / "again" / "print.png")
+def test_prints_match_their_surfaces(impressions: Path, capsys) -> None:
+    found = facts_of(capsys, impressions / "a", impressions / "again" / "print.png")
     assert found["similarity"] > 60
     assert found["b"]["enhanced"]
     assert found["fmr"] is None
     assert "prints from files" in found["fmr_missing"]
 
 
-def test_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
+def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
     from splitknit.matching.methods import _minutiae_false_match_rate
 
-    same, other = (facts_of(capsys, results / "a", results / name) for name in ("again", "other"))
+    same, other = (facts_of(capsys, impressions / "a", impressions / name) for name in ("again", "other"))
     low, high = _minutiae_false_match_rate(5.0), _minutiae_false_match_rate(200.0)
     assert low is not None and high is not None
     assert same["fmr"] == _minutiae_false_match_rate(same["similarity"])
@@ -80,38 +61,38 @@ def test_rates_are_of_the_shipped_table(results: Path, capsys) -> None:
     assert high < low
 
 
-def test_words_for_people(results: Path, capsys) -> None:
-    assert main(["match", str(results / "a"), str(results / "again"), "--method", "minutiae"]) == 0
+def test_words_for_people(impressions: Path, capsys) -> None:
+    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", "minutiae"]) == 0
     words = capsys.readouterr().out
     assert "pairs of minutiae fit together" in words
     assert "quality (NFIQ 2)" in words
     assert "fused with the ridges" in words
 
 
-def test_an_empty_print_is_a_failure_to_acquire(results: Path, tmp_path: Path, capsys) -> None:
+def test_an_empty_print_is_a_failure_to_acquire(impressions: Path, tmp_path: Path, capsys) -> None:
     write_print_png(tmp_path / "empty.png", np.full((300, 300), 255, np.uint8), 500.0)
-    found = facts_of(capsys, tmp_path / "empty.png", results / "a")
+    found = facts_of(capsys, tmp_path / "empty.png", impressions / "a")
     assert found["similarity"] == 0
     assert not found["compared"]
     assert not found["a"]["acquired"]
     assert found["a"]["nfiq2"] is None
     assert found["similarity_with_ridges"] is None
     assert found["fmr"] is None
-    assert main(["match", str(tmp_path / "empty.png"), str(results / "a"), "--method", "minutiae"]) == 0
+    assert main(["match", str(tmp_path / "empty.png"), str(impressions / "a"), "--method", "minutiae"]) == 0
     assert "fewer than ten minutiae (failure to acquire)" in capsys.readouterr().out
 
 
-def test_templates_of_ridges_are_refused(results: Path, tmp_path: Path, capsys) -> None:
-    assert main(["match", str(results / "a"), "--template", str(tmp_path / "a.skt")]) == 0
+def test_templates_of_ridges_are_refused(impressions: Path, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(impressions / "a"), "--template", str(tmp_path / "a.skt")]) == 0
     capsys.readouterr()
-    assert main(["match", str(tmp_path / "a.skt"), str(results / "a"), "--method", "minutiae"]) == 2
+    assert main(["match", str(tmp_path / "a.skt"), str(impressions / "a"), "--method", "minutiae"]) == 2
     said = capsys.readouterr().err
     assert "keeps no minutiae" in said
     assert said.count("\n") == 1
 
 
-def test_two_prints_are_fused_by_default(results: Path, tmp_path: Path, capsys) -> None:
-    prints = {name: results / name / "print.png" for name in ("a", "again", "other")}
+def test_two_prints_are_fused_by_default(impressions: Path, tmp_path: Path, capsys) -> None:
+    prints = {name: impressions / name / "print.png" for name in ("a", "again", "other")}
     same = facts_of(capsys, prints["a"], prints["again"], method="auto")
     other = facts_of(capsys, prints["a"], prints["other"], method="auto")
     assert same["method"] == other["method"] == "fusion"
@@ -122,20 +103,20 @@ def test_two_prints_are_fused_by_default(results: Path, tmp_path: Path, capsys) 
     assert main(["match", str(prints["a"]), "--template", str(template)]) == 0
     capsys.readouterr()
     assert facts_of(capsys, template, prints["again"], method="auto")["similarity"] == same["similarity"]
-    assert facts_of(capsys, results / "a", prints["again"], method="auto")["method"] == "ridge"
+    assert facts_of(capsys, impressions / "a", prints["again"], method="auto")["method"] == "ridge"
     assert main(["match", *map(str, prints.values())][:3]) == 0
     words = capsys.readouterr().out
     assert "log-likelihood ratio of ridges and minutiae" in words
-    assert main(["match", str(results / "a"), str(prints["a"]), "--method", "fusion"]) == 2
+    assert main(["match", str(impressions / "a"), str(prints["a"]), "--method", "fusion"]) == 2
     assert "without minutiae of a print" in capsys.readouterr().err
 
 
-def test_without_nbis_prints_are_compared_by_ridges(results: Path, capsys, monkeypatch) -> None:
+def test_without_nbis_prints_are_compared_by_ridges(impressions: Path, capsys, monkeypatch) -> None:
     def missing() -> None:
         raise BadInput("minutiae need nbis-py")
 
     monkeypatch.setattr("splitknit.matching.minutiae._module", missing)
-    prints = [results / name / "print.png" for name in ("a", "again")]
+    prints = [impressions / name / "print.png" for name in ("a", "again")]
     found = facts_of(capsys, *prints, method="auto")
     assert found["method"] == "ridge"
     assert found["fusion_missing"] == "nbis-py is not installed"
@@ -145,12 +126,12 @@ def test_without_nbis_prints_are_compared_by_ridges(results: Path, capsys, monke
     assert "minutiae need nbis-py" in capsys.readouterr().err
 
 
-def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(results: Path, tmp_path: Path, capsys) -> None:
+def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(impressions: Path, tmp_path: Path, capsys) -> None:
     gallery = tmp_path / "prints.skg"
     turned = tmp_path / "turned.png"
-    write_print_png(turned, np.rot90(read_print_png(results / "other" / "print.png").image, 1).copy(), 500.0)
+    write_print_png(turned, np.rot90(read_print_png(impressions / "other" / "print.png").image, 1).copy(), 500.0)
     for person, sources in (("Ada", ("a", "again")), ("Bo", ("other", None))):
-        files = [turned if name is None else results / name / "print.png" for name in sources]
+        files = [turned if name is None else impressions / name / "print.png" for name in sources]
         assert main(["enroll", str(gallery), *map(str, files), "--person", person, "--finger", "left_index"]) == 0
     capsys.readouterr()
     assert main(["identify", str(gallery), str(turned), "--merge", "none", "--json"]) == 0
@@ -160,5 +141,5 @@ def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(results: Path, tm
     assert found["decision"]["match"]
     scores = gallery_scores(gallery).scores
     assert scores.genuine.min() > 3 > 0 > scores.impostor.max()  # noqa: PLR0133
-    assert main(["identify", str(gallery), str(results / "a"), "--json"]) == 0
+    assert main(["identify", str(gallery), str(impressions / "a"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["searched"]["compared_by"] == "ridge"

@@ -8,28 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perfect_results import write_perfect
 from splitknit.cli.main import main
 from splitknit.io.npz import write_npz
-from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 METHODS = ("minutiae3d", "surface-code", "tetrahedra")
-
-
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
-    pytest.importorskip("nbis")
-    folder = tmp_path_factory.mktemp("space")
-    camera = default_rig(0.27).camera
-    for seed, pose, name in (
-        (731, Pose(insertion_mm=27.0), "a"),
-        (731, Pose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05), "again"),
-        (732, Pose(insertion_mm=27.0), "other"),
-    ):
-        write_perfect(folder / name, finger_surface(draw_finger(seed, "right_loop"), pose, camera), camera)
-    return folder
 
 
 def facts_of(capsys: pytest.CaptureFixture[str], method: str, *arguments: object) -> dict:
@@ -40,9 +22,9 @@ def facts_of(capsys: pytest.CaptureFixture[str], method: str, *arguments: object
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_one_finger_is_told_from_another(results: Path, method: str, capsys) -> None:
-    same = facts_of(capsys, method, results / "a", results / "again")
-    other = facts_of(capsys, method, results / "a", results / "other")
+def test_one_finger_is_told_from_another(impressions: Path, method: str, capsys) -> None:
+    same = facts_of(capsys, method, impressions / "a", impressions / "again")
+    other = facts_of(capsys, method, impressions / "a", impressions / "other")
     assert same["compared"]
     assert other["compared"]
     assert same["similarity"] > other["similarity"] + {"surface-code": 0.08}.get(method, 0.3)
@@ -52,26 +34,26 @@ def test_one_finger_is_told_from_another(results: Path, method: str, capsys) -> 
         assert same["a"]["code_mm2"] > 100
     else:
         assert same["agreeing"] <= min(same["a"]["minutiae"], same["b"]["minutiae"])
-    assert main(["match", str(results / "a"), str(results / "again"), "--method", method]) == 0
+    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", method]) == 0
     words = capsys.readouterr().out
     assert words.startswith(f"similarity {same['similarity']:.4f} (fraction of")
     assert "\n" in words.strip()
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_prints_and_templates_have_no_surface(results: Path, method: str, tmp_path: Path, capsys) -> None:
-    assert main(["match", str(results / "a"), "--template", str(tmp_path / "a.skt")]) == 0
+def test_prints_and_templates_have_no_surface(impressions: Path, method: str, tmp_path: Path, capsys) -> None:
+    assert main(["match", str(impressions / "a"), "--template", str(tmp_path / "a.skt")]) == 0
     capsys.readouterr()
-    for flat, kind in ((results / "a" / "print.png", "print"), (tmp_path / "a.skt", "template")):
-        assert main(["match", str(results / "a"), str(flat), "--method", method]) == 2
+    for flat, kind in ((impressions / "a" / "print.png", "print"), (tmp_path / "a.skt", "template")):
+        assert main(["match", str(impressions / "a"), str(flat), "--method", method]) == 2
         printed = capsys.readouterr()
         assert printed.out == ""
         assert f"is a {kind}; the method {method} compares surfaces: name a capture or a result." in printed.err
 
 
-def test_too_little_skin(results: Path, tmp_path: Path, capsys) -> None:
+def test_too_little_skin(impressions: Path, tmp_path: Path, capsys) -> None:
     """A scrap of a finger is a failure to acquire, and said to be one."""
-    with np.load(results / "a" / "height.npz") as arrays:
+    with np.load(impressions / "a" / "height.npz") as arrays:
         scrap = dict(arrays)
     mask = np.zeros_like(scrap["mask"])
     row, column = (int(np.median(axis)) for axis in np.nonzero(scrap["mask"]))
@@ -82,19 +64,19 @@ def test_too_little_skin(results: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "scrap").mkdir()
     write_npz(tmp_path / "scrap" / "height.npz", scrap)
     for method in METHODS:
-        found = facts_of(capsys, method, results / "a", tmp_path / "scrap")
+        found = facts_of(capsys, method, impressions / "a", tmp_path / "scrap")
         assert (found["compared"], found["similarity"], found["b"]["acquired"]) == (False, 0.0, False)
-        assert main(["match", str(results / "a"), str(tmp_path / "scrap"), "--method", method]) == 0
+        assert main(["match", str(impressions / "a"), str(tmp_path / "scrap"), "--method", method]) == 0
         words = capsys.readouterr().out
         assert "not compared: failure to acquire" in words
         assert "scrap holds" in words
 
 
-def test_settings_can_be_changed(results: Path, capsys) -> None:
+def test_settings_can_be_changed(impressions: Path, capsys) -> None:
     strict = facts_of(
-        capsys, "minutiae3d", results / "a", results / "again", "--set", "minutiae3d.agreement.plane_mm=0.1"
+        capsys, "minutiae3d", impressions / "a", impressions / "again", "--set", "minutiae3d.agreement.plane_mm=0.1"
     )
-    assert strict["similarity"] < facts_of(capsys, "minutiae3d", results / "a", results / "again")["similarity"]
-    wrong = ["match", str(results / "a"), str(results / "again"), "--set", "surface_code.coding=morse"]
+    assert strict["similarity"] < facts_of(capsys, "minutiae3d", impressions / "a", impressions / "again")["similarity"]
+    wrong = ["match", str(impressions / "a"), str(impressions / "again"), "--set", "surface_code.coding=morse"]
     assert main([*wrong, "--method", "surface-code"]) == 2
     assert "one of 'gray', 'binary'" in capsys.readouterr().err

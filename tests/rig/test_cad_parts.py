@@ -16,6 +16,7 @@ from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, _mirror_front, 
 from splitknit.rig.part_reports import _check_soundness, _first_hits, report_part
 from splitknit.rig.part_settings import (
     CAMERA_LENS_TO_CONNECTOR_MM,
+    JOINT_PLATE_MM,
     MIRROR_LONG_MM,
     MIRROR_THICK_MM,
     PCB_OVER_PI_MM,
@@ -163,7 +164,7 @@ def test_only_one_turn_fits():
 
 def test_boards_and_cable_fit(rig):
     dimensions, parts = rig
-    floor = dimensions.box_z_mm + dimensions.settings.joint.plate_mm
+    floor = dimensions.box_z_mm + JOINT_PLATE_MM
     low = floor + PI_POST_HEIGHT_MM
     pi = build123d.Pos(-42.5 - 3, -28, low) * build123d.Solid.make_box(3 + 85, 56, 1.5 + 16)
     plug = build123d.Rot(0, 0, 70) * build123d.Pos(40, 0, dimensions.lid_z_mm - 20.3)

@@ -23,6 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 from run import KINDS, SEEDS, photographed
+from scipy.stats import binomtest
 
 import splitknit.simulator.finger.finger as drawing
 from splitknit.finger.locate import find_finger
@@ -96,12 +97,10 @@ def population_tasks(population: Path, count: int) -> Iterator[dict[str, Any]]:
     return ({"set": "population", "capture": names[k]} for k in some)
 
 
-def wilson(passed: int, trials: int, z: float = 1.959964) -> list[float]:
+def wilson(passed: int, trials: int) -> list[float]:
     """95 % interval of a fraction of independent trials (Wilson 1927)."""
-    fraction, more = passed / trials, z * z / trials
-    middle = (fraction + more / 2) / (1 + more)
-    half = z * float(np.sqrt(fraction * (1 - fraction) / trials + more / (4 * trials))) / (1 + more)
-    return [round(max(0.0, middle - half), 4), round(min(1.0, middle + half), 4)]
+    found = binomtest(passed, trials).proportion_ci(method="wilson")
+    return [round(float(found.low), 4), round(float(found.high), 4)]
 
 
 def reports_of(rows: list[dict[str, Any]]) -> dict[str, Any]:

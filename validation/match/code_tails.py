@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.stats import binom, binomtest
 
 FRACTION = 0.02
 """Of the impostors' scores, the highest, that the tail is fitted to."""
@@ -49,8 +49,6 @@ def hit_rates(
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """Interval of 95 % of a fraction, by Wilson's score."""
-    z2, fraction = 1.96**2, hits / count
-    middle = (fraction + z2 / (2 * count)) / (1 + z2 / count)
-    half = 1.96 / (1 + z2 / count) * float(np.sqrt(fraction * (1 - fraction) / count + z2 / (4 * count**2)))
-    return middle - half, middle + half
+    """Interval of 95 % of a fraction of independent trials, by Wilson's score."""
+    found = binomtest(hits, count).proportion_ci(method="wilson")
+    return float(found.low), float(found.high)

@@ -22,6 +22,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from code_tails import wilson
 from numpy.typing import NDArray
 from pressed_prints import finger, press
 
@@ -153,14 +154,6 @@ def rows(systems: Sequence[Scores]) -> dict[str, Any]:
             paired = differences(one, systems[0], "finger", settings)
             result[one.name]["gar_at_far_0_minus_nbis_py"] = _rounded(paired[f"gar@{FAR_0:g}"])
     return result
-
-
-def wilson(passed: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a fraction of independent trials (Wilson 1927); presses of one finger are not independent."""
-    fraction, more = passed / trials, z * z / trials
-    middle = (fraction + more / 2) / (1 + more)
-    half = z * np.sqrt(fraction * (1 - fraction) / trials + more / (4 * trials)) / (1 + more)
-    return float(middle - half), float(middle + half)
 
 
 def _rounded(interval: Any) -> list[float]:

@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_survey
 from splitknit.mirrors.captured import found_views, skin_slopes
 from splitknit.mirrors.mirror import MirrorShape, mirror_shape
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -95,9 +94,7 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
         own = MirrorShapeSettings(method=method)
         try:
             if off not in seen:
-                views = found_views(taken, settings.mask, settings.shape.mirror)
-                _, grey = linear_survey(taken.bands["white"], taken.encoding, views.binning)
-                seen[off] = views, grey
+                seen[off] = found_views(taken, settings.mask, settings.shape.mirror)
             views, grey = seen[off]
             part = Views(views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning)
             shape = mirror_shape(part, taken.rig.camera, nominal, own)

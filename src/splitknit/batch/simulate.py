@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,8 +24,9 @@ from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file, atomic_folder, hold
 from splitknit.io.capture import write_capture
 from splitknit.io.fields import read_json
-from splitknit.io.provenance import plain_json, provenance, settings_hash
+from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
 from splitknit.model import Progress, no_progress
+from splitknit.settings import differing
 from splitknit.simulator.population.prints import RealPrint, RealPrints, choose_prints
 from splitknit.simulator.population.sessions import DRAWS, PopulationSettings, population_capture
 
@@ -90,7 +90,7 @@ def simulate_population(
     enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
     if not (out / POPULATION_FILE).is_file():
         with atomic_file(out / POPULATION_FILE) as stream:
-            stream.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode("ascii"))
+            stream.write(json_text(document).encode("ascii"))
     with _alone(out / POPULATION_FILE):
         _sweep(enrolment)
         waiting = enrolment.waiting()
@@ -138,7 +138,7 @@ def _simulate_job(job: Job, settings: PopulationSettings, real: RealPrints, fold
         shown = population_capture(settings, person, place.finger, place.session, master=master)
         with atomic_folder(target, overwrite=False) as made:
             write_capture(shown.capture, made, shown.truth, overwrite=True)
-            text = json.dumps(plain_json(shown.facts | {"print": printed}), indent=1, allow_nan=False) + "\n"
+            text = json_text(shown.facts | {"print": printed})
             (made / IMPRESSION_FILE).write_text(text, encoding="ascii")
     return len(job.places)
 
@@ -196,21 +196,13 @@ def _check_settings(out: Path, earlier: dict[str, Any], document: dict[str, Any]
     """Refuse a folder of other captures than these settings give."""
     with refusing(_DAMAGED.format(out / POPULATION_FILE)):
         same = earlier["settings_sha256"] == document["settings_sha256"]
-        differing = _differing(earlier["settings"], document["settings"])
-        differing += [] if earlier.get("prints") == document.get("prints") else ["prints"]
-    where = f" ({', '.join(differing[:4])})" if differing else ""
+        names = differing(earlier["settings"], document["settings"])
+        names += [] if earlier.get("prints") == document.get("prints") else ["prints"]
+    where = f" ({', '.join(names[:4])})" if names else ""
     require(
         same,
         f"the population in '{out}' was simulated with other settings{where}; use the same, or name another folder.",
     )
-
-
-def _differing(one: Any, other: Any, name: str = "") -> list[str]:
-    """Names of the settings that differ."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        keys = sorted(one.keys() | other.keys())
-        return [found for key in keys for found in _differing(one.get(key), other.get(key), f"{name}.{key}".strip("."))]
-    return [] if one == other else [name]
 
 
 @contextmanager

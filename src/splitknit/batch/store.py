@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +18,9 @@ from splitknit.batch.solids import SOLIDS
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.atomic import make_folder
 from splitknit.io.fields import MAX_JSON_BYTES, as_number, parse_json
-from splitknit.io.provenance import plain_json, provenance, settings_hash
+from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
 from splitknit.matching.thesis import FingerImages
+from splitknit.settings import differing
 
 STORE_FILE = "store.json"
 FORMAT, VERSION = "splitknit-batch", 2
@@ -199,7 +199,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
         if document == earlier:
             return store
     with whole_file(file) as stream:
-        stream.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode("ascii"))
+        stream.write(json_text(document).encode("ascii"))
     return store
 
 
@@ -274,19 +274,10 @@ def _pairs(folder: Location, earlier: Any, wanted: Any) -> Any:
 
 
 def _check_settings(folder: Location, what: str, earlier: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    names = _differing(earlier, wanted)
+    names = differing(earlier.get("settings", {}), wanted["settings"])
     where = f" ({', '.join(names[:4])})" if names else ""
     require(
         earlier.get("settings_sha256") == wanted["settings_sha256"],
         f"the store '{folder}' was made with other settings of {what}{where}; use the same, another name, or another "
         "folder.",
     )
-
-
-def _differing(one: Any, other: Any, name: str = "") -> list[str]:
-    """Names of the settings that differ."""
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        keys = sorted((one.keys() | other.keys()) - {"settings_sha256"})
-        inner = [(key, name if key == "settings" else f"{name}.{key}".strip(".")) for key in keys]
-        return [found for key, where in inner for found in _differing(one.get(key), other.get(key), where)]
-    return [] if one == other else [name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.targets import Board
 from splitknit.errors import BadInput, require
-from splitknit.settings import Checked, Limits
 
 Points = NDArray[np.float64]
 TERMS = ("k1", "k2", "p1", "p2", "k3")
@@ -28,6 +27,8 @@ _LONGEST = 40.0
 
 _SIGNIFICANCE = 4.0
 """A term is kept where it differs from nothing by more than this many standard deviations."""
+_PRINCIPAL_LIMIT = 0.05
+"""The principal point is held in the image's middle where its standard deviation exceeds this part of the image."""
 _GROSS_ASPECT = 0.015
 """A ratio of the focal lengths that differs by more from one is kept before any distortion is tried."""
 
@@ -62,9 +63,7 @@ class _Views:
     """Columns, rows of the images."""
 
 
-def fit_lens(
-    board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int], principal_limit: float = 0.05
-) -> LensFit:
+def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> LensFit:
     """Fit matrix and distortion; each term only where the views determine it.
 
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
@@ -78,7 +77,6 @@ def fit_lens(
     board_mm : (N, 2) the board's corners in its plane
     corner_sets : V arrays (N, 2), column and row of the corners in each view
     image_size : rows, columns
-    principal_limit : see :class:`CameraSettings`
 
     Raises
     ------
@@ -97,7 +95,7 @@ def fit_lens(
     kept: tuple[str, ...] = ("cx", "cy")
     fixed: dict[str, str] = {}
     best = _fit(views, kept)
-    if max(best.deviations["cx"], best.deviations["cy"]) > principal_limit * max(image_size):
+    if max(best.deviations["cx"], best.deviations["cy"]) > _PRINCIPAL_LIMIT * max(image_size):
         words = "{0:.0f} px of standard deviation are too much; it was held in the middle of the image"
         fixed["principal point"] = words.format(max(best.deviations["cx"], best.deviations["cy"]))
         kept = ()
@@ -237,8 +235,10 @@ def _undetermined(why: str) -> str:
 
 _MIN_VIEWS = 5
 """Views that must remain."""
+_OUTLIER_RATIO = 1.6
+"""A view is rejected if its error exceeds the median by this factor ..."""
 _OUTLIER_SPREAD = 5.0
-"""A view is rejected if its error exceeds the median by this many times the robust spread of all errors."""
+"""... and by this many times the robust spread of all errors."""
 _SAME_PX = 0.3
 """Views whose corners differ by less than this (rms) are one view, photographed twice."""
 _MAX_FOCAL_ERROR = 0.01
@@ -251,17 +251,6 @@ _MIN_VARIETY_DEG = 10.0
 """Views should hold boards whose normals differ by more than this."""
 _MIN_COVERAGE = 0.5
 """Part of the picture that the corners of all views together should span."""
-
-
-@dataclass(frozen=True, slots=True)
-class CameraSettings(Checked):
-    """What views must be like."""
-
-    outlier_ratio: Annotated[float, Limits(1)] = 1.6
-    """A view is rejected if its error exceeds the median by this factor, and by five times the robust spread."""
-    principal_limit: Annotated[float, Limits(0, above=True)] = 0.05
-    """The principal point is taken to be the image's middle where its standard deviation exceeds this part of the
-    longer side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,21 +275,17 @@ class CameraCalibration:
     warnings: tuple[str, ...]
 
 
-DEFAULTS = CameraSettings()
-
-
 def calibrate_camera(
     corner_sets: Sequence[Any],
     board: Board,
     image_size: tuple[int, int],
     names: Sequence[str] | None = None,
-    settings: CameraSettings = DEFAULTS,
 ) -> CameraCalibration:
     """Calibrate a camera by Zhang's method, with rejection of bad views.
 
     Views with an error far above the others' are taken out, the worst first, and the rest is fitted again: far is more
-    than `outlier_spread` robust standard deviations (1.4826 times the median absolute deviation) above the median, and
-    `outlier_ratio` times the median.
+    than 5 robust standard deviations (1.4826 times the median absolute deviation) above the median, and 1.6 times the
+    median.
 
     Parameters
     ----------
@@ -308,7 +293,6 @@ def calibrate_camera(
     board : Board
     image_size : rows, columns
     names : V names for messages
-    settings : CameraSettings
 
     Returns
     -------
@@ -332,8 +316,8 @@ def calibrate_camera(
     _require_enough(len(kept), len(views), f" ({len(repeated)} of them twice)" if repeated else "")
     rejected: dict[str, float] = {}
     while True:
-        lens = fit_lens(board.points_mm, [views[k] for k in kept], image_size, settings.principal_limit)
-        worst = _outlier(lens.view_rms_px, settings)
+        lens = fit_lens(board.points_mm, [views[k] for k in kept], image_size)
+        worst = _outlier(lens.view_rms_px)
         if worst is None:
             break
         rejected[names[kept[worst]]] = float(lens.view_rms_px[worst])
@@ -385,12 +369,12 @@ def _require_enough(count: int, given: int, why: str) -> None:
     )
 
 
-def _outlier(errors: NDArray[np.float64], settings: CameraSettings) -> int | None:
+def _outlier(errors: NDArray[np.float64]) -> int | None:
     """Index of the worst view if it lies outside what the others do."""
     worst = int(np.argmax(errors))
     middle = float(np.median(errors))
     spread = 1.4826 * float(np.median(np.abs(errors - middle)))
-    limit = max(middle + _OUTLIER_SPREAD * spread, settings.outlier_ratio * middle)
+    limit = max(middle + _OUTLIER_SPREAD * spread, _OUTLIER_RATIO * middle)
     return worst if errors[worst] > limit else None
 
 

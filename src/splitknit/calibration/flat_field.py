@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from splitknit.calibration.card_model import LADDER, Answer, CardModel, CardPlane, Order, rays_to_led
 from splitknit.errors import require
 from splitknit.model import Camera, Led
-from splitknit.settings import Checked, Limits
 
 # Robust least squares for the model of a white card: Levenberg and Marquardt's steps, weights of the card's places.
 #
@@ -187,14 +186,8 @@ _MAX_EMPTY = 0.005
 """Fraction of the cells that may be so."""
 MAX_DUST = 0.05
 """Largest fraction of dust; beyond it the card is not uniform."""
-
-
-@dataclass(frozen=True, slots=True)
-class FlatFieldSettings(Checked):
-    """How the model is fitted and judged."""
-
-    dust_percent: Annotated[float, Limits(0, above=True)] = 2.0
-    """A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
+DUST_PERCENT = 2.0
+"""A cell that departs further under all LEDs is counted as dust and left out of the residuals."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,7 +216,6 @@ class FlatField:
     gloss_error: float
     card: CardPlane = field(default_factory=CardPlane)
     """Where it lay."""
-    settings: FlatFieldSettings = field(default_factory=FlatFieldSettings)
 
     @property
     def rms_percent(self) -> Array:
@@ -236,13 +228,12 @@ class FlatField:
         return np.asarray(100 * np.abs(self.residual[:, ~self.dust]).max(axis=1))
 
 
-def fit_flat_field(  # noqa: PLR0917
+def fit_flat_field(
     camera: Camera,
     leds: Sequence[Led],
     pixels: Any,
     light: Any,
     card: CardPlane | None = None,
-    settings: FlatFieldSettings | None = None,
 ) -> FlatField:
     """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands together.
 
@@ -255,7 +246,6 @@ def fit_flat_field(  # noqa: PLR0917
     pixels : (N, 2) column and row
     light : (L, N) linear light at `pixels` with LED k alone, the lens's fall-off in it
     card : where the card lies; on the finger plane by default
-    settings : FlatFieldSettings, optional
 
     Returns
     -------
@@ -276,7 +266,6 @@ def fit_flat_field(  # noqa: PLR0917
     A tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against
     the base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
     """
-    chosen = settings or FlatFieldSettings()
     places, images = _checked(pixels, light, len(leds))
     plane = card or CardPlane()
     model = CardModel(camera, leds, places, plane)
@@ -292,7 +281,7 @@ def fit_flat_field(  # noqa: PLR0917
         if order.lens and not order.aims:
             _check_field(np.exp(logarithm - model.logarithm(start)))
     residuals = [images / np.exp(model.logarithm(fit.answer)) - 1.0 for fit in fits]
-    dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * chosen.dust_percent
+    dust = np.abs(np.median(residuals[-1], axis=0)) > 0.01 * DUST_PERCENT
     require(not dust.all(), "the card is not uniform: no part of the picture looks like an even card.")
     rms = [100 * float(np.sqrt(np.mean(one[:, ~dust] ** 2))) for one in residuals]
     enough = max(float(np.hypot(min(rms), _ENOUGH_PERCENT)), (1 + _ENOUGH_FRACTION) * min(rms))
@@ -314,7 +303,6 @@ def fit_flat_field(  # noqa: PLR0917
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
         card=plane,
-        settings=chosen,
     )
 
 

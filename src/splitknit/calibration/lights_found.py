@@ -136,7 +136,7 @@ def calibrate_lights(
     strays = joint.strays if joint is not None and method == "joint" else frozenset()
     found = [(band, led, one.disagreement_deg) for (band, led), one in chosen.items()]
     judged = _judge(found, copied, strays, settings.limits.limit_deg)
-    sentence = _refusal(judged, settings.limits.limit_deg, STRAY_MM)
+    sentence = _refusal(judged, settings.limits.limit_deg)
     by_name = {(one.band, one.led): one for one in plain}
     leds = [_led_facts(one, chosen, by_name, joint, keep=keep) for one in judged]
     facts: dict[str, Any] = {
@@ -320,12 +320,11 @@ def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "t
             )
 
 
-def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits | None = None) -> set[tuple[str, int]]:
+def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> set[tuple[str, int]]:
     """Return the LEDs, band and number, whose shadow tips repeat although the nail moved: copying errors.
 
     A tip always moves further than its nail, so that no true pair of tips can come under the limit.
     """
-    limits = limits or LightLimits()
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
     found = set()
     for i, first in enumerate(tips):
@@ -337,7 +336,7 @@ def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits | None
     return found
 
 
-def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits | None = None) -> None:
+def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> None:
     """Check that a nail number is one place, and two numbers two places.
 
     Raises
@@ -345,7 +344,6 @@ def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits | None
     BadInput
         Naming the nail numbers.
     """
-    limits = limits or LightLimits()
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Points] = {}
     for band, nail in dict.fromkeys((tip.band, tip.nail) for tip in tips):
@@ -371,8 +369,8 @@ def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits | None
 def _judge(
     found: Sequence[tuple[str, int, float | None]],
     copied: Set[tuple[str, int]],
-    strays: Set[tuple[str, int]] = frozenset(),
-    limit_deg: float = 5.0,
+    strays: Set[tuple[str, int]],
+    limit_deg: float,
 ) -> tuple[Judged, ...]:
     """Give every LED (band, number, disagreement in degrees or None) its verdict.
 
@@ -393,7 +391,7 @@ def _judge(
     return tuple(judged)
 
 
-def _refusal(judged: Sequence[Judged], limit_deg: float, stray_mm: float = 10.0) -> str | None:
+def _refusal(judged: Sequence[Judged], limit_deg: float) -> str | None:
     """One sentence that names every LED that is refused and what to do; None where there is none."""
     apart = [f"{one.name} ({one.disagreement_deg:.1f} deg)" for one in judged if one.verdict == DISAGREES]
     same = [one.name for one in judged if one.verdict == COPIED]
@@ -404,7 +402,7 @@ def _refusal(judged: Sequence[Judged], limit_deg: float, stray_mm: float = 10.0)
     if same:
         parts.append(f"the shadow tips of {_listed(same)} are copies: they repeat although the nail moved")
     if away:
-        parts.append(f"{_listed(away)} would stand more than {stray_mm:g} mm outside or inside the LED circle")
+        parts.append(f"{_listed(away)} would stand more than {STRAY_MM:g} mm outside or inside the LED circle")
     if not parts:
         return None
     return (

@@ -8,7 +8,7 @@ noise: :mod:`splitknit.calibration.sensor`. Drift in photographs of anything mat
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.card_images import CardImages, card_images, led_name
 from splitknit.calibration.card_model import CardPlane, card_light
-from splitknit.calibration.flat_field import MAX_DUST, FlatField, FlatFieldSettings, fit_flat_field
+from splitknit.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
 from splitknit.errors import BadInput, require
 from splitknit.model import Capture, Rig
 from splitknit.settings import Checked, Limits
@@ -38,8 +38,6 @@ _PATTERN_PERCENT = 1.0
 class RadiometrySettings(Checked):
     """Limits of a radiometric calibration."""
 
-    flat_field: FlatFieldSettings = field(default_factory=FlatFieldSettings)
-    """How the model is fitted."""
     limit_percent: Annotated[float, Limits(0, above=True)] = 1.0
     """Largest rms of an LED's residuals."""
     drift_percent: Annotated[float, Limits(0, above=True)] = 3.0
@@ -87,7 +85,7 @@ def calibrate_radiometry(
     """
     chosen, plane = settings or RadiometrySettings(), card or CardPlane()
     images = card_images(capture, rig, black_level)
-    flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane, chosen.flat_field)
+    flat = fit_flat_field(rig.camera, rig.leds, images.pixels, images.light, plane)
     _check(flat, rig, chosen)
     leds = [_led_facts(rig, flat, images, k, chosen) for k in range(len(rig.leds))]
     facts: dict[str, Any] = {
@@ -121,11 +119,10 @@ def calibrate_radiometry(
 
 def _check(flat: FlatField, rig: Rig, settings: RadiometrySettings) -> None:
     dust = float(flat.dust.mean())
-    most = MAX_DUST
     require(
-        dust <= most,
+        dust <= MAX_DUST,
         f"the card is not uniform: {100 * dust:.0f} % of the picture departs by more than "
-        f"{flat.settings.dust_percent:g} % from an even card; clean or change it, and see that it reaches over all "
+        f"{DUST_PERCENT:g} % from an even card; clean or change it, and see that it reaches over all "
         f"borders.",
     )
     worst = int(np.argmax(flat.rms_percent))
@@ -327,13 +324,13 @@ def check_facts(check: CardCheck, rig: Rig) -> dict[str, Any]:
             {
                 "led": k,
                 "name": led_name(rig.leds, k),
-                "ratio": float(f"{check.ratio[k]:.6g}"),
-                "own_ratio": float(f"{check.own[k]:.6g}"),
-                "pattern_percent": float(f"{check.pattern_percent[k]:.6g}"),
+                "ratio": _round(check.ratio[k]),
+                "own_ratio": _round(check.own[k]),
+                "pattern_percent": _round(check.pattern_percent[k]),
             }
             for k in range(len(rig.leds))
         ],
-        "common_ratio": {b: None if v is None else float(f"{v:.6g}") for b, v in check.common.items()},
-        "ambient_percent": {b: None if v is None else float(f"{v:.6g}") for b, v in check.ambient_percent.items()},
+        "common_ratio": {b: None if v is None else _round(v) for b, v in check.common.items()},
+        "ambient_percent": {b: None if v is None else _round(v) for b, v in check.ambient_percent.items()},
         "warnings": list(check.sentences),
     }

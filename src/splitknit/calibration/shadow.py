@@ -183,8 +183,6 @@ class NailView:
     """(2,) the nail's tip."""
     tips_px: Points
     """(L, 2) the shadows' tips; NaN where a shadow leaves the picture."""
-    shapes: tuple[_Shape | None, ...]
-    """The shadows' outlines as fitted."""
     nail: BoolArray
     """(H, W)."""
 
@@ -243,7 +241,7 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to the base
     blunt = float(np.median([shape.tip_radius for shape in shapes if shape is not None] or [0.0])) / _STRETCH
     tip = middle + (_nail_tip(images, nail, px_per_mm) - middle) * (1.0 - min(blunt / size, 0.5))
-    return NailView(tip, tips, shapes, nail)
+    return NailView(tip, tips, nail)
 
 
 def _second_fit(

@@ -47,17 +47,12 @@ def ball_of_mask(mask: Any) -> Ball:
     array = np.asarray(mask)
     require(array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}.")
     inside = check_mask(array, (array.shape[0], array.shape[1]), name="the ball's mask")
-    outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    outline = max(outlines, key=len)[:, 0].astype(np.float64)
-    require(len(outline) >= 20, "the ball's mask is too small; it must be white where the ball is.")
-    column, row, radius = _circle(outline)
-    distance = np.hypot(outline[:, 0] - column, outline[:, 1] - row)
+    ball, off = _ball_in(inside, "the ball's mask is too small; it must be white where the ball is.")
     require(
-        float(np.abs(distance - radius).mean()) < 0.05 * radius,
+        float(off.mean()) < 0.05 * (ball.radius_px - 0.5),
         "the ball's mask is no disc; it must be white where the whole ball is and black elsewhere.",
     )
-    # the contour runs through the centres of the outermost pixels, half a pixel inside the outline
-    return Ball(column, row, radius + 0.5)
+    return ball
 
 
 def find_ball(stack: Any) -> Ball:
@@ -78,17 +73,25 @@ def find_ball(stack: Any) -> Ball:
     count, labels, stats, _ = cv2.connectedComponentsWithStats(split, connectivity=8)
     require(count > 1, "no ball was found in the photographs; give its outline with --mask.")
     largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    outline = max(
-        cv2.findContours((labels == largest).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0], key=len
-    )[:, 0].astype(np.float64)
-    require(len(outline) >= 20, "no ball was found in the photographs; give its outline with --mask.")
-    column, row, radius = _circle(outline)
-    off = np.abs(np.hypot(outline[:, 0] - column, outline[:, 1] - row) - radius)
+    ball, off = _ball_in(labels == largest, "no ball was found in the photographs; give its outline with --mask.")
+    radius = ball.radius_px - 0.5
     require(
         float(np.median(off)) < 0.03 * radius and radius >= 8,
         "nothing round stands out in the photographs; give the ball's outline with --mask.",
     )
-    return Ball(column, row, radius + 0.5)
+    return ball
+
+
+def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Points]:
+    """The circle through the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses a short
+    one.
+    """
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    outline = max(outlines, key=len)[:, 0].astype(np.float64)
+    require(len(outline) >= 20, small)
+    column, row, radius = _circle(outline)
+    # the contour runs through the centres of the outermost pixels, half a pixel inside the outline
+    return Ball(column, row, radius + 0.5), np.abs(np.hypot(outline[:, 0] - column, outline[:, 1] - row) - radius)
 
 
 def chrome_directions(stack: Any, ball: Ball) -> Points:

@@ -7,7 +7,6 @@ numbers, no names; who S01 is, is nobody's business here.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -18,6 +17,7 @@ import numpy as np
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import read_json
+from splitknit.io.provenance import json_text
 
 HAND = ("thumb", "index", "middle", "ring", "little")
 FINGERS = tuple(f"{side}_{finger}" for side in ("right", "left") for finger in HAND)
@@ -210,7 +210,7 @@ def check_subject_id(text: str) -> str:
 def _write(file: Path, plan: _EnrolmentPlan) -> None:
     document = {"format": _FORMAT, "version": _VERSION, **asdict(plan)}
     with atomic_file(file) as stream:
-        stream.write((json.dumps(document, indent=1) + "\n").encode("ascii"))
+        stream.write(json_text(document).encode("ascii"))
 
 
 def _read(file: Path) -> _EnrolmentPlan:

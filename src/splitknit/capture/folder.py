@@ -6,7 +6,6 @@ settings.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
@@ -20,7 +19,7 @@ from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
-from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, Rig, no_progress
 
@@ -107,7 +106,7 @@ def capture_to_folder(
         if devices.name == "pi":
             capture = replace(capture, captured_at=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
         write_capture(capture, target, devices.truth, overwrite=True)
-        text = json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n"
+        text = json_text(facts)
         (target / MARKER).write_text(text, encoding="utf-8")
     if verdict:
         raise Refused(f"{verdict} (kept in '{out}' because of --keep).", {**facts, "out": str(out)})

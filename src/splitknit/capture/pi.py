@@ -15,12 +15,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.capture.pins import pins_of
-from splitknit.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc
+from splitknit.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc, preview_pixels
 from splitknit.devices import Camera, Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import BadInput, require
 from splitknit.model import Rig
@@ -152,8 +151,6 @@ _LONGEST_S = 0.2
 """Longest exposure time that the camera is asked for, 0.001 to 5 s."""
 _MAX_FRAMES = 30
 """Frames that are thrown away, at most, while waiting for a good one."""
-_PREVIEW_COLUMNS = 800
-"""Width of a preview, about."""
 UNTESTED = "not tested on hardware, only on substitutes of cameras and GPIO lines; look at the first frames"
 """Printed and stored with every capture until somebody has run it."""
 
@@ -372,9 +369,7 @@ class PiCamera(Closing):
         if self._sensor.mono:
             pixels = np.ascontiguousarray(pixels[..., :1])
         if not whole:
-            factor = max(1, round(pixels.shape[1] / _PREVIEW_COLUMNS))
-            size = (pixels.shape[1] // factor, pixels.shape[0] // factor)
-            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], pixels.shape[2])
+            pixels = preview_pixels(pixels)
         return Frame(
             pixels=pixels,
             exposure_s=float(metadata["ExposureTime"]) * 1e-6,

@@ -21,11 +21,6 @@ WHITE_PINS = (17, 27, 22, 13, 19, 26, 21)
 NIR_PINS = (18, 23, 24, 25, 12, 16, 20)
 """BCM lines of NIR LEDs 0 to 6 (header pins 12, 16, 18, 22, 32, 36, 38)."""
 DEFAULT_PINS: Mapping[str, tuple[int, ...]] = {"white": WHITE_PINS, "nir": NIR_PINS}
-HEADER_PINS: Mapping[int, int] = {
-    17: 11, 27: 13, 22: 15, 13: 33, 19: 35, 26: 37, 21: 40,
-    18: 12, 23: 16, 24: 18, 25: 22, 12: 32, 16: 36, 20: 38,
-}  # fmt: skip
-"""Where the default lines are on the 40-pin header."""
 USABLE = range(2, 28)
 """Lines that a rig may use; 0 and 1 belong to the ID EEPROM."""
 
@@ -46,22 +41,19 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
         'provenance.pins of the rig file must be like {"white": [7 numbers], "nir": [7 numbers]}.',
     )
     pins: list[int] = []
-    taken: dict[str, int] = {}
-    for index, led in enumerate(rig.leds):
-        lines = given.get(led.band)
+    for index, (band, k) in enumerate(_numbered(rig)):
+        lines = given.get(band)
         require(
             isinstance(lines, Sequence)
             and not isinstance(lines, str)
             and all(type(line) is int and line in USABLE for line in lines),
-            f"provenance.pins.{led.band} of the rig file must be a list of GPIO numbers (BCM, 2 to 27); "
+            f"provenance.pins.{band} of the rig file must be a list of GPIO numbers (BCM, 2 to 27); "
             "'splitknit rig circuit' writes it.",
         )
         assert lines is not None
-        k = taken.get(led.band, 0)
-        taken[led.band] = k + 1
         require(
             k < len(lines),
-            f"provenance.pins.{led.band} of the rig file has {len(lines)} lines, but LED {index} is {led.band} LED "
+            f"provenance.pins.{band} of the rig file has {len(lines)} lines, but LED {index} is {band} LED "
             f"number {k}; add its line.",
         )
         pins.append(lines[k])
@@ -72,10 +64,10 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
 
 def led_names(rig: Rig) -> tuple[str, ...]:
     """Names of the rig's LEDs for people: band, and number within the band as in the files' names."""
-    taken: dict[str, int] = {}
-    names = []
-    for led in rig.leds:
-        k = taken.get(led.band, 0)
-        taken[led.band] = k + 1
-        names.append(f"{led.band} {k}")
-    return tuple(names)
+    return tuple(f"{band} {k}" for band, k in _numbered(rig))
+
+
+def _numbered(rig: Rig) -> list[tuple[str, int]]:
+    """Band of each LED, and its number within the band."""
+    bands = [led.band for led in rig.leds]
+    return [(band, bands[:index].count(band)) for index, band in enumerate(bands)]

@@ -247,20 +247,17 @@ def _meter(
     open, or no exposure fits.
     """
 
-    def look(led: int, exposure_s: float, gain: float, band: str) -> Frame:
-        camera.lock(exposure_s, gain, band)
-        lights.on(led)
-        return camera.preview()
-
     typical = MEDIAN if find_finger else BRIGHT
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):
 
-        def look_here(led: int, exposure_s: float, gain: float, band: str = band) -> Frame:
-            return look(led, exposure_s, gain, band)
+        def look(led: int, exposure_s: float, gain: float, band: str = band) -> Frame:
+            camera.lock(exposure_s, gain, band)
+            lights.on(led)
+            return camera.preview()
 
-        seen = survey(look_here, leds, camera.exposures, settings)
+        seen = survey(look, leds, camera.exposures, settings)
         lights.off()
         camera.lock(seen.exposure_s, seen.gain, band)
         room = camera.preview()
@@ -274,7 +271,7 @@ def _meter(
             names,
         )
         exposures[band] = find_exposure(
-            look_here, seen, region, dark, camera=camera.exposures, settings=settings, typical=typical
+            look, seen, region, dark, camera=camera.exposures, settings=settings, typical=typical
         )
         lights.off()
         progress((done + 1) / len(bands))

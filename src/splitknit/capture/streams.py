@@ -17,7 +17,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -141,17 +141,22 @@ class StreamCamera(Closing):
     def preview(self) -> Frame:
         """See :class:`splitknit.devices.Camera`."""
         frame = self.capture()
-        rows, columns, channels = frame.pixels.shape
-        factor = max(1, round(columns / _PREVIEW_COLUMNS))
-        size = (columns // factor, rows // factor)
-        small: Any = cv2.resize(frame.pixels, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], channels)
-        return Frame(small, frame.exposure_s, frame.gain, frame.black_level, frame.at_s, frame.discarded)
+        return replace(frame, pixels=preview_pixels(frame.pixels))
 
     def close(self) -> None:
         """See :class:`splitknit.devices.Camera`."""
         if not self._closed:
             self._closed = True
             self._stream.close()
+
+
+def preview_pixels(pixels: PixelArray) -> PixelArray:
+    """(h, w, C) an image of about 800 columns: the means of whole blocks of (H, W, C)."""
+    rows, columns, channels = pixels.shape
+    factor = max(1, round(columns / _PREVIEW_COLUMNS))
+    size = (columns // factor, rows // factor)
+    small: Any = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small.reshape(*size[::-1], channels))
 
 
 def _near(reported: float | None, wanted: float, relative: float) -> bool:

@@ -76,9 +76,6 @@ def _run(options: argparse.Namespace) -> Outcome:
     return facts, lines
 
 
-_COMPARED = {"ridge": "ridge by ridge", "fusion": "by ridges and minutiae", "minutiae": "by minutiae"}
-
-
 def _words(facts: dict[str, Any]) -> list[str]:
     lines = [_verdict(facts)]
     for one in facts["candidates"]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -157,7 +156,7 @@ def _add_optimise(kinds: Any) -> None:
 def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
     from splitknit.io.atomic import atomic_file  # noqa: PLC0415
-    from splitknit.io.provenance import plain_json  # noqa: PLC0415
+    from splitknit.io.provenance import json_text, plain_json  # noqa: PLC0415
     from splitknit.report.rig_study import describe, verdict, write_all  # noqa: PLC0415
     from splitknit.rig.candidates import grid  # noqa: PLC0415
     from splitknit.rig.optimise import summarise, sweep  # noqa: PLC0415
@@ -189,7 +188,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     document = {"format": "splitknit-rig-results", "version": 1, "study": plain_json(study), **facts}
     with atomic_file(options.out / "results.json") as stream:
         full = {**document, "compared": summary["compared"], "records": records}
-        stream.write((json.dumps(plain_json(full), indent=1, allow_nan=False) + "\n").encode())
+        stream.write(json_text(full).encode("ascii"))
     files["results.json"] = "all figures, finger by finger"
     counts = summary["counts"]
     seconds = time.perf_counter() - started

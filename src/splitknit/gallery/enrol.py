@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,10 +35,6 @@ from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
 from splitknit.prints.ridges import surface_print
-
-if TYPE_CHECKING:
-    from splitknit.gallery.key import Key
-    from splitknit.matching.surface import MatchingSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +203,6 @@ def _session(taken: dict[str, str], source_sha256: str) -> str:
     return str(1 + max((int(session) for session in taken if session.isascii() and session.isdigit()), default=0))
 
 
-KEEP = ("none", "thumbnail", "raw")
 _THUMBNAIL_PPI = 250.0
 _NOT_INPUTS = ("truth.npz", ".splitknit")
 LARGEST_RAW = 1_000_000_000

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from splitknit.gallery.key import Key
 from splitknit.gallery.shards import write_shards
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
+from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
 from splitknit.matching.code import CODE_VERSION, code_of, code_size
@@ -252,7 +252,7 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
                 _write(folder / image, kept[one.row])
             table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image])
         _write(folder / TABLE_FILE, text.getvalue().encode("utf-8"))
-        _write(folder / FACTS_FILE, (json.dumps(about, indent=1) + "\n").encode("ascii"))
+        _write(folder / FACTS_FILE, json_text(about).encode("ascii"))
     return {"gallery": str(gallery), "out": str(out), "captures": len(rows), "images": len(kept)}
 
 

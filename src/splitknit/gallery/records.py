@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import hashlib
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from splitknit.io.iso19794 import read_iso19794
 from splitknit.io.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView
 from splitknit.io.print_formats import FORMATS, WRITTEN, WSQ_PPI, PrintFormat, Writing
 from splitknit.io.prints import PrintFile, provenance_texts, read_print_png
-from splitknit.io.provenance import file_hash, provenance
+from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
@@ -156,7 +155,7 @@ def export_records(
             "failures_to_acquire": [one["file"] for one in rows if one.get("minutiae") == 0],
             "provenance": provenance(_parameters(settings), hashes),
         }
-        (folder / FACTS_FILE).write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        (folder / FACTS_FILE).write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
 

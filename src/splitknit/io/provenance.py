@@ -74,6 +74,11 @@ def canonical_json(value: Any) -> str:
     return json.dumps(plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
 
 
+def json_text(value: Any) -> str:
+    """Return `value` as the ASCII JSON of the files that we write, an item a line; see :func:`canonical_json`."""
+    return json.dumps(plain_json(value), indent=1, allow_nan=False) + "\n"
+
+
 def plain_json(value: Any, where: str = "value") -> JsonValue:  # noqa: PLR0911 - one line for each JSON type
     """Return `value` rebuilt from dict, list, str, int, float, bool and None alone; see :func:`canonical_json`."""
     if value is None or isinstance(value, (bool, str)):

@@ -139,7 +139,7 @@ def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeS
         "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take --shape nir or "
         "white.",
     )
-    views, grey = _views_and_images(capture, mask, settings)
+    views, grey = found_views(capture, mask, settings)
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
     tip = capture.tip_direction_deg or 0.0
     shape = mirror_shape(views, rig.camera, mirrors, settings, tip_direction_deg=tip)
@@ -150,19 +150,14 @@ def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeS
     return SeenInMirrors(views, shape, capture)
 
 
-def found_views(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> Views:
-    """Which part of a capture's images shows the finger itself, and which parts show it in mirrors.
+def found_views(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> tuple[Views, FloatArray]:
+    """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
 
     Raises
     ------
     BadInput
         See :func:`splitknit.mirrors.views.find_views`.
     """
-    return _views_and_images(capture, mask, settings)[0]
-
-
-def _views_and_images(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> tuple[Views, FloatArray]:
-    """Views, and the white images (L, h, w) on their grid."""
     rig = capture.rig
     mirrors = {mirror.name: mirror for mirror in rig.mirrors}
     binning = view_binning(rig.camera.px_per_mm)

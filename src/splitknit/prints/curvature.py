@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.print_map import mask_box
+from splitknit.prints.ridges import mask_box
 from splitknit.settings import Checked, Limits
 
 AnyArray = np.ndarray[Any, Any]

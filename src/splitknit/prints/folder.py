@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -22,7 +21,7 @@ from splitknit.io.minutiae_record import MinutiaeRecord
 from splitknit.io.npz import write_npz
 from splitknit.io.pictures import ColourArray, colour, on_paper
 from splitknit.io.prints import PrintFile, write_print_png
-from splitknit.io.provenance import JsonValue, canonical_json, file_hash, provenance
+from splitknit.io.provenance import JsonValue, canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.matching.minutiae_record import PPI
 from splitknit.matching.space_features import in_space
@@ -141,7 +140,7 @@ def print_to_folder(
         facts["provenance"] = origin
         facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
         with atomic_file(target / "report.json") as stream:
-            stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+            stream.write(json_text(facts).encode("ascii"))
     progress("done", 1.0)
     return {**facts, "out": str(out)}
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH
+from splitknit.prints.ridges import MM_PER_INCH, blur, mask_box
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
@@ -347,8 +347,8 @@ def resample(
         weight, values = (_shrunk(image[cut], (width, height)) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
-        fraction = _blur(weight, sigma)
-        values = np.asarray(_blur(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        fraction = blur(weight, sigma)
+        values = np.asarray(blur(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (
@@ -365,18 +365,3 @@ def _shrunk(image: FloatArray, size: tuple[int, int]) -> FloatArray:
 def _read(image: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     read = cv2.remap(image, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
     return np.asarray(read, dtype=np.float32)
-
-
-def mask_box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
-    """Rows and columns of the mask and `margin` pixels around it, inside the image."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    columns = np.flatnonzero(mask.any(axis=0))
-    return (
-        slice(max(0, int(rows[0]) - margin), min(mask.shape[0], int(rows[-1]) + margin + 1)),
-        slice(max(0, int(columns[0]) - margin), min(mask.shape[1], int(columns[-1]) + margin + 1)),
-    )
-
-
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    blurred = cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)

@@ -12,7 +12,7 @@ from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.enhance import node_amplitudes
 from splitknit.prints.ridge_field import RidgeField
-from splitknit.prints.ridges import MM_PER_INCH
+from splitknit.prints.ridges import MM_PER_INCH, blur
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
@@ -118,18 +118,18 @@ def _waves(
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    around = np.maximum(_blur(inside, _SMOOTH_MM * px), np.float32(1e-3))
+    around = np.maximum(blur(inside, _SMOOTH_MM * px), np.float32(1e-3))
     centred = np.where(inside > 0, values, np.float32(0.0)).astype(np.float32)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
-        mean = _blur(centred * inside, _SMOOTH_MM * px) / around
+        mean = blur(centred * inside, _SMOOTH_MM * px) / around
         centred = np.where(inside > 0, centred - mean, np.float32(0.0)).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
     twice = replace(looked, frequency_px=np.float32(2.0) * looked.frequency_px)
     first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
     width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
-    there: FloatArray = np.maximum(_blur(inside, width), np.float32(0.3))
-    variance = _at_nodes((_blur(centred * centred, width) / there).astype(np.float32), looked)
+    there: FloatArray = np.maximum(blur(inside, width), np.float32(0.3))
+    variance = _at_nodes((blur(centred * centred, width) / there).astype(np.float32), looked)
     fraction = _at_nodes(there, looked)
     first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
     purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, np.float32(1e-12))
@@ -170,11 +170,6 @@ def _at_nodes(image: FloatArray, found: RidgeField) -> FloatArray:
     padded = np.zeros((n * step, m * step), dtype=np.float32)
     padded[: image.shape[0], : image.shape[1]] = image
     return np.asarray(cv2.resize(padded, (m, n), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)
 
 
 _MIN_PART = 0.01

@@ -89,13 +89,13 @@ def relief_print(  # noqa: PLR0917
     input_per_print = px_per_mm * MM_PER_INCH / settings.ppi
     size = (max(1, round(upright_size[0] / input_per_print)), max(1, round(upright_size[1] / input_per_print)))
 
-    rows, columns = _box(mask, margin=int(4 * input_per_print) + 2)
+    rows, columns = mask_box(mask, int(4 * input_per_print) + 2)
     inside = mask[rows, columns].astype(np.float32)
     relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
     sigma = 0.5 * input_per_print if input_per_print > 1 else 0.0
-    weight = _blur(inside, sigma)
-    relief = _blur(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
+    weight = blur(inside, sigma)
+    relief = blur(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
@@ -120,11 +120,7 @@ def _upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], st
 def _ink(relief: FloatArray, weight: FloatArray, settings: PrintSettings) -> NDArray[np.uint8]:
     """Grey values of `relief` (h, w); `weight` in [0, 1] is how much of a pixel lies on the finger."""
     sigma = settings.window_mm * settings.ppi / MM_PER_INCH
-    total: FloatArray = np.maximum(_blur(weight, sigma), np.float32(1e-3))
-    centred: FloatArray = relief - _blur(relief * weight, sigma) / total
-    # The second pass takes out what a one-sided window leaves of a slope near the edge.
-    centred = (centred - _blur(centred * weight, sigma) / total) * (weight > 0)
-    deviation = np.sqrt(np.maximum(_blur(centred * centred * weight, sigma) / total, np.float32(0.0)))
+    centred, deviation = _centred(relief, weight, sigma)
     inside = weight > 0.5
     typical = float(np.median(deviation[inside])) if bool(inside.any()) else 0.0
     if typical <= 0.0:
@@ -134,14 +130,25 @@ def _ink(relief: FloatArray, weight: FloatArray, settings: PrintSettings) -> NDA
     return np.asarray(np.round(_PAPER * (1.0 - weight * ink)).astype(np.uint8))
 
 
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
+def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard deviation about it."""
+    total: FloatArray = np.maximum(blur(weight, sigma), np.float32(1e-3))
+    centred: FloatArray = values
+    for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
+        centred = (centred - blur(centred * weight, sigma) / total) * (weight > 0)
+    return centred, np.sqrt(np.maximum(blur(centred * centred * weight, sigma) / total, np.float32(0.0)))
+
+
+def blur(image: FloatArray, sigma: float) -> FloatArray:
+    """Gaussian mean (h, w), zero beyond the border; `sigma` in pixels, 0 for none."""
     if sigma <= 0.0:
         return image
     blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(blurred, dtype=np.float32)
 
 
-def _box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
+def mask_box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
+    """Rows and columns of the mask and `margin` pixels around it, inside the image."""
     rows = np.flatnonzero(mask.any(axis=1))
     columns = np.flatnonzero(mask.any(axis=0))
     return (
@@ -206,18 +213,15 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     inside = weight > 0.5
     require(bool(inside.any()), "nothing of the finger lies on the print.")
     sigma = settings.window_mm * settings.ppi / MM_PER_INCH
-    total: FloatArray = np.maximum(_blur(weight, sigma), np.float32(1e-3))
-    centred: FloatArray = (values - _blur(values * weight, sigma) / total) * (weight > 0)
-    centred = (centred - _blur(centred * weight, sigma) / total) * (weight > 0)
-    deviation = np.sqrt(np.maximum(_blur(centred * centred * weight, sigma) / total, np.float32(0.0)))
+    centred, deviation = _centred(values, weight, sigma)
     typical = float(np.median(deviation[inside]))
     scale = float(np.abs(values[inside]).max())
     require(
         typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
     )
     score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
-    around = np.maximum(_blur(weight, _NARROW * sigma), np.float32(1e-3))
-    near = np.sqrt(_blur(centred * centred * weight, _NARROW * sigma) / around)
+    around = np.maximum(blur(weight, _NARROW * sigma), np.float32(1e-3))
+    near = np.sqrt(blur(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
     dark = 0.5 + 0.5 * np.tanh(np.float32(settings.contrast) * score)
     return np.asarray(np.round(255.0 * (1.0 - shown * dark)).astype(np.uint8))

@@ -129,21 +129,21 @@ _RESISTOR_STEPS = {"DIN0207": 2, "DIN0411": 3, "DIN0414": 4, "DIN0617": 5}
 """Grid steps from one resistor of a kind to the next."""
 
 
-def lay_out(circuit: Circuit, settings: BoardSettings | None = None) -> Board:
+def lay_out(circuit: Circuit) -> Board:
     """Place and route the board of a circuit.
 
     Parameters
     ----------
-    circuit : components and nets
-    settings : size and screw holes of the board that the printed box holds; it is larger where the parts need it
+    circuit : components and nets; the board has the size and the screw holes that the printed box holds, and is larger
+        where the parts need it
 
     Raises
     ------
     BadInput
         If no way is found for a track, or the plane falls apart.
     """
-    parts, size = _placed(circuit, settings or BoardSettings())
-    chosen = settings or BoardSettings()
+    chosen = BoardSettings()
+    parts, size = _placed(circuit, chosen)
     inset = ((chosen.pcb_x_mm - chosen.pcb_hole_x_mm) / 2, (chosen.pcb_y_mm - chosen.pcb_hole_y_mm) / 2)
     holes = tuple((x, y) for y in (inset[1], size[1] - inset[1]) for x in (inset[0], size[0] - inset[0]))
     joined: tuple[Pad, ...] = ()

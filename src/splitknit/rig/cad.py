@@ -6,7 +6,6 @@ Into the folder go ``stl/`` (as printed), ``step/`` and ``assembly.step`` (in th
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from splitknit.errors import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.pictures import ColourArray
-from splitknit.io.provenance import file_hash, plain_json, provenance
+from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, Rig, default_rig, no_progress
@@ -342,7 +341,7 @@ def cad_to_folder(
             "parts": reports,
             "pictures": drawn,
         }
-        document = json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n"
+        document = json_text(facts)
         (target / "parts.json").write_text(document, encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}

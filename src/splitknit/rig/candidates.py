@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera, Led, Rig
-from splitknit.rig.photography import LAMPS, MIN_LEVEL, PhotonSettings, electrons_per_s, intensity_w_sr, plan_exposure
+from splitknit.rig.photography import (
+    LAMPS,
+    MIN_LEVEL,
+    W_PER_UNIT,
+    PhotonSettings,
+    electrons_per_s,
+    intensity_w_sr,
+    plan_exposure,
+)
 from splitknit.settings import Checked, Limits
+from splitknit.simulator.light.lighting import irradiance
 
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""
@@ -374,14 +383,8 @@ def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: 
 
 def _exposed(band: str, leds: list[Led], photons: PhotonSettings) -> Finding:
     """Exposure of a facing patch of skin below the middle."""
-    brightest = 0.0
-    for led in leds:
-        for x, y in ((0.0, 0.0), (5.0, 0.0), (-5.0, 0.0), (0.0, 5.0), (0.0, -5.0)):
-            towards = np.asarray(led.position_mm) - np.array([x, y, 0.0])
-            squared = float(towards @ towards)
-            along = max(-float(led.axis @ towards) / np.sqrt(squared), 0.0)
-            irradiance = led.intensity * along**led.lobe_exponent * 1e6 / squared * float(towards[2]) / np.sqrt(squared)
-            brightest = max(brightest, irradiance)
+    spots = np.array([[0.0, 5.0, -5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, -5.0], np.zeros(5)])
+    brightest = W_PER_UNIT * max(float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds)
     rate = electrons_per_s(_ALBEDO / np.pi * brightest, LAMPS[band], photons) if brightest else 0.0
     if rate <= 0.0:
         return Finding(f"exposure_{band}", False, True, 0.0, "no light falls on the finger; turn the beams towards it.")

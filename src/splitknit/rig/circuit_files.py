@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import html
 import io
-import json
 import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -16,6 +15,7 @@ from splitknit import __version__
 from splitknit.capture.pins import led_names, pins_of
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
+from splitknit.io.provenance import json_text
 from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
@@ -335,7 +335,7 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
         (folder / "board.kicad_pcb").write_text(kicad_board(board, __version__), encoding="utf-8")
         (folder / "gerber.zip").write_bytes(gerber_zip(board))
         (folder / "parts.csv").write_text(_parts_csv(circuit), encoding="utf-8")
-        (folder / "circuit.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+        (folder / "circuit.json").write_text(json_text(facts), encoding="utf-8")
         write_rig(pinned, folder / "rig.json")
     return facts
 

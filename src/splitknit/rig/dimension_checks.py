@@ -20,6 +20,8 @@ from splitknit.rig.part_settings import (
     DISC_MM,
     FINGER_PHALANX_MM,
     JOINT_LUG_RADIUS_MM,
+    JOINT_PLATE_MM,
+    JOINT_RIDGE_HIGH_MM,
     LED_TIP_FREE_MM,
     MIN_WALL_MM,
 )
@@ -59,7 +61,7 @@ def _check_bed(dimensions: RigDimensions) -> None:
         f"{dimensions.field_mm[0]:.0f} x {dimensions.field_mm[1]:.0f} mm, so that the parts are {size:.0f} mm wide, "
         f"more than the printer's bed of {bed:g} mm (printer.bed_x_mm, printer.bed_y_mm).",
     )
-    high = dimensions.cylinder_mm + dimensions.settings.joint.ridge_height_mm
+    high = dimensions.cylinder_mm + JOINT_RIDGE_HIGH_MM
     require(
         high <= printer.bed_z_mm,
         f"the cylinder is {high:.0f} mm high, more than the printer's {printer.bed_z_mm:g} mm (printer.bed_z_mm).",
@@ -67,7 +69,7 @@ def _check_bed(dimensions: RigDimensions) -> None:
 
 
 def _check_height(dimensions: RigDimensions) -> None:
-    least = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm + 1.0
+    least = dimensions.frame_z_mm + JOINT_PLATE_MM + 1.0
     above = math.ceil(10 * (least - dimensions.camera_height_mm)) / 10
     require(
         dimensions.board_z_mm >= least,

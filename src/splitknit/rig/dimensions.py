@@ -25,6 +25,7 @@ from splitknit.rig.part_settings import (
     JOINT_INSERT_DEPTH_MM,
     JOINT_LUG_MM,
     JOINT_LUG_RADIUS_MM,
+    JOINT_PLATE_MM,
     JOINT_RIDGE_MM,
     JOINT_RING_MM,
     LED_CLEARANCE_MM,
@@ -238,12 +239,12 @@ class RigDimensions:
     @property
     def base_z_mm(self) -> float:
         """Lowest face of the base."""
-        return self.floor_z_mm - self.settings.joint.plate_mm
+        return self.floor_z_mm - JOINT_PLATE_MM
 
     @property
     def top_z_mm(self) -> float:
         """Upper face of the lid."""
-        return self.lid_z_mm + self.settings.joint.plate_mm
+        return self.lid_z_mm + JOINT_PLATE_MM
 
     @property
     def cylinder_mm(self) -> float:
@@ -327,7 +328,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     20.6
     """
     settings = settings or PartSettings()
-    camera, finger, joint = rig.camera, settings.finger, settings.joint
+    camera, finger = rig.camera, settings.finger
     rows, columns = camera.image_size
     field = (columns / camera.px_per_mm, rows / camera.px_per_mm)
     holes = tuple(_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds))
@@ -337,11 +338,11 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         for hole in holes
     )
     board_z = camera.height_mm + settings.camera.board_above_lens_mm
-    plate_top = frame_z + joint.plate_mm
+    plate_top = frame_z + JOINT_PLATE_MM
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
     lug_room = 2 * JOINT_LUG_MM + JOINT_INSERT_DEPTH_MM + _gusset(settings)
     box_z = max(highest + WIRE_ROOM_MM, frame_z + lug_room)
-    lid_z = max(box_z + joint.plate_mm + _boards_high(), box_z + lug_room)
+    lid_z = max(box_z + JOINT_PLATE_MM + _boards_high(), box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,

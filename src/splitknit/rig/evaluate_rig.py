@@ -6,12 +6,12 @@ import functools
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.errors import BadInput, require
+from splitknit.evaluation.accuracy import high_pass
 from splitknit.model import BoolArray, Camera, FloatArray, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
 from splitknit.rig.candidates import (
@@ -254,14 +254,7 @@ def _ridge_correlation(
     relief: FloatArray, true: FloatArray, mask: BoolArray, where: BoolArray, sigma_px: float
 ) -> float:
     """Correlation of two reliefs, each minus its Gaussian mean over the mask."""
-    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
-
-    def band(field: FloatArray) -> NDArray[np.float64]:
-        inside = np.where(mask, field, np.float32(0.0)).astype(np.float32)
-        mean = cv2.GaussianBlur(inside, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT) / np.maximum(weight, 1e-3)
-        return np.asarray((inside - mean)[where], dtype=np.float64)
-
-    first, second = band(relief), band(true)
+    first, second = (high_pass(field, mask, sigma_px)[where].astype(np.float64) for field in (relief, true))
     first, second = first - first.mean(), second - second.mean()
     return float(np.sum(first * second) / max(float(np.sqrt(np.sum(first**2) * np.sum(second**2))), 1e-30))
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import re
-import signal
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from splitknit import __version__
+from splitknit.batch.workers import run_jobs
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import read_json
@@ -23,6 +22,7 @@ from splitknit.io.provenance import canonical_json, plain_json, settings_hash
 from splitknit.model import Progress, no_progress
 from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
+from splitknit.settings import differing
 
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """What the thesis's sweep chose (4.1.1)."""
@@ -69,7 +69,8 @@ def sweep(
     waiting = [candidate for candidate in candidates if candidate.name not in records]
     total = len(candidates)
     progress("resuming" if records else "starting", len(records) / total)
-    for candidate, record in _evaluated(waiting, study, workers):
+    done = run_jobs(partial(evaluate, study=study), waiting, workers, f"what is finished in '{out}'")
+    for candidate, record in done:
         folder.write(candidate, record)
         records[candidate.name] = folder.read(candidate) or record  # as it is read from a file, in any case
         progress(candidate.name, len(records) / total)
@@ -150,38 +151,6 @@ def _thesis(done: Sequence[dict[str, Any]], compared: dict[str, dict[str, Any]])
 
 def _fields(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record["candidate"].items() if name != "name"}
-
-
-def _evaluated(
-    candidates: Sequence[Candidate], study: Study, workers: int
-) -> Iterator[tuple[Candidate, dict[str, Any]]]:
-    """Records as they are finished; after an interrupt no further candidate is begun."""
-    if workers == 1 or len(candidates) < 2:
-        for candidate in candidates:
-            yield candidate, evaluate(candidate, study)
-        return
-    context = multiprocessing.get_context("spawn")  # a fork would copy locks that threads of this process hold
-    pool = ProcessPoolExecutor(min(workers, len(candidates)), mp_context=context, initializer=_quiet)
-    try:
-        running: dict[Future[dict[str, Any]], Candidate] = {}
-        left = list(reversed(candidates))
-        while left or running:
-            while left and len(running) < 2 * workers:  # few enough that an interrupt waits for little
-                candidate = left.pop()
-                running[pool.submit(evaluate, candidate, study)] = candidate
-            finished, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield running.pop(future), future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _quiet() -> None:
-    """In a worker: the parent alone hears Ctrl-C; no threads beside those of the other workers."""
-    import cv2  # noqa: PLC0415 - of this process only
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
 
 
 # Which candidates are worth a second look: the best, those as good, and the Pareto front.
@@ -314,7 +283,7 @@ class _SweepFolder:
             f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep to go on with; name another folder.",
         )
         before, _ = read_json(self.out / STUDY_FILE, f"'{self.out / STUDY_FILE}' is damaged; name another folder.")
-        changed = sorted(_differences(before, self.document))
+        changed = [name.removeprefix("study.") or "format" for name in differing(before, self.document)]
         require(
             not changed,
             f"the sweep in '{self.out}' was made with other settings ({', '.join(changed)}); give the same ones, or "
@@ -324,13 +293,3 @@ class _SweepFolder:
     def _write(self, path: Path, document: Any) -> None:
         with atomic_file(path) as stream:
             stream.write((json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
-
-
-def _differences(before: Any, now: Any, where: str = "") -> set[str]:
-    """Names of the settings that differ."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        found: set[str] = set()
-        for name in {*before, *now}:
-            found |= _differences(before.get(name), now.get(name), f"{where}.{name}" if where else str(name))
-        return found
-    return set() if before == now else {where.removeprefix("study.") or "format"}

@@ -304,10 +304,7 @@ class _Soundness:
     """Edges that do not lie between exactly two triangles."""
     turned_edges: int
     """Edges along which two triangles run the same way: one of them is inside out."""
-    flat_triangles: int
-    """Triangles without area."""
     volume_mm3: float
-    area_mm2: float
 
     @property
     def watertight(self) -> bool:
@@ -336,9 +333,7 @@ def _check_soundness(triangles: Triangles) -> _Soundness:
         edges=len(keys),
         open_edges=int((uses != 2).sum()),
         turned_edges=int((ways > 1).sum()),
-        flat_triangles=int((np.linalg.norm(cross, axis=1) < 1e-9).sum()),
         volume_mm3=float(np.einsum("ij,ij->", exact[:, 0], cross) / 6.0),
-        area_mm2=float(np.linalg.norm(cross, axis=1).sum() / 2.0),
     )
 
 

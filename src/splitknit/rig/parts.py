@@ -33,6 +33,7 @@ from splitknit.rig.part_settings import (
     CAMERA_POST_HOLE_MM,
     CAMERA_POST_MM,
     DISC_MM,
+    DOT_DEPTH_MM,
     DOT_SPACING_MM,
     JOINT_CLEARANCE_MM,
     JOINT_FOOT_MM,
@@ -40,6 +41,8 @@ from splitknit.rig.part_settings import (
     JOINT_INSERT_HOLE_MM,
     JOINT_LUG_MM,
     JOINT_LUG_RADIUS_MM,
+    JOINT_PLATE_MM,
+    JOINT_RIDGE_HIGH_MM,
     JOINT_RIDGE_MM,
     JOINT_RING_MM,
     JOINT_SCREW_HOLE_MM,
@@ -214,8 +217,8 @@ def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[t
 def _frame_part(dimensions: RigDimensions) -> Shape:
     """Return the frame: tilted holes with shoulders for the LEDs, posts for the camera's board, the lens's opening."""
     joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
-    body = _tube(dimensions, low, high, joint.plate_mm)
-    lugs = _head_lugs(dimensions, low, joint.plate_mm, SCREWS_B_DEG) + _insert_lugs(dimensions, high, SCREWS_A_DEG)
+    body = _tube(dimensions, low, high, JOINT_PLATE_MM)
+    lugs = _head_lugs(dimensions, low, JOINT_PLATE_MM, SCREWS_B_DEG) + _insert_lugs(dimensions, high, SCREWS_A_DEG)
     bosses = [_boss(hole, dimensions) for hole in dimensions.holes]
     # cuts what stands out of frame and wall
     inside = _cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)
@@ -240,7 +243,7 @@ def _camera_holes() -> list[tuple[float, float]]:
 
 
 def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
-    low = dimensions.frame_z_mm + dimensions.settings.joint.plate_mm - 0.5
+    low = dimensions.frame_z_mm + JOINT_PLATE_MM - 0.5
     radius = CAMERA_POST_MM / 2
     return [_cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes()]
 
@@ -270,7 +273,7 @@ def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
 
 def _first_led_mark(dimensions: RigDimensions) -> Shape:
     """A dimple in the frame's upper face beside LED 0, towards the camera."""
-    first, top = dimensions.holes[0], dimensions.frame_z_mm + dimensions.settings.joint.plate_mm
+    first, top = dimensions.holes[0], dimensions.frame_z_mm + JOINT_PLATE_MM
     back = first.at(first.back_mm)[:2]
     place = back * (1.0 - (first.pocket_radius_mm + dimensions.settings.joint.wall_mm + 3.0) / float(np.hypot(*back)))
     return _cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
@@ -278,11 +281,10 @@ def _first_led_mark(dimensions: RigDimensions) -> Shape:
 
 def _box_part(dimensions: RigDimensions) -> Shape:
     """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
-    joint = dimensions.settings.joint
     low, high = dimensions.box_z_mm, dimensions.lid_z_mm
-    floor = low + joint.plate_mm
-    body = _tube(dimensions, low, high, joint.plate_mm)
-    lugs = _head_lugs(dimensions, low, joint.plate_mm, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
+    floor = low + JOINT_PLATE_MM
+    body = _tube(dimensions, low, high, JOINT_PLATE_MM)
+    lugs = _head_lugs(dimensions, low, JOINT_PLATE_MM, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
     posts, screws = [], []
     sets = (
         (_pi_holes(), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
@@ -291,7 +293,7 @@ def _box_part(dimensions: RigDimensions) -> Shape:
     for places, top, hole in sets:
         for x, y in places:
             posts.append(_cylinder(BOARD_POST_MM / 2, floor - 0.5, top, x, y))
-            screws.append(_cylinder(hole / 2, max(floor - joint.plate_mm + 1.2, top - 12.0), top + 1.0, x, y))
+            screws.append(_cylinder(hole / 2, max(floor - JOINT_PLATE_MM + 1.2, top - 12.0), top + 1.0, x, y))
     body = _fused(body, [*lugs, *posts])
     x, y = SLOT_X_MM / 2, SLOT_Y_MM / 2
     slots = [_box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
@@ -349,8 +351,7 @@ def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
 
 def _disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
-    depth = dimensions.settings.calibration.dot_depth_mm
-    return _cut(_cup(dimensions), _dots(dimensions, depth, dimensions.settings.calibration.dot_mm / 2))
+    return _cut(_cup(dimensions), _dots(dimensions, DOT_DEPTH_MM, dimensions.settings.calibration.dot_mm / 2))
 
 
 def _flat_disc_part(dimensions: RigDimensions) -> Shape:
@@ -490,11 +491,11 @@ def _extruded(points: Sequence[tuple[float, float, float]], way: tuple[float, fl
 
 def _ridge(dimensions: RigDimensions, z: float) -> Shape:
     """Return the ridge on a part's upper face: a ring whose outer flank leans inwards by 45 deg."""
-    joint, bore = dimensions.settings.joint, dimensions.bore_mm
-    top = z + joint.ridge_height_mm
+    bore = dimensions.bore_mm
+    top = z + JOINT_RIDGE_HIGH_MM
     outside = bore + JOINT_RIDGE_MM
     return _turned(
-        [(bore, z - 0.2), (outside, z - 0.2), (outside, z), (outside - joint.ridge_height_mm, top), (bore, top)]
+        [(bore, z - 0.2), (outside, z - 0.2), (outside, z), (outside - JOINT_RIDGE_HIGH_MM, top), (bore, top)]
     )
 
 
@@ -517,12 +518,12 @@ def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 
 
     `floor_mm` closes it at the bottom by a floor of that thickness.
     """
-    joint, bore = dimensions.settings.joint, dimensions.bore_mm
-    outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + joint.ridge_height_mm
+    bore = dimensions.bore_mm
+    outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + JOINT_RIDGE_HIGH_MM
     foot = max(JOINT_LUG_MM, floor_mm)
     outside = [(ring, low), (ring, low + foot), (outer, low + foot)]
     outside += [(outer, high - 2 * JOINT_RING_MM), (ring, high - JOINT_RING_MM), (ring, high)]
-    outside += [(bore + JOINT_RIDGE_MM, high), (bore + JOINT_RIDGE_MM - joint.ridge_height_mm, top), (bore, top)]
+    outside += [(bore + JOINT_RIDGE_MM, high), (bore + JOINT_RIDGE_MM - JOINT_RIDGE_HIGH_MM, top), (bore, top)]
     if floor_mm > 0:
         body = _turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
         return _cut(body, [_groove(dimensions, low)])
@@ -538,8 +539,7 @@ def _head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_d
 
 def _head_holes(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return the clearance holes of these lugs."""
-    joint = dimensions.settings.joint
-    hole = _cylinder(JOINT_SCREW_HOLE_MM / 2, z - 1.0, z + joint.plate_mm + JOINT_LUG_MM, x=dimensions.screw_mm)
+    hole = _cylinder(JOINT_SCREW_HOLE_MM / 2, z - 1.0, z + JOINT_PLATE_MM + JOINT_LUG_MM, x=dimensions.screw_mm)
     return [_turned_to(angle, hole) for angle in azimuths_deg]
 
 

@@ -7,7 +7,6 @@ outside the mask), 8-bit previews of both, for sinusoids also ``phase.tiff`` (ra
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Mapping
@@ -25,7 +24,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import StackReader, image_size, write_image
-from splitknit.io.provenance import plain_json, provenance
+from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation.checkerboard import checkerboard
@@ -69,7 +68,7 @@ def separate_to_folder(
         progress("writing", 0.8)
         facts = _write(parts, plan, light, target)
         facts["total_s"] = time.perf_counter() - started
-        _write_report(target / "report.json", facts)
+        (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
 
@@ -197,10 +196,6 @@ def _figures(parts: Separation, plan: PatternFolder, light: _PatternLight) -> di
         "against_white": white,
         "warnings": warnings,
     }
-
-
-def _write_report(path: Path, facts: Mapping[str, Any]) -> None:
-    path.write_text(json.dumps(plain_json(facts), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 # Previews of separated light for people.

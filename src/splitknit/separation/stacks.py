@@ -89,9 +89,7 @@ class LightStack:
         return result[..., 0] if self.grey else result
 
 
-def light_stack(
-    stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS, name: str = "image"
-) -> LightStack:
+def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
     """Check a stack of linear light.
 
     Parameters
@@ -99,7 +97,6 @@ def light_stack(
     stack : (N, H, W) or (N, H, W, C) array, or a sequence of images (H, W) or (H, W, C), with C = 1 or 3
     least : smallest number of images
     mask : (H, W) bool, optional
-    name : what a message calls one image
 
     Raises
     ------
@@ -112,31 +109,31 @@ def light_stack(
     for k, image in enumerate(images):
         require(
             image.shape == first,
-            f"{name} {k} has the shape {image.shape}, but {name} 0 has {first}; all must be of one size and kind.",
+            f"image {k} has the shape {image.shape}, but image 0 has {first}; all must be of one size and kind.",
         )
     grey = len(first) == 2
     require(
         (grey or (len(first) == 3 and first[2] in (1, 3))) and min(first) > 0,
-        f"an {name} must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
+        f"an image must have the shape (H, W) or (H, W, C) with 1 or 3 channels, but it has {first}.",
     )
     light = np.empty((len(images), *first[:2], 1 if grey else first[2]), dtype=np.float32)
     for k, image in enumerate(images):
         light[k] = image[..., None] if grey else image
-        require(bool(np.isfinite(light[k]).all()), f"{name} {k} contains NaN or infinite values.")
+        require(bool(np.isfinite(light[k]).all()), f"image {k} contains NaN or infinite values.")
     where = check_mask(mask, first[:2])
-    _check_exposure(light, where, settings, name)
+    _check_exposure(light, where, settings)
     return LightStack(light, where, grey)
 
 
-def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings, name: str) -> None:
+def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings) -> None:
     """Refuse black images, and a stack that clips in too many pixels."""
     peaks = np.array([np.quantile(_thinned(image.max(axis=-1), mask), 0.999) for image in light])
     usual = float(np.median(peaks))
-    require(float(peaks.max()) > 0, f"every {name} is black; check the light source and capture again.")
+    require(float(peaks.max()) > 0, "every image is black; check the light source and capture again.")
     k = int(np.argmin(peaks))
     require(
         bool(peaks[k] > _BLACK_IMAGE * usual),
-        f"{name} {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
+        f"image {k} is black: its bright pixels reach {peaks[k]:.3g}, those of the others {usual:.3g}; its pattern "
         f"lights nothing, capture it again or leave it out.",
     )
     brightest = light.max(axis=(0, -1))
@@ -150,12 +147,10 @@ def _check_exposure(light: FloatArray, mask: BoolArray, settings: StackSettings,
     )
 
 
-def check_fraction(value: float, name: str, low: float = 0.0, high: float = 1.0) -> float:
-    """Return `value` as a float in (low, high], or [0, high) where it is the dark level."""
+def check_fraction(value: float, name: str) -> float:
+    """Return `value` as a float in (0, 1], or [0, 1) where it is the dark level."""
     number = float(value)
-    dark = name == "dark"
-    good = low <= number < high if dark else low < number <= high
-    limits = f"[{low:g}, {high:g})" if dark else f"({low:g}, {high:g}]"
+    good, limits = (0 <= number < 1, "[0, 1)") if name == "dark" else (0 < number <= 1, "(0, 1]")
     require(good, f"{name} must lie in {limits}, but it is {number:g}.")
     return number
 
@@ -238,7 +233,6 @@ def check_repeats(
     mask: BoolArray,
     settings: StackSettings = DEFAULTS,
     expected: NDArray[np.float64] | None = None,
-    name: str = "image",
 ) -> None:
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
@@ -265,15 +259,15 @@ def check_repeats(
     reference = float(np.median(relative))
     require(
         float(np.median(covariance[pairs])) > max(1e-10 * level, 3.0 / np.sqrt(count) * float(np.median(power[pairs]))),
-        f"the {name}s differ by noise at most: the patterns never light the scene; check the projector, or whether "
-        f"the direct light is too weak to be seen.",
+        "the images differ by noise at most: the patterns never light the scene; check the projector, or whether "
+        "the direct light is too weak to be seen.",
     )
     similar = np.zeros(covariance.shape, dtype=np.bool_)
     similar[pairs] = relative <= limit * reference
     twins = odd_twins(similar)
     if twins is not None:
         raise BadInput(
-            f"{name}s {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
+            f"images {twins[0]} and {twins[1]} show the same pattern: a shift is repeated, and another one may be "
             f"missing; capture the stack again or remove one of them."
         )
 

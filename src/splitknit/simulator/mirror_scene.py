@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror, PixelArray, Rig
-from splitknit.simulator.light.lighting import UNIT, Patch, cut_out, finger_window, light_on, white_card
+from splitknit.simulator.light.lighting import Patch, cut_out, finger_window, irradiance, light_on, white_card
 from splitknit.simulator.light.renderer import (
     LED_RADIUS_MM,
     BandLight,
@@ -57,21 +57,6 @@ def _light_through(
         entering += enters
         gloss += shines
     return entering, gloss
-
-
-def _irradiance(led: Led, point: Array, normal: Array) -> float:
-    """Light of one LED on a facet at `point` (3,) that faces `normal` (3,)."""
-    total = 0.0
-    for one in (led, *led.also):
-        if one.position_mm is None:
-            towards = np.asarray(one.direction, dtype=np.float64)
-            total += one.intensity * max(float(towards @ normal) / float(np.linalg.norm(towards)), 0.0)
-            continue
-        way = np.asarray(one.position_mm) - point
-        distance = float(np.linalg.norm(way))
-        along = max(-float(way @ one.axis) / distance, 0.0) ** one.lobe_exponent if one.lobe_exponent > 0 else 1.0
-        total += one.intensity * UNIT * along * max(float(way @ normal), 0.0) / distance**3
-    return total
 
 
 class MirrorScene:
@@ -268,7 +253,7 @@ class _Plate:
 
     def radiance(self, led: Led) -> float:
         """What it sends under one LED: matt."""
-        return self.albedo / np.pi * _irradiance(led, self.middle, self.normal)
+        return self.albedo / np.pi * _received(led, self.middle, self.normal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -357,10 +342,15 @@ def _visible(view: View, frame: _Frame, free: BoolArray) -> BoolArray:
     return mask
 
 
+def _received(led: Led, point: Array, normal: Array) -> float:
+    """Light of an LED, and of those lit with it, on a facet at `point` (3,) that faces `normal` (3,)."""
+    return sum(float(irradiance(one, point, normal)) for one in (led, *led.also))
+
+
 def _background_of(frame: _Frame, camera: Camera, led: Led) -> FloatArray:
     """(H, W, 3) radiance of what a mirror shows behind the finger."""
     above = np.array([0.0, 0.0, 1.0])
-    stray = _STRAY_SHARE * frame.wall.albedo / np.pi * _irradiance(led, np.zeros(3), above)
+    stray = _STRAY_SHARE * frame.wall.albedo / np.pi * _received(led, np.zeros(3), above)
     wall = frame.wall.radiance(led) + stray
     content = np.full((*camera.image_size, 3), wall, dtype=np.float32)
     for cover in frame.opposite:

@@ -57,12 +57,12 @@ def test_a_surface_goes_from_chart_to_chart() -> None:
     assert np.abs(got - capsule_radius(fine)).max() < 5e-3
 
 
-def test_reading_holds_or_ends_at_the_border() -> None:
+def test_reading_ends_at_the_border() -> None:
     field = np.arange(12.0, dtype=np.float32).reshape(3, 4)
     x, y = np.array([[1.5, -3.0]], np.float32), np.array([[1.0, 0.0]], np.float32)
     assert read(field, x, y)[0, 0] == pytest.approx(5.5)
     assert np.isnan(read(field, x, y)[0, 1])
-    assert read(field, x, y, held=True, cubic=True)[0, 1] == pytest.approx(0.0)
+    assert read(field, x, y, empty=0.0)[0, 1] == 0.0
 
 
 def test_the_front_sees_the_top_and_the_mirror_the_side() -> None:

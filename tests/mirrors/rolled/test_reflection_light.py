@@ -8,7 +8,6 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.mirrors.rolled.reflection import (
     Plane,
-    _reflected_corners,
     facing_fraction,
     led_image,
     mirrored_fraction,
@@ -27,7 +26,6 @@ def test_reflecting_twice_changes_nothing_and_points_of_the_mirror_stay() -> Non
     points = np.random.default_rng(0).normal(size=(5, 7, 3)) * 10
     assert np.allclose(reflect_points(reflect_points(points, RIGHT), RIGHT), points)
     assert np.allclose(reflect_points(CORNERS, RIGHT), CORNERS)
-    assert np.allclose(_reflected_corners(CORNERS, RIGHT), CORNERS)
 
 
 def test_a_mirror_of_45_deg_shows_height_as_breadth_and_is_left_handed() -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from faulty_scene import Faults, FaultyScene
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.simulator.calibration_set.flat import CardScene
-from splitknit.simulator.camera.device import Clock, FaultyScene, TwinCamera, TwinDeviceSettings, TwinLightBank, _Faults
+from splitknit.simulator.camera.device import Clock, TwinCamera, TwinDeviceSettings, TwinLightBank
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import FingerScene, simulate_capture
@@ -163,7 +164,7 @@ def test_bench_scenes_work_in_the_same_devices():
 
 
 def test_faults_begin_with_their_photograph(finger):
-    scene = FaultyScene(finger, _Faults(moves_mm={1: (2.0, 1.0)}, dead=frozenset({4}), dies_at={2: 1}, room=0.01))
+    scene = FaultyScene(finger, Faults(moves_mm={1: (2.0, 1.0)}, dead=frozenset({4}), dies_at={2: 1}, room=0.01))
     camera, lights, _ = devices(scene, sensor=QUIET)
     room = scene.light([])
     np.testing.assert_allclose(scene.light([4]), room)

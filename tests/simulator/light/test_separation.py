@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kernel_of_profile import kernel as kernel_of
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, default_rig
@@ -99,7 +100,7 @@ def test_direct_light_of_a_flat_sheet_is_the_profile_times_the_checkerboard(walk
     for c, name in enumerate(BAND_CHANNELS["white"]):
         medium = SKIN.channel(name)
         profile = diffusion_profile(walks, medium.scattering_per_mm, medium.absorption_per_mm)
-        kernel = profile.kernel(pitch, 6.0).astype(np.float64)
+        kernel = kernel_of(profile, pitch, 6.0).astype(np.float64)
         offset = (np.arange(kernel.shape[0]) - kernel.shape[0] // 2) * pitch
         sign = np.where(np.floor(offset / check + 0.5) % 2 == 0, 1.0, -1.0)
         sign[np.abs(np.abs(offset / check) % 1.0 - 0.5) < 1e-9] = 0.0  # a pixel that an edge halves

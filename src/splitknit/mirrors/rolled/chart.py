@@ -105,19 +105,15 @@ def surface_normals(points_mm: Array) -> Array:
 
 
 def read(
-    field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, held: bool = False
+    field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, empty: float = float("nan")
 ) -> FloatArray:
-    """Values of a field (H, W) at places of any shape; beside NaN they are NaN.
-
-    Outside the field they are NaN, or those of its border where it is `held`.
-    """
-    border, empty = (cv2.BORDER_REPLICATE, 0.0) if held else (cv2.BORDER_CONSTANT, float("nan"))
+    """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
     how = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
     x, y = (np.ascontiguousarray(part, dtype=np.float32).reshape(-1, 1) for part in (columns, rows))
     flat = np.empty(columns.size, dtype=np.float32)
     for start in range(0, flat.size, 30_000):
         part = slice(start, start + 30_000)
-        flat[part] = cv2.remap(field, x[part], y[part], how, borderMode=border, borderValue=empty)[:, 0]
+        flat[part] = cv2.remap(field, x[part], y[part], how, borderMode=cv2.BORDER_CONSTANT, borderValue=empty)[:, 0]
     return flat.reshape(columns.shape)
 
 

@@ -140,8 +140,3 @@ def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Ar
         inner = np.array([-edge[1], edge[0]]) * np.sign(turning)
         within = np.minimum(within, (flat - start) @ inner)
     return np.asarray(np.clip(0.5 + within / EDGE_MM, 0.0, 1.0) * there, dtype=np.float32)
-
-
-def _reflected_corners(corners_mm: Array, plane: Plane) -> Array:
-    """Outline (K, 3) of another mirror as this one shows it."""
-    return reflect_points(np.asarray(corners_mm, dtype=np.float64), plane)

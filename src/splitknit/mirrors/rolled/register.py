@@ -193,7 +193,7 @@ class _Part:
         knots: tuple[int, int],
     ) -> None:  # fmt: skip
         self.rows, self.columns = np.nonzero(seen.both)
-        self.modes = _modes(chart, radius_mm, (front, seen.sight), (self.rows, self.columns))
+        self.modes = ridge_moves(chart, radius_mm, (front, seen.sight), (self.rows, self.columns))
         self.spread = _hats(self.columns / every, self.rows / every, knots)
         one, other = (_evened(band, seen.both, chart.pitch_mm) for band in (first, seen.band))
         self.fields = other, np.gradient(other, axis=1), np.gradient(other, axis=0)
@@ -213,7 +213,7 @@ class _Part:
         return matrix, self.target - seen, score
 
 
-def _modes(
+def ridge_moves(
     chart: Chart, radius_mm: Array, sights: tuple[Sight, Sight], at: tuple[NDArray[np.intp], NDArray[np.intp]]
 ) -> Array:
     """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of surface, by pose."""

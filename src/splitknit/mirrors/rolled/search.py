@@ -9,14 +9,13 @@ import itertools
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled.chart import Chart, Sight
-from splitknit.mirrors.rolled.register import shifts_by
+from splitknit.mirrors.rolled.chart import Chart, Sight, read
+from splitknit.mirrors.rolled.register import ridge_moves
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 
@@ -96,25 +95,20 @@ def search(  # noqa: PLR0917
     rows, columns = np.nonzero(both)
     if rows.size < 500:
         return nothing
-    points = chart.points(radius_mm)
-    _, rays = chart.rays()
-    right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
-    steps = right[rows, columns], down[rows, columns]
-    of_front, _ = shifts_by(front, points[rows, columns], rays[rows, columns], steps)
-    of_mirror, by_pose = shifts_by(mirror, points[rows, columns], rays[rows, columns], steps)
+    moved = ridge_moves(chart, radius_mm, (front, mirror), (rows, columns))
     angle = chart.angle_rad[columns]
     side = np.sign(float(np.median(angle)))
     hump = np.sin(2 * angle) ** 2
     along = (chart.length_mm[rows] - float(chart.length_mm[rows].mean())) / 10.0
-    by_bulge = (of_mirror - of_front) * hump[:, None]
+    by_bulge = moved[..., 0] * hump[:, None]
     outer = (np.abs(angle) - np.pi / 4) / np.deg2rad(20.0)
     by_bulges = by_bulge, by_bulge * along[:, None], by_bulge * outer[:, None]
-    modes = np.stack([*np.moveaxis(by_pose, 2, 0), *by_bulges], axis=-1).astype(np.float32)  # (K, 2, 6)
+    modes = np.stack([*np.moveaxis(moved[..., 1:], 2, 0), *by_bulges], axis=-1).astype(np.float32)  # (K, 2, 6)
     target = first[rows, columns]
     place = np.stack([columns, rows], axis=1).astype(np.float32)
 
     def score(moves: FloatArray, some: slice) -> float:
-        seen = _read(second, place[some] + moves)
+        seen = read(second, *(place[some] + moves).T, empty=0.0)
         there = target[some] - target[some].mean()
         seen = seen - seen.mean()
         power = float((seen**2).sum()) * float((there**2).sum())
@@ -183,13 +177,3 @@ def _apart(guesses: list[tuple[float, Array]], pitch_mm: float, count: int) -> l
 def _range(reach: float, step: float) -> Array:
     count = int(np.floor(reach / step + 1e-9))
     return np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
-
-
-def _read(field: FloatArray, places: FloatArray) -> FloatArray:
-    """(K,) values at places (K, 2), zero outside."""
-    values = np.empty(len(places), dtype=np.float32)
-    for start in range(0, len(places), 30_000):
-        part = places[start : start + 30_000]
-        x, y = (np.ascontiguousarray(part[:, axis : axis + 1]) for axis in range(2))
-        values[start : start + 30_000] = cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)[:, 0]
-    return values

@@ -24,7 +24,7 @@ from splitknit.simulator.camera import lens
 from splitknit.simulator.camera.device import Scene
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
-from splitknit.simulator.light.lighting import towards
+from splitknit.simulator.light.lighting import irradiance
 
 Array = NDArray[np.float64]
 
@@ -291,14 +291,6 @@ def _switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
         )
         yield leds[index]
         yield from leds[index].also
-
-
-def irradiance(led: Led, points: Sequence[Array | FloatArray] | Array, normal: Sequence[Array] | Array) -> Array:
-    """Irradiance (h, w) of a surface at x, y, z (h, w) in mm with the unit normal (or normals: x, y, z), unshadowed."""
-    x, y, z = (np.asarray(axis, dtype=np.float32) for axis in points)
-    lx, ly, lz, strength = towards(led, x, y, z)
-    cosine = lx * normal[0] + ly * normal[1] + lz * normal[2]
-    return np.asarray(strength * np.maximum(cosine, 0.0), dtype=np.float64)
 
 
 def card_radiance(led: Led) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import Led
+from splitknit.model import FloatArray, Led
 from splitknit.simulator.calibration_set.bench import (
     Array,
     GroundScene,
@@ -23,11 +23,10 @@ from splitknit.simulator.calibration_set.bench import (
     base_plane,
     card_radiance,
     inside,
-    irradiance,
     seen_at,
     steps,
 )
-from splitknit.simulator.light.lighting import UNIT
+from splitknit.simulator.light.lighting import UNIT, irradiance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,7 +119,7 @@ class NailScene(GroundScene):
         points, normal = self._surface(window)
         received = np.zeros(fraction.shape)
         for led in leds:
-            received += irradiance(led, np.moveaxis(points, -1, 0), np.moveaxis(normal, -1, 0))
+            received += irradiance(led, _axes(points), np.moveaxis(normal, -1, 0))
         cone = self.reflectance * (received / np.pi + self.ambient_light)
         grey[window] += fraction * (cone - grey[window])
         return grey
@@ -377,7 +376,7 @@ class SphereScene(GroundScene):
         points, normals = seen
         received = np.zeros(points.shape[:2])
         for led in leds:
-            received += irradiance(led, np.moveaxis(points, -1, 0), np.moveaxis(normals, -1, 0))
+            received += irradiance(led, _axes(points), np.moveaxis(normals, -1, 0))
         return np.asarray(self._reflectance * (received / np.pi + self.ambient_light))
 
     def _mirrored(self, leds: tuple[Led, ...], lines: Sight, seen: Lines) -> Array:
@@ -390,7 +389,7 @@ class SphereScene(GroundScene):
         ground = rays[0] + reach[..., None] * rays[1]
         received = np.zeros(lines.x.shape)
         for led in leds:
-            received += irradiance(led, np.moveaxis(ground, -1, 0), self.plane.axes[:, 2])
+            received += irradiance(led, _axes(ground), self.plane.axes[:, 2])
         scene = np.where(falls, self.ground * (received / np.pi + self.ambient_light), walls)
         for led in leds:
             scene = scene + self._led_in_mirror(led, lines, rays)
@@ -482,6 +481,11 @@ def _finer_lines(sight: Sight, at: tuple[NDArray[Any], ...]) -> Iterator[Sight]:
                 for value, step in zip(values, slopes, strict=True)
             )
             yield Sight(*moved)
+
+
+def _axes(points: Array) -> FloatArray:
+    """x, y and z (3, h, w) of points (h, w, 3)."""
+    return np.moveaxis(points, -1, 0).astype(np.float32)
 
 
 def _positions_of(leds: Sequence[Led], what: str) -> NDArray[np.float64]:

@@ -196,6 +196,13 @@ def towards(
     return lx, ly, lz, strength
 
 
+def irradiance(led: Led, points: Sequence[Any] | NDArray[Any], normal: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+    """Irradiance of a surface at x, y, z in mm (any shape) with the unit normal x, y, z, unshadowed."""
+    x, y, z = points
+    lx, ly, lz, strength = towards(led, x, y, z)
+    return np.asarray(strength * np.maximum(lx * normal[0] + ly * normal[1] + lz * normal[2], 0.0))
+
+
 # An opaque finger: matt as painted plaster, no light below the surface, no gloss.
 
 
@@ -224,23 +231,6 @@ def render_opaque(surface: Surface, leds: Sequence[Led], albedo: float = 0.5) ->
     """
     require(0.0 < albedo <= 1.0, f"the albedo must lie in (0, 1], but it is {albedo}.")
     patch = cut_out(surface)
-    light = np.stack([sum((_irradiance(patch, one) for one in (led, *led.also)), np.float32(0.0)) for led in leds])
-    return patch.window, np.asarray(light * np.float32(albedo / np.pi), dtype=np.float32)
-
-
-def _irradiance(patch: Patch, led: Led) -> FloatArray:
-    """(h, w) light of one LED on the surface."""
-    if led.position_mm is None:
-        towards = np.asarray(led.direction, dtype=np.float64) / np.linalg.norm(np.asarray(led.direction))
-        strength: Any = led.intensity
-        cosine = towards[0] * patch.nx + towards[1] * patch.ny + towards[2] * patch.nz
-    else:
-        dx, dy, dz = (p - at for p, at in zip(led.position_mm, (patch.x, patch.y, patch.z), strict=True))
-        squared = dx * dx + dy * dy + dz * dz
-        distance = np.sqrt(squared)
-        strength = led.intensity * UNIT / squared
-        if led.lobe_exponent > 0.0:
-            along = -(dx * led.axis[0] + dy * led.axis[1] + dz * led.axis[2]) / distance
-            strength = strength * np.maximum(along, 0.0) ** led.lobe_exponent
-        cosine = (dx * patch.nx + dy * patch.ny + dz * patch.nz) / distance
-    return np.asarray(np.where(patch.mask, strength * np.maximum(cosine, 0.0), 0.0), dtype=np.float32)
+    points, normals = (patch.x, patch.y, patch.z), (patch.nx, patch.ny, patch.nz)
+    light = np.stack([sum(irradiance(one, points, normals) for one in (led, *led.also)) for led in leds])
+    return patch.window, np.where(patch.mask, light * np.float32(albedo / np.pi), 0.0).astype(np.float32)
