@@ -50,7 +50,7 @@ MARGIN_PX = 4
 def source_hash() -> str:
     """SHA-256 of the code that is compared (what the twin shows is held by tests of its own)."""
     package = Path(splitknit.__file__).parent
-    folders = ("normals", "integrate")
+    folders = ("photometric", "integration")
     files = [file for folder in folders for file in sorted((package / folder).rglob("*.py"))]
     digest = hashlib.sha256()
     own = [HERE / f"{name}.py" for name in ("xie", "xie_itself", "xie_photographs", "xie_skin", "xie_ways")]

@@ -33,7 +33,7 @@ from splitknit.simulator.population.sessions import PopulationSettings
 
 SCALES = (1.0, 0.7, 0.4)
 SMALL_SCALES = (0.25, 0.175, 0.1)
-PEOPLE = 5
+PEOPLE = 4
 FINGERS = ("right_index", "right_middle", "left_thumb", "left_ring")
 MATCHED = ("normals", "relief")
 PIXEL_UM = 1000.0 / REFERENCE_PX_PER_MM
