@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.batch import workers
+from splitknit import steps
 
 JOBS = """
 import os, signal
@@ -47,10 +47,10 @@ def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> 
             calls.append((parameter, value))
             return 1
 
-    monkeypatch.setattr(workers.ctypes, "CDLL", Glibc)
-    monkeypatch.setattr(workers.os, "confstr", lambda name: "glibc 2.36", raising=False)
-    workers._one_heap()
-    assert calls == [(-8, 1)]  # M_ARENA_MAX
-    monkeypatch.setattr(workers.os, "confstr", lambda name: None, raising=False)
-    workers._one_heap()
-    assert len(calls) == 1
+    monkeypatch.setattr(steps.ctypes, "CDLL", Glibc)
+    monkeypatch.setattr(steps.os, "confstr", lambda name: "glibc 2.36", raising=False)
+    steps.one_heap()
+    assert calls == [(-8, 1), (-3, 32 << 20), (-1, 64 << 20)]
+    monkeypatch.setattr(steps.os, "confstr", lambda name: None, raising=False)
+    steps.one_heap()
+    assert len(calls) == 3

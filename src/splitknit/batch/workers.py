@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -15,9 +14,7 @@ from itertools import islice
 from typing import TypeVar
 
 from splitknit.errors import BadInput
-
-_M_ARENA_MAX = -8
-"""Of glibc's ``mallopt``."""
+from splitknit.steps import one_heap
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
@@ -84,7 +81,7 @@ def _begin() -> None:
     import cv2  # noqa: PLC0415
 
     cv2.setNumThreads(1)
-    _one_heap()
+    one_heap()
     parent = multiprocessing.parent_process()
 
     def watch() -> None:
@@ -93,10 +90,3 @@ def _begin() -> None:
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _one_heap() -> None:
-    """Let all threads of this process allocate from one heap: glibc gives each its own, which keeps what is freed."""
-    with contextlib.suppress(AttributeError, OSError, ValueError):  # Windows, or another C library
-        if os.confstr("CS_GNU_LIBC_VERSION"):
-            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

@@ -91,9 +91,10 @@ def _reconstruct_to_folder(
     from splitknit.presets import preset_settings  # noqa: PLC0415
     from splitknit.report.result import write_files  # noqa: PLC0415
     from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.steps import frugal  # noqa: PLC0415
+    from splitknit.steps import frugal, one_heap  # noqa: PLC0415
 
     started = time.perf_counter()
+    one_heap()
     source, out, preset = options.capture or options.images, options.out, options.preset
     override(preset_settings(preset), changes)  # a wrong setting is refused before the images are read
     check_target(out, "height.npz", "an earlier result", keep=source)
