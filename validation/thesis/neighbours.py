@@ -31,8 +31,8 @@ from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 from splitknit.simulator.population.sessions import PopulationSettings
 
-SCALES = (1.0, 0.7, 0.4)
-SMALL_SCALES = (0.25, 0.175, 0.1)
+SCALES = (1.0, 0.4)
+SMALL_SCALES = (0.25, 0.1)
 PEOPLE = 4
 FINGERS = ("right_index", "right_middle", "left_thumb", "left_ring")
 MATCHED = ("normals", "relief")
