@@ -16,7 +16,6 @@ import splitknit
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit.networks import unet
-from splitknit.networks.weights import read_network
 from splitknit.report.photos import LONGEST_PX, small_images
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -78,13 +77,6 @@ def test_no_more_is_computed_than_was(capture: Capture, counts: Counter[str]) ->
     assert counts["pixels of the relief network"] < 3 * 1.35 * pixels
     assert counts["pixels of the shape network"] < pixels
     assert counts["transforms"] <= 207
-
-
-def test_the_relief_network_computes_in_eight_bits() -> None:
-    """All but four of its convolutions: in single precision they take twice as long and 0.1 GB a thread more."""
-    card, weights = read_network("relief")
-    assert weights.count(b"QLinearConv") + weights.count(b"DequantizeLinear") > 30
-    assert card.facts["quantised"]["from_sha256"] != card.sha256
 
 
 def test_images_are_let_go_before_the_surface_where_they_may_be(
