@@ -11,8 +11,9 @@ import numpy as np
 from splitknit.finger.orientation import Upright, find_upright
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
-from splitknit.model import Camera
+from splitknit.model import Camera, default_rig
 from splitknit.prints.ridges import relief_print
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 
 
 def write_perfect(
@@ -30,4 +31,13 @@ def write_perfect(
     write_npz(folder / "height.npz", {**arrays, **(more or {})})
     picture = relief_print(ridge, seen.mask, camera.px_per_mm, upright.input_from_upright, upright.size)
     write_print_png(folder / "print.png", picture, 500.0)
+    return folder
+
+
+def write_impressions(folder: Path, scale: float, seed: int, turned: Pose) -> Path:
+    """Two impressions of one finger, ``a`` and (`turned`) ``again``, and one of another, ``other``."""
+    camera = default_rig(scale).camera
+    straight = Pose(insertion_mm=27.0)
+    for number, pose, name in ((seed, straight, "a"), (seed, turned, "again"), (seed + 1, straight, "other")):
+        write_perfect(folder / name, finger_surface(draw_finger(number, "right_loop"), pose, camera), camera)
     return folder

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
 import os
 import time
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -82,7 +81,7 @@ def one_heap() -> None:
     For a program of its own, at its start. By default glibc gives each thread a heap, and returns the pages of an array
     to the system only to ask for them again for the next one. Nothing happens with other C libraries.
     """
-    with contextlib.suppress(AttributeError, OSError, ValueError):  # Windows, macOS, musl
+    with suppress(AttributeError, OSError, ValueError):  # Windows, macOS, musl
         if os.confstr("CS_GNU_LIBC_VERSION"):
             libc = ctypes.CDLL(None)
             for parameter, value in _HEAP.items():

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from enrolled import people
-from perfect_results import write_perfect
-from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from perfect_results import write_impressions
+from splitknit.simulator.finger.finger import Pose
 
 
 @pytest.fixture(scope="session")
@@ -22,12 +21,5 @@ def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def impressions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two impressions of one finger and one of another, as result folders, perfect; not to be changed."""
     pytest.importorskip("nbis")
-    folder = tmp_path_factory.mktemp("impressions")
-    camera = default_rig(0.27).camera
-    for seed, pose, name in (
-        (731, Pose(insertion_mm=27.0), "a"),
-        (731, Pose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05), "again"),
-        (732, Pose(insertion_mm=27.0), "other"),
-    ):
-        write_perfect(folder / name, finger_surface(draw_finger(seed, "right_loop"), pose, camera), camera)
-    return folder
+    turned = Pose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05)
+    return write_impressions(tmp_path_factory.mktemp("impressions"), 0.27, 731, turned)

@@ -8,27 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from perfect_results import write_perfect
+from perfect_results import write_impressions
 from splitknit.cli.main import main
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
-from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import Pose
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
-    folder = tmp_path_factory.mktemp("match")
-    camera = default_rig(0.15).camera
-    for seed, pose, name in (
-        (721, Pose(insertion_mm=27.0), "a"),
-        (721, Pose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08), "again"),
-        (722, Pose(insertion_mm=27.0), "other"),
-    ):
-        seen = finger_surface(draw_finger(seed, "right_loop"), pose, camera)
-        write_perfect(folder / name, seen, camera)
-    return folder
+    turned = Pose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08)
+    return write_impressions(tmp_path_factory.mktemp("match"), 0.15, 721, turned)
 
 
 def facts_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict:

@@ -222,12 +222,12 @@ def bits(work: Path, base: NDArray[np.int8], sets: dict[str, tuple[dict[str, Tem
             for owner, probe in zip(owners, probes.values(), strict=True):
                 variants, row = probe_codes(probe, settings) * np.float32(SCALE), size + names.index(owner)
                 best = np.max([(fine @ part.T).max(axis=1) for part in np.array_split(variants, 9)], axis=0)
-                ranks.setdefault("numbers", []).append(1 + int((best > best[row]).sum()))
+                ranks.setdefault("numbers", []).append(rank_of(best, row))
                 few = variants[settings.coarse()]
                 seen = {"keyed": keyed.probe(few)[0], "learned": np.packbits((few - mean) @ learned > 0, axis=1)}
                 for name, words in stored.items():
                     away_by = np.min([np.bitwise_count(one ^ words).sum(axis=1) for one in seen[name]], axis=0)
-                    ranks.setdefault(name, []).append(1 + int((away_by < away_by[row]).sum()))
+                    ranks.setdefault(name, []).append(rank_of(-away_by.astype(np.int64), row))
             found[f"{kind}, {settings.count} variants"] = {
                 name: by_finger(np.array(some) <= max(RANKS), owners) for name, some in ranks.items()
             }
@@ -277,7 +277,8 @@ def keys(work: Path, gallery: dict[str, Template], probes: dict[str, Template], 
         links[what]["chance"] = round(d_sys(*np.split(pooled, 2)), 4)  # of a system that links nothing
         links[what]["scores"] = pairs * len(place)
     plain_codes = np.fromfile(distractors(base, size, work), np.int8).reshape(-1, code_size())[:size]
-    plain = ranks_of(mine, [similarities(one, np.concatenate([own, plain_codes])) for one in probes.values()])
+    found = [similarities(one, np.concatenate([own, plain_codes])) for one in probes.values()]
+    plain = [rank_of(values, row) for values, row in zip(found, mine.tolist(), strict=True)]
     keyed = []
     for number in range(3):
         shards, rows = sharded(work, base, size, own, Key(bytes([number] * 32), raw=True))
@@ -305,9 +306,9 @@ def norm(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(values.astype(np.float64), axis=1))
 
 
-def ranks_of(mine: NDArray[np.int64], found: Sequence[FloatArray]) -> list[int]:
-    """Rank of the right one."""
-    return [1 + int((values > values[row]).sum()) for values, row in zip(found, mine, strict=True)]
+def rank_of(values: NDArray[Any], row: int) -> int:
+    """Rank of the right one by its value, the highest first."""
+    return 1 + int((values > values[row]).sum())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -29,7 +29,6 @@ from splitknit.batch.objects import MEMORY, Location, Objects, captures_at_hand,
 from splitknit.batch.population import (
     Block,
     CaptureRef,
-    Pairs,
     Population,
     all_pairs,
     blocks_of,
@@ -50,6 +49,7 @@ from splitknit.batch.solids import (
 )
 from splitknit.batch.store import Store, check_target, open_store, sweep
 from splitknit.errors import BadInput, require
+from splitknit.evaluation.protocol import Comparisons
 from splitknit.evaluation.scores import Ids, Scores, ids_of
 from splitknit.io.atomic import hold, private_modes
 from splitknit.io.capture import read_capture
@@ -443,14 +443,14 @@ def _done(store: Store, case: str, matcher: str, captures: list[CaptureRef]) -> 
     return np.array(found, dtype=np.int64)
 
 
-def _named(pairs: Pairs, captures: list[CaptureRef]) -> tuple[tuple[str, str, bool], ...]:
+def _named(pairs: Comparisons, captures: list[CaptureRef]) -> tuple[tuple[str, str, bool], ...]:
     return tuple(
         (captures[a].name, captures[b].name, genuine)
         for a, b, genuine in zip(pairs.a.tolist(), pairs.b.tolist(), pairs.genuine.tolist(), strict=True)
     )
 
 
-def _used(pairs: Pairs, captures: list[CaptureRef], places: Mapping[str, Place]) -> dict[str, Place]:
+def _used(pairs: Comparisons, captures: list[CaptureRef], places: Mapping[str, Place]) -> dict[str, Place]:
     names = [captures[k].name for k in np.unique(np.concatenate([pairs.a, pairs.b])).tolist()]
     return {name: places[name] for name in names}
 

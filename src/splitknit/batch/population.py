@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.batch.objects import Location, files_below, stored_bytes
 from splitknit.capture.enrolment import PLAN_FILE, Place, open_enrolment
 from splitknit.errors import BadInput, require
-from splitknit.evaluation.protocol import comparisons
+from splitknit.evaluation.protocol import Comparisons, comparisons
 from splitknit.io.fields import MAX_JSON_BYTES, Fields, read_json
 
 _SIMULATED = "population.json"
@@ -121,25 +121,15 @@ class Blocks:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """Comparisons as places in a list of captures."""
-
-    a: NDArray[np.int64]
-    """(N,) of the earlier session."""
-    b: NDArray[np.int64]
-    genuine: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """The comparisons of one block."""
 
     number: int
     """In the order of all blocks of the plan."""
-    pairs: Pairs
+    pairs: Comparisons
 
 
-def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pairs:
+def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Comparisons:
     """Every finger of a session with every finger of every later one; of different fingers a fraction only.
 
     The fraction is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
@@ -150,12 +140,11 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Pa
     BadInput
         If the captures are of one session.
     """
-    found = comparisons(
+    return comparisons(
         [one.finger for one in captures],
         [one.session for one in captures],
         None if impostors >= 1.0 else lambda one, other: draw(one, other, seed) < impostors,
     )
-    return Pairs(found.a, found.b, found.genuine)
 
 
 def draw(a: str, b: str, seed: int) -> float:
@@ -165,13 +154,13 @@ def draw(a: str, b: str, seed: int) -> float:
     return int.from_bytes(digest[:8], "big") / 2.0**64
 
 
-def missing_pairs(pairs: Pairs, count: int, done: NDArray[np.int64]) -> Pairs:
+def missing_pairs(pairs: Comparisons, count: int, done: NDArray[np.int64]) -> Comparisons:
     """Those of `pairs` whose key ``a * count + b`` is not in `done`."""
     kept = ~np.isin(pairs.a * count + pairs.b, done)
-    return Pairs(pairs.a[kept], pairs.b[kept], pairs.genuine[kept])
+    return Comparisons(pairs.a[kept], pairs.b[kept], pairs.genuine[kept])
 
 
-def blocks_of(pairs: Pairs, captures: Sequence[CaptureRef], blocks: Blocks) -> list[Block]:
+def blocks_of(pairs: Comparisons, captures: Sequence[CaptureRef], blocks: Blocks) -> list[Block]:
     """Comparisons block by block; those that share a database's block follow each other."""
     session = np.array([int(one.session) for one in captures], dtype=np.int64)
     number = np.array([one.number for one in captures], dtype=np.int64)
@@ -187,5 +176,5 @@ def blocks_of(pairs: Pairs, captures: Sequence[CaptureRef], blocks: Blocks) -> l
     for start, part in zip(starts.tolist(), parts, strict=True):
         first, low, second, high = (int(value) for value in keys[:, start])
         place = ((first * 1000 + second) * 10_000 + low) * 10_000 + high
-        found.append(Block(place, Pairs(pairs.a[part], pairs.b[part], pairs.genuine[part])))
+        found.append(Block(place, Comparisons(pairs.a[part], pairs.b[part], pairs.genuine[part])))
     return found
