@@ -83,13 +83,18 @@ def main() -> None:
     for feature in ("lbp", "hog", "gabor", "shape_context"):
         known[feature] = finger_features(boxes[0], ThesisSettings(gate=0.0, feature=feature))
 
-    def pair(feature: str, given: bool) -> Any:
+    def pair(feature: str, given: bool, threads: int = 1) -> Any:
         settings = ThesisSettings(gate=0.0, feature=feature)
-        return thesis_match(*boxes, settings, known[feature] if given else None)
+        cv2.setNumThreads(threads)
+        found = thesis_match(*boxes, settings, known[feature] if given else None)
+        cv2.setNumThreads(1)
+        return found
 
     contenders = {
         "lbp": lambda: pair("lbp", False),
+        "lbp, two threads": lambda: pair("lbp", False, 2),
         "lbp, features of one side known": lambda: pair("lbp", True),
+        "the same, two threads": lambda: pair("lbp", True, 2),
         "hog": lambda: pair("hog", False),
         "gabor": lambda: pair("gabor", False),
         "shape_context": lambda: pair("shape_context", False),

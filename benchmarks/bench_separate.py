@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cases import shadow_case
-from splitknit.networks.unet import Network, load_network, network_of, run_network
+from splitknit.networks.unet import Network, load_network, network_of, run_network, use_device
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.separation.direct import direct_light
 from timing import machine, print_table, race
@@ -32,6 +32,9 @@ def main() -> None:
     case = shadow_case()
     grey = case.stack * case.mask
     colours = np.repeat(grey[:, None], 3, axis=1)
+    use_device(threads=1)
+    alone = load_network(options.network)
+    use_device(threads=2)
     network = load_network(options.network)
     facts = network.card.facts
     print(f"Direct light, {' x '.join(map(str, grey.shape))}, network '{network.card.name}', {machine()}")
@@ -47,7 +50,7 @@ def main() -> None:
     )
     contenders = {
         "direct_light, colours, two threads": lambda: direct_light(colours, network),
-        "the same, one thread": lambda: direct_light(colours, network, workers=1),
+        "the same, one thread": lambda: direct_light(colours, alone),
         "the same, two threads, tiles of 256 pixels": lambda: direct_light(colours, network, tile=256),
         "direct_light, grey, two threads": lambda: direct_light(grey, network),
         "run_network alone, two threads": lambda: run_network(network, colours),
@@ -66,12 +69,13 @@ def thesis(image: np.ndarray, device: str) -> None:
     patches: Any = _SamePatches((noise, 0.3 * noise), steps)
     trainer = SeparationTrainer(SeparationSettings(device=device, threads=2), patches)
     weights, _ = trainer.packed({})
-    network = in_memory(weights, {"channels_in": 3, "channels_out": 3, "stride": 8, "reach": unet_reach(3)})
     print(f"\n### Width 64: {len(weights) / 1e6:.1f} MB\n")
-    for workers in (1, 2):
+    for threads in (1, 2):
+        use_device(threads=threads)
+        network = in_memory(weights, {"channels_in": 3, "channels_out": 3, "stride": 8, "reach": unet_reach(3)})
         started = time.perf_counter()
-        run_network(network, image, tile=512, workers=workers)
-        print(f"- one image of {image.shape[2]} x {image.shape[3]}, {workers} threads: ", end="")
+        run_network(network, image, tile=512)
+        print(f"- one image of {image.shape[2]} x {image.shape[3]}, {threads} threads: ", end="")
         print(f"{time.perf_counter() - started:.1f} s")
     trainer.train(1)
     started = time.perf_counter()

@@ -19,7 +19,7 @@ from splitknit.evaluation.accuracy import compare
 from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
-from splitknit.report.figures import render_views
+from splitknit.report.figures import render_views, small_fields
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         photograph = capture.bands["white"].pixels[1].astype(np.float32)
         bright = np.clip(photograph / np.percentile(photograph, 99.5), 0, 1) ** (1 / 2.2)
         write_image(options.out / "one-image-four-views.png", np.round(255 * bright).astype(np.uint8))
-        views = render_views(result, upright_frame(result, 700))
+        views = render_views(result, small_fields(result, upright_frame(result, 700)))
         write_image(options.out / "surface.png", views.above)
     return 0
 

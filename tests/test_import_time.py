@@ -44,7 +44,7 @@ def test_a_comparison_of_templates_loads_no_reconstruction(tmp_path) -> None:
         level = np.repeat(rng.integers(0, 4, (90, 23), dtype=np.uint8), 4, axis=1)
         write_template(tmp_path / f"{name}.skt", pack(Template(level, np.ones(level.shape, np.bool_), 0.1)), VERSION)
     others = ("pipeline", "finger", "skin", "networks", "prints", "photometric", "io.capture", "io.images", "cli.batch")
-    parts = ("scipy", "numpy.ma", "onnxruntime", "tifffile", "jinja2", "tomllib", "secrets")
+    parts = ("scipy", "numpy.ma", "onnxruntime", "tifffile", "jinja2", "tomllib", "secrets", "concurrent.futures")
     words = ["match", str(tmp_path / "a.skt"), str(tmp_path / "b.skt")]
     code = f"from splitknit.cli.main import main\nassert main({words}) == 0"
     assert _loaded_after(code, (*(f"splitknit.{name}" for name in others), *parts)) == []

@@ -17,7 +17,8 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients,
 from splitknit.imaging.view import _pixel_axes_mm
 from splitknit.io.capture import read_capture
 from splitknit.io.npz import read_npz
-from splitknit.io.results import _upright_mesh, read_result
+from splitknit.io.provenance import provenance
+from splitknit.io.results import read_result, write_mesh
 from splitknit.matching.inputs import read_surface
 from splitknit.matching.surface import surface_images
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig, surface_of
@@ -28,6 +29,7 @@ from splitknit.simulator.finger.finger import Pose
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
+from written_files import read_ply
 
 Truth = dict[str, np.ndarray]
 
@@ -130,10 +132,11 @@ def test_upright_is_tip_up(results: dict[str, Reconstruction]) -> None:
     assert abs(middle[0] - middle[1]) < 4
 
 
-def test_mesh_and_heights_are_one_surface(results: dict[str, Reconstruction]) -> None:
+def test_mesh_and_heights_are_one_surface(results: dict[str, Reconstruction], tmp_path: Path) -> None:
     """Each vertex, taken back to the input by `input_from_upright`'s turn, is its pixel."""
     result = results["snk"]
-    vertices, _, _, _ = _upright_mesh(result)
+    write_mesh(tmp_path / "m.ply", result, provenance({}, {}))
+    vertices = read_ply(tmp_path / "m.ply").vertices_mm
     assert len(vertices) == result.mask.sum()
     rows, columns = np.nonzero(result.mask)
     np.testing.assert_array_equal(vertices[:, 2], result.height_mm[rows, columns])

@@ -9,14 +9,19 @@ from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 import splitknit
+from splitknit.finger.locate import FingerSettings, find_finger
+from splitknit.imaging import band as light
+from splitknit.io import pictures
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit.networks import unet
 from splitknit.report.photos import LONGEST_PX, small_images
+from splitknit.report.result import write_results
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.skin import learned, surface
@@ -79,6 +84,26 @@ def test_no_more_is_computed_than_was(capture: Capture, counts: Counter[str]) ->
     assert counts["transforms"] <= 207
 
 
+def test_the_finger_is_looked_at_in_its_window(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    measured: Counter[str] = Counter()
+    transform, decode = cv2.distanceTransform, light.linear_image
+
+    def measuring(image: np.ndarray, *arguments: object) -> np.ndarray:
+        measured["distances"] += image.size
+        return transform(image, *arguments)
+
+    def decoding(pixels: np.ndarray, *arguments: object) -> np.ndarray:
+        measured["decoded"] += pixels[..., 0].size
+        return decode(pixels, *arguments)
+
+    monkeypatch.setattr(cv2, "distanceTransform", measuring)
+    monkeypatch.setattr(light, "linear_image", decoding)
+    find_finger(capture, FingerSettings())
+    size = capture.shape[0] * capture.shape[1]
+    assert measured["distances"] < 14 * size
+    assert measured["decoded"] < 13.5 * size  # white and its ambient image whole, near-infrared in the finger's window
+
+
 def test_images_are_let_go_before_the_surface_where_they_may_be(
     capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +133,22 @@ def test_a_report_needs_small_images_only(capture: Capture) -> None:
     small = small_images(band)
     assert small.dtype == band.pixels.dtype and small.shape[0] == len(band.pixels) and small.shape[3] == 3
     assert max(small.shape[1:3]) <= LONGEST_PX
+
+
+def test_each_field_is_reduced_once_for_all_pictures(
+    capture: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = splitknit.reconstruct(capture, "ea")
+    reduced: list[tuple[int, ...]] = []
+    binned = pictures._binned
+
+    def counting(part: np.ndarray, inside: np.ndarray, factor: int) -> np.ndarray:
+        reduced.append(part.shape[2:])
+        return binned(part, inside, factor)
+
+    monkeypatch.setattr(pictures, "_binned", counting)
+    write_results(result, capture, tmp_path / "result")
+    assert Counter(reduced) == {(): 4, (3,): 1}  # mask, height, relief, shape; normals
 
 
 def test_a_run_loads_no_part_of_scipy(capture: Capture, tmp_path: Path) -> None:

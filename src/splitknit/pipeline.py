@@ -713,14 +713,14 @@ def finished(capture: Capture, finger: Finger, surface: Surface, settings: Pipel
 
     def whole(part: FloatArray) -> FloatArray:
         image = np.full(mask.shape, np.nan, dtype=np.float32)
-        image[window] = np.where(inside, part, np.float32(np.nan))
+        np.copyto(image[window], part, where=inside)
         return image
 
     parallel = done.x_mm is None or done.y_mm is None
 
     def whole_normals(part: FloatArray) -> FloatArray:
         image = np.zeros((*mask.shape, 3), dtype=np.float32)
-        image[window] = np.where(inside[..., None], part, np.float32(0.0))  # no negative zeros, which pack badly
+        np.copyto(image[window], part, where=inside[..., None])  # no negative zeros, which pack badly
         return image
 
     return Reconstruction(

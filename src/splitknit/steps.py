@@ -71,12 +71,12 @@ class _Run:
     """Fraction that was reported last: a stage may be entered again, but progress never goes back."""
 
 
-_HEAP = {-8: 1, -3: 32 << 20, -1: 64 << 20}
-"""Of glibc's ``mallopt``: M_ARENA_MAX, M_MMAP_THRESHOLD and M_TRIM_THRESHOLD, bytes."""
+_HEAP = {-8: 1, -4: 0, -1: 512 << 20}
+"""Of glibc's ``mallopt``: M_ARENA_MAX, M_MMAP_MAX and M_TRIM_THRESHOLD, bytes."""
 
 
 def one_heap() -> None:
-    """Let all threads of this process allocate from one heap, which keeps up to 64 MB that are free.
+    """Let all threads of this process allocate from one heap, which keeps up to 512 MB that are free.
 
     For a program of its own, at its start. By default glibc gives each thread a heap, and returns the pages of an array
     to the system only to ask for them again for the next one. Nothing happens with other C libraries.

@@ -166,7 +166,8 @@ def test_code_goes_to_other_computers_only_encrypted_or_on_demand() -> None:
 def test_a_cluster_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("splitknit.batch.execution.PATIENCE_S", 0.5)
-    with pytest.raises(BadInput, match=r"cannot be reached.*refused"), connected(Cluster("tcp://127.0.0.1:9")):
+    said = r"cannot be reached \(.*(refused|no answer in time)"  # the second on a busy machine
+    with pytest.raises(BadInput, match=said), connected(Cluster("tcp://127.0.0.1:9")):
         pass
 
 

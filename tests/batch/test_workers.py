@@ -50,7 +50,7 @@ def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(steps.ctypes, "CDLL", Glibc)
     monkeypatch.setattr(steps.os, "confstr", lambda name: "glibc 2.36", raising=False)
     steps.one_heap()
-    assert calls == [(-8, 1), (-3, 32 << 20), (-1, 64 << 20)]
+    assert calls == [(-8, 1), (-4, 0), (-1, 512 << 20)]
     monkeypatch.setattr(steps.os, "confstr", lambda name: None, raising=False)
     steps.one_heap()
     assert len(calls) == 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,7 +18,15 @@ from splitknit.finger.mask import (
     touched_borders,
 )
 from splitknit.finger.quality import photometric_mask
-from splitknit.finger.regions import fill_holes, largest_component, remove_spurs
+from splitknit.finger.regions import (
+    depth_inside,
+    dilate,
+    distance_outside,
+    erode,
+    fill_holes,
+    largest_component,
+    remove_spurs,
+)
 
 TONES = ("very dark", "dark", "medium", "very light")
 
@@ -212,6 +221,26 @@ def test_two_means_separates_and_is_deterministic():
     assert separation > 8
     np.testing.assert_array_equal(second, _two_means(values)[0])
     assert _two_means(np.ones((50, 1), np.float32))[1] == 0.0
+
+
+@pytest.mark.parametrize("box", [np.s_[20:50, 10:40], np.s_[0:25, 30:60], np.s_[30:64, 0:80], np.s_[:, :]])
+@pytest.mark.parametrize("radius", [1.0, 1.5, 2.0, 3.7, 9.3])
+def test_what_is_computed_around_a_region_is_what_the_whole_image_gives(box, radius):
+    mask = np.zeros((64, 80), dtype=bool)
+    mask[box] = np.random.default_rng(2).random(mask[box].shape) < 0.97
+    inside, outside = (
+        cv2.distanceTransform(part.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (mask, ~mask)
+    )
+    np.testing.assert_allclose(depth_inside(mask), inside, rtol=1e-6)
+    np.testing.assert_array_equal(erode(mask, radius), inside > radius)
+    np.testing.assert_array_equal(dilate(mask, radius), outside <= radius)
+    near = outside <= radius
+    np.testing.assert_allclose(distance_outside(mask, radius)[near], outside[near], rtol=1e-6)
+    assert (distance_outside(mask, radius)[~near] > radius).all()
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    at_border = {int(v) for line in (labels[0], labels[-1], labels[:, 0], labels[:, -1]) for v in line}
+    small = [k for k in range(1, count) if k not in at_border and stats[k, cv2.CC_STAT_AREA] <= 2]
+    np.testing.assert_array_equal(fill_holes(mask, 2.0), mask | np.isin(labels, small))
 
 
 def test_regions():

@@ -6,6 +6,7 @@ import json
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ import pytest
 import tifffile
 
 import splitknit
+from handmade import finger
 from splitknit.errors import BadInput
 from splitknit.io.float_tiff import write_height_tiff
 from splitknit.io.mesh import surface_mesh
@@ -25,6 +27,7 @@ from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.ply import write_ply
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
+from splitknit.io.results import write_mesh
 from written_files import read_height_tiff, read_ply
 
 
@@ -65,6 +68,25 @@ def test_meshes_of_odd_sizes() -> None:
         surface_mesh(np.zeros(3), np.zeros(4), np.zeros((3, 3)))
     with pytest.raises(BadInput, match="mask"):
         surface_mesh(np.zeros(3), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 4), bool))
+
+
+def test_a_mesh_in_bands_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y, z = hill((40, 30))
+    z[np.random.default_rng(0).random(z.shape) < 0.2] = np.nan
+    whole = surface_mesh(x, y, z)
+    monkeypatch.setattr("splitknit.io.mesh._CHUNK", 70)  # two rows
+    for found, expected in zip(surface_mesh(x, y, z), whole, strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_a_mesh_is_not_held_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splitknit.io.mesh._CHUNK", 1 << 13)
+    result, _ = finger(px_per_mm=50.0)
+    tracemalloc.start()
+    write_mesh(tmp_path / "m.ply", result, provenance({}, {}))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 0.4 * (tmp_path / "m.ply").stat().st_size
 
 
 @pytest.mark.parametrize("size", [(13, 17), (300, 299)])  # below and above one chunk

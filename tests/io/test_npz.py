@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
+from splitknit.io import npz
 from splitknit.io.npz import map_npy, read_npz, write_npz
 
 ARRAYS = {
@@ -38,6 +39,18 @@ def archive(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_D
         for name, content in members:
             stream.writestr(name, content)
     return path
+
+
+def test_a_block_of_one_value_is_packed_as_any_other() -> None:
+    rows = np.random.default_rng(0).integers(0, 2, (200, 16)).astype(np.uint64)
+    rows[::3] = 7
+    rows[::5, 1:] = rows[::5, :1]
+    rows[4, :15], rows[4, 15] = 1, 2
+    np.testing.assert_array_equal(npz._constant(rows), (rows == rows[:, :1]).all(axis=1))
+    for value in (0.0, np.nan):
+        block = memoryview(np.full(npz._BLOCK // 8, value).view(np.uint8))
+        assert npz._deflate(block, last=False) == npz._packed(block, last=False)
+        assert npz._deflate(block, last=True) == npz._packed(block, last=True)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 
 from handmade import finger
 from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import UprightSurface, _top_view, oblique_view, upright_surface
+from splitknit.report.figures import UprightSurface, _top_view, oblique_view, small_fields, upright_surface
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
@@ -70,9 +70,20 @@ def test_what_is_in_front_hides_what_is_behind() -> None:
     assert columns.min() > 20  # only to the right
 
 
+def test_a_gap_between_two_parts_stays_empty() -> None:
+    """Columns that show nothing, between others that do."""
+    bump = _bump()
+    weight = bump.weight.copy()
+    weight[:, 30:50] = 0.0
+    view = oblique_view(UprightSurface(bump.height_mm * 0, bump.relief_mm, weight, 0.1), tilt_deg=60.0)
+    columns = (view.min(axis=2) < 235).any(axis=0)
+    shown = np.flatnonzero(columns)
+    assert np.diff(shown).max() > 18  # of 20, whose edges are smooth
+
+
 def test_views_show_the_finger_and_the_light() -> None:
     result, _ = finger()
-    surface = upright_surface(result, upright_frame(result, 240), 2.0)
+    surface = upright_surface(small_fields(result, upright_frame(result, 240)), 2.0)
     above = _top_view(surface).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)
     assert above[0, 0].min() > 240
@@ -85,6 +96,6 @@ def test_views_show_the_finger_and_the_light() -> None:
 
 def test_steeper_view_is_flatter() -> None:
     result, _ = finger()
-    surface = upright_surface(result, upright_frame(result, 240))
+    surface = upright_surface(small_fields(result, upright_frame(result, 240)))
     low, high = (oblique_view(surface, tilt_deg=tilt).shape[0] for tilt in (75.0, 20.0))
     assert low < 0.8 * high

@@ -23,7 +23,9 @@ def _decoded(picture: Picture) -> NDArray[np.uint8]:
 def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
     """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above the middle value."""
     result, _ = finger(yaw_deg=yaw_deg)
-    image = _decoded(figures.normals_picture(result, upright_frame(result, 200))).astype(float)
+    image = _decoded(figures.normals_picture(result, figures.small_fields(result, upright_frame(result, 200)))).astype(
+        float
+    )
     rows, columns = image.shape[:2]
     left, right = image[rows // 2, columns // 5], image[rows // 2, -columns // 5]
     assert left[0] + right[0] == pytest.approx(255, abs=12)
@@ -52,10 +54,10 @@ def test_outline_and_crease_lie_on_the_input() -> None:
 
 def test_scale_bar_is_as_long_as_it_says() -> None:
     result, _ = finger()
-    shown = figures.relief_picture(result, upright_frame(result, 200))
+    frame = upright_frame(result, 200)
+    shown = figures.relief_picture(result, figures.small_fields(result, frame))
     length_mm = float(shown.scale_label.split()[0])
-    pitch_mm = upright_frame(result, 200).pitch_mm
-    assert shown.scale_percent / 100 * shown.width * pitch_mm == pytest.approx(length_mm, rel=1e-3)
+    assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(length_mm, rel=1e-3)
 
 
 def testrelief_limits_leave_out_steep_flanks() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.skin.glare import fit_glare, fresnel_transmission, microfacet_glare
+from splitknit.skin.glare import MicrofacetGlare, fit_glare, fresnel_transmission
 
 NORMAL_REFLECTANCE = (0.42 / 2.42) ** 2
 
@@ -41,16 +41,15 @@ def test_transmission_follows_fresnel():
 
 def test_lobe_at_normal_incidence_is_the_formula():
     for roughness in (0.1, 0.3, 0.5):
-        glare = microfacet_glare(flat([[0, 0, 1]]), lights_at((0, 0, 1), pixels=1), roughness)
+        glare = MicrofacetGlare(flat([[0, 0, 1]]), lights_at((0, 0, 1), pixels=1))(roughness)
         assert float(glare[0, 0, 0]) == pytest.approx(NORMAL_REFLECTANCE / (4 * np.pi * roughness**2), rel=1e-4)
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 130.0])
 def test_lobe_peaks_where_the_normal_halves_light_and_view(azimuth):
     tilts = np.arange(0, 31, 0.5)
-    glare = microfacet_glare(
-        flat(direction(tilts, azimuth)), lights_at(direction(30.0, azimuth), pixels=len(tilts)), 0.12
-    )[0, 0]
+    light = lights_at(direction(30.0, azimuth), pixels=len(tilts))
+    glare = MicrofacetGlare(flat(direction(tilts, azimuth)), light)(0.12)[0, 0]
     assert tilts[int(np.argmax(glare))] == pytest.approx(15.0, abs=1.0)
     assert glare.max() > 5 * glare[0]
 
@@ -59,7 +58,7 @@ def test_roughness_widens_the_lobe():
     tilts = np.arange(0, 30, 0.25)
     light = lights_at((0, 0, 1), pixels=len(tilts))
     widths = [
-        (g > g.max() / 2).sum() for g in (microfacet_glare(flat(direction(tilts)), light, r)[0, 0] for r in (0.1, 0.2))
+        (g > g.max() / 2).sum() for g in (MicrofacetGlare(flat(direction(tilts)), light)(r)[0, 0] for r in (0.1, 0.2))
     ]
     assert widths[1] == pytest.approx(2 * widths[0], rel=0.1)
 
@@ -70,7 +69,7 @@ def test_energy_is_that_of_the_facets_that_mirror_the_sky(roughness):
     # little is shadowed
     t = (np.arange(2000) + 0.5) / 2000 * np.pi / 2
     sky = direction(np.rad2deg(t)).T.astype(np.float32)[None, :, None, :]
-    glare = microfacet_glare(flat(direction(np.zeros(2000))), sky, roughness)[0, 0].astype(np.float64)
+    glare = MicrofacetGlare(flat(direction(np.zeros(2000))), sky)(roughness)[0, 0].astype(np.float64)
     albedo = float((glare * 2 * np.pi * np.sin(t)).sum() * (np.pi / 2 / 2000))
     assert 0.92 < albedo / NORMAL_REFLECTANCE * (1 + roughness**2) < 1.02
 
@@ -92,16 +91,15 @@ def test_glare_of_any_facet_is_the_textbooks():
             0.5 * ((g - lh) / (g + lh)) ** 2 * (1 + ((lh * (g + lh) - 1) / (lh * (g - lh) + 1)) ** 2)
         )  # Walter et al., eq. 22
         expected = facets * unshadowed[0] * unshadowed[1] * reflectance / (4 * nv)
-        found = microfacet_glare(flat(normal), lights_at(light, pixels=40), roughness)[0, 0]
+        found = MicrofacetGlare(flat(normal), lights_at(light, pixels=40))(roughness)[0, 0]
         lit = nl > 0.05
         np.testing.assert_allclose(found[lit], expected[lit], rtol=1e-3)
         assert lit.sum() > 20
 
 
 def test_light_from_behind_gives_no_glare():
-    glare = microfacet_glare(
-        flat([[0, 0, 1], direction(60.0, 180.0)]), lights_at((0.1, 0, -0.5), (1, 0, 0.2), pixels=2), 0.3
-    )
+    normals = flat([[0, 0, 1], direction(60.0, 180.0)])
+    glare = MicrofacetGlare(normals, lights_at((0.1, 0, -0.5), (1, 0, 0.2), pixels=2))(0.3)
     assert glare[0, 0, 0] == 0
     assert glare[1, 0, 1] == 0
     assert glare[1, 0, 0] > 0
@@ -110,7 +108,7 @@ def test_light_from_behind_gives_no_glare():
 def test_glare_is_linear_in_the_light():
     normals = flat(direction(np.arange(0, 60, 5.0), 40.0))
     light = lights_at(direction(20.0), direction(50.0, 90.0), pixels=12)
-    weak, strong = (microfacet_glare(normals, light * np.float32(s), 0.25) for s in (1.0, 7.0))
+    weak, strong = (MicrofacetGlare(normals, light * np.float32(s))(0.25) for s in (1.0, 7.0))
     np.testing.assert_allclose(strong, 7 * weak, rtol=2e-5)
     assert weak.dtype == np.float32
 
@@ -127,7 +125,7 @@ def cap():
 
 
 def model_of(normals, lights):
-    return lambda roughness: microfacet_glare(normals[None], lights[:, :, None], roughness)[:, 0]
+    return MicrofacetGlare(normals, lights)
 
 
 @pytest.mark.parametrize("roughness", [0.18, 0.30])

@@ -17,7 +17,7 @@ SETTINGS = MetricSettings()
 
 def runner(name):
     network = load_network(name)
-    return lambda fields: run_network(network, fields[None], workers=1)[0]
+    return lambda fields: run_network(network, fields[None])[0]
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.presets import PipelineSettings
 from splitknit.skin.diffusion import diffusion
-from splitknit.skin.glare import fresnel_transmission, microfacet_glare
+from splitknit.skin.glare import MicrofacetGlare, fresnel_transmission
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import skin_images
 from splitknit.skin.light import Lighting, predict, slant_of
@@ -138,7 +138,7 @@ def by_model(band: BandImages, grid: Grid, found: Found, image: int, crossed: bo
     transfers = [grid.sampled(diffusion(*(p[channel] for p in per_mm))) for channel in band.channels]
     diffuse = predict(light, grid, found.normals, transfers)
     glare = found.optics["glare"][band.channels[-1]]
-    mirrored = microfacet_glare(unit, vectors, glare["roughness"]) * np.float32(glare["strength"])
+    mirrored = MicrofacetGlare(unit, vectors)(glare["roughness"]) * np.float32(glare["strength"])
 
     def lacking(stack: FloatArray) -> FloatArray:
         """What no albedo explains."""

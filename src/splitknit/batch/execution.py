@@ -230,7 +230,7 @@ def _client(distributed: Any, address: str, security: Any) -> Any:
 def _cause(error: BaseException) -> str:
     while error.__cause__ is not None:
         error = error.__cause__
-    return str(getattr(error, "strerror", None) or error)
+    return str(getattr(error, "strerror", None) or error) or "no answer in time"
 
 
 def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any, device: str) -> Iterator[Done]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,7 @@ from splitknit.model import Capture, Reconstruction, surface_of
 from splitknit.networks.unet import running
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print
-from splitknit.steps import Memory
+from splitknit.steps import Memory, frugal
 
 PRINT_PPI = 500.0
 QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
@@ -103,11 +104,11 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
             except BadInput as error:
                 # wherever the population lies, the row is the same
                 capture, memory = str(error).replace(f"{folder}/", ""), None
-            for case, wanted in task.cases:
-                if ref.name not in wanted:
-                    continue
+            cases = [case for case, wanted in task.cases if ref.name in wanted]
+            for case in cases:
                 started = time.perf_counter()
-                row = _row(ref, capture, memory, case, task)
+                with frugal() if case is cases[-1] else nullcontext():
+                    row = _row(ref, capture, memory, case, task)
                 seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
                 rows[case.name].append(row)
                 if not row["acquired"]:

@@ -34,7 +34,7 @@ from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Ex
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_mask
-from splitknit.finger.regions import bounding_box
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Progress, Rig, no_progress
 
 WatchFocus = Callable[[Focus, FocusWatch], bool]

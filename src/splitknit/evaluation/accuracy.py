@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.geometry import bounding_box, height_gradients
 from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 
@@ -99,7 +99,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     true_mask = np.asarray(truth["mask"], dtype=np.bool_)
     common = result.mask & true_mask & np.isfinite(result.height_mm) & np.isfinite(truth["height_mm"])
     require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
-    box = _box(common)
+    box = bounding_box(common)
     inside, pitch = common[box], result.pitch_mm
     surface = _eroded(inside, EROSION_MM / pitch)
     require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
@@ -212,11 +212,6 @@ def _gauss(image: FloatArray, sigma: float) -> FloatArray:
 def _mean(image: FloatArray, window: int) -> FloatArray:
     averaged = cv2.blur(image.astype(np.float32), (window, window), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(averaged, dtype=np.float32)
-
-
-def _box(mask: BoolArray) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ...], fill: float) -> FloatArray:

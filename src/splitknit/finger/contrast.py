@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_image, check_mask
-from splitknit.finger.regions import bounding_box
 from splitknit.imaging.band import srgb_code
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 

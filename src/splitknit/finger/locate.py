@@ -17,7 +17,13 @@ from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
-from splitknit.finger.quality import QualitySettings, capture_quality, photometric_mask, quality_warnings
+from splitknit.finger.quality import (
+    QualitySettings,
+    capture_quality,
+    outline_figures,
+    photometric_mask,
+    quality_warnings,
+)
 from splitknit.imaging.areas import without_mirrors
 from splitknit.imaging.band import (
     Window,
@@ -29,6 +35,7 @@ from splitknit.imaging.band import (
     saturation_levels,
 )
 from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
+from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.settings import Checked
@@ -38,6 +45,8 @@ SURVEY_PX_PER_MM = 26.0
 MIN_WIDTH_MM = 2.0
 """A mask that is nowhere as wide as this, about four ridges, is no surface to reconstruct."""
 NO_CREASE = Crease(False, float("nan"), float("nan"), None, verdict="none is sought on an opaque thing")
+_BESIDE_MM = 3.0
+"""Background around the finger that quality is measured with: so far reaches the widest filter that finds motion."""
 BEYOND_CREASE_MM = 2.5
 """Skin beyond the crease is reconstructed too, and then cut: light from it reaches the phalange under the skin."""
 
@@ -129,14 +138,16 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     searched = skin and capture.tip_direction_deg is None and not capture.rig.mirrors
     finger = skin or capture.tip_direction_deg is not None
     direction = None if searched else capture.tip_direction_deg or 0.0
-    upright = find_upright(outline, direction) if finger else as_it_lies(outline)
-    crease = find_crease(grey, outline, upright, small_px) if skin else NO_CREASE
-    cut = settings.cut_at_crease and not given and skin
-    kept = phalange_mask(outline, crease, upright) if cut else outline
     limits = saturation_levels(white, capture.encoding)
-    usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
-    wider = _beyond(outline, crease, upright, small_px) if cut else outline
-    quality, warnings = _quality(capture, settings, stack, outline, small_px, limits, binning)
+    with ThreadPoolExecutor(1) as aside:
+        looking = aside.submit(_quality, capture, settings, stack, outline, small_px, limits, binning)
+        upright = find_upright(outline, direction) if finger else as_it_lies(outline)
+        crease = find_crease(grey, outline, upright, small_px) if skin else NO_CREASE
+        cut = settings.cut_at_crease and not given and skin
+        kept = phalange_mask(outline, crease, upright) if cut else outline
+        usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
+        wider = _beyond(outline, crease, upright, small_px) if cut else outline
+        quality, warnings = looking.result()
     full = capture.shape
     if given:
         mask = np.asarray(capture.mask)
@@ -159,7 +170,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         "crease_verdict": crease.verdict,
         "crease_line": [[(v + 0.5) * binning - 0.5 for v in end] for end in crease.line] if crease.line else None,
     }
-    return Finger(mask, wide, _window(wide, px_per_mm), large, facts, quality, (*notes, *warnings))
+    return Finger(mask, wide, bounding_box(wide, round(0.5 * px_per_mm)), large, facts, quality, (*notes, *warnings))
 
 
 def _source_of_direction(capture: Capture, found: bool) -> str:
@@ -171,7 +182,7 @@ def _source_of_direction(capture: Capture, found: bool) -> str:
 
 def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> None:
     """Refuse a mask that is nowhere wide enough to hold a surface."""
-    padded = np.pad(mask.astype(np.uint8), 1)
+    padded = np.pad(mask[bounding_box(mask)].astype(np.uint8), 1)
     width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
     require(
         width_mm >= MIN_WIDTH_MM,
@@ -193,26 +204,33 @@ def _quality(  # noqa: PLR0917
     binning: int,
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Quality figures and warnings of every band."""
+    rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
+    window = (
+        slice(rows.start * binning, rows.stop * binning),
+        slice(columns.start * binning, columns.stop * binning),
+    )
+    inside = outline[rows, columns]
+    skin = capture.material == "skin"
 
     def of_band(name: str) -> tuple[dict[str, Any], list[str]]:
-        band, stack, saturation = capture.bands[name], white, limits
+        band, stack, saturation = capture.bands[name], white[:, rows, columns], limits
         if name != "white":
-            stack = linear_stack(band, capture.encoding, "grey", binning=binning)
+            stack = linear_stack(band, capture.encoding, "grey", window, binning)
             saturation = saturation_levels(band, capture.encoding)
         lights = capture.rig.select(band.lights).light_vectors()
         if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
-            lights = lights * colour_factors_of(stack, capture.rig, band, outline)[:, None]
-        ambient = _ambient(band, capture.encoding, binning)
-        found = capture_quality(stack, outline, px_per_mm, lights=lights, ambient=ambient, saturation=saturation)
-        skin = capture.material == "skin"
+            lights = lights * colour_factors_of(stack, capture.rig, band, inside)[:, None]
+        ambient = _ambient(band, capture.encoding, window, binning)
+        found = capture_quality(stack, inside, px_per_mm, lights=lights, ambient=ambient, saturation=saturation)
+        found |= outline_figures(outline, px_per_mm)
         words = [*few_lights(lights), *quality_warnings(found, settings.quality, finger=skin)]
         if len(stack) >= 4 and skin:
-            motion = shot_motion(stack, outline, px_per_mm, settings.motion)
+            motion = shot_motion(stack, inside, px_per_mm, settings.motion)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
             words += motion_warnings(motion)
         if "radiometry" in capture.rig.provenance and len(stack) >= 5:
-            drift, said = _drift(capture, band, stack, lights, outline)
+            drift, said = _drift(capture, band, stack, lights, inside)
             found["light_drift"] = drift
             words += said
         return found, [f"{name} band: {text}" for text in words]
@@ -238,10 +256,10 @@ def _drift(
     return facts, drift_words(drift, names)
 
 
-def _ambient(band: Band, encoding: str, binning: int) -> FloatArray | None:
+def _ambient(band: Band, encoding: str, window: Window, binning: int) -> FloatArray | None:
     if band.ambient is None:
         return None
-    light = linear_image(band.ambient, encoding, band.ambient_exposure, band.ambient_black_level, binning)
+    light = linear_image(band.ambient[window], encoding, band.ambient_exposure, band.ambient_black_level, binning)
     return np.ascontiguousarray(np.maximum(pick_channel(light, "grey"), np.float32(0.0)))
 
 
@@ -282,14 +300,3 @@ def _scaled(upright: Upright, factor: int) -> Upright:
         tip=((column + 0.5) * factor - 0.5, (row + 0.5) * factor - 0.5),
         width_px=upright.width_px * factor,
     )
-
-
-def _window(mask: BoolArray, px_per_mm: float) -> Window:
-    """Rows and columns of the mask with a margin of half a millimetre."""
-    margin = round(0.5 * px_per_mm)
-    limits = []
-    for axis in (1, 0):
-        places = np.flatnonzero(mask.any(axis=axis))
-        limits.append(slice(max(0, int(places[0]) - margin), int(places[-1]) + 1 + margin))
-    rows, columns = limits
-    return slice(rows.start, min(rows.stop, mask.shape[0])), slice(columns.start, min(columns.stop, mask.shape[1]))

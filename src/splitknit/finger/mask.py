@@ -18,6 +18,7 @@ from splitknit.finger.regions import (
     blur,
     depth_inside,
     dilate,
+    distance_outside,
     erode,
     fill_holes,
     largest_component,
@@ -29,6 +30,23 @@ from splitknit.finger.regions import (
 )
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Around:
+    """A region and how far every pixel is from its outline: what is near is asked several times."""
+
+    mask: BoolArray
+    depth: FloatArray
+    """To the nearest pixel outside, zero there."""
+    away: FloatArray
+    """To the nearest pixel inside, zero there."""
+
+    @classmethod
+    def of(cls, mask: BoolArray, reach: float) -> _Around:
+        """All distances inside, and those up to `reach` outside; what is farther is infinitely far."""
+        return cls(mask, depth_inside(mask), distance_outside(mask, reach))
+
 
 # How much every pixel looks like skin rather than like the background.
 
@@ -45,10 +63,20 @@ def _chromaticity(image: FloatArray) -> FloatArray:
     channels of I_MSF are equal and noise does not turn into colour. Source: the thesis, eqs. 3.58-3.63, with (3.61)
     corrected (``I - I_min + I_min_avg``).
     """
-    least = image.min(axis=2)
+    least = _least(image)
     average = max(float(np.maximum(least, 0.0).mean()), 1e-3 * float(np.abs(image).max()), 1e-12)
     msf = np.maximum(image - least[..., None] + np.float32(average), np.float32(1e-12))
-    return np.asarray(msf / msf.sum(axis=2, keepdims=True), dtype=np.float32)
+    return np.asarray(msf / _brightness(msf)[..., None], dtype=np.float32)
+
+
+def _brightness(image: FloatArray) -> FloatArray:
+    """(H, W) sum of the channels."""
+    return image if image.ndim == 2 else np.asarray(image[..., 0] + image[..., 1] + image[..., 2])
+
+
+def _least(image: FloatArray) -> FloatArray:
+    """(H, W) least of three channels."""
+    return np.asarray(np.minimum(np.minimum(image[..., 0], image[..., 1]), image[..., 2]))
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
@@ -56,36 +84,25 @@ def _signals(image: FloatArray) -> list[FloatArray]:
 
     The coloured part, the sum of I - I_min, ignores neutral light: specular reflection, white dust, leaked infra-red.
     """
-    if image.ndim == 2:
-        return [image]
-    brightness = image.sum(axis=2)
-    coloured = brightness - np.float32(3.0) * image.min(axis=2)
-    return [np.asarray(brightness, dtype=np.float32), np.asarray(coloured, dtype=np.float32)]
+    brightness = _brightness(image)
+    return [brightness] if image.ndim == 2 else [brightness, brightness - np.float32(3.0) * _least(image)]
 
 
 def _skin_evidence(
-    image: FloatArray,
-    seed: BoolArray,
-    margin: float,
-    fraction: float,
-    noise_factor: float,
-    *,
-    local: bool = False,
-    samples: int = SAMPLES,
+    image: FloatArray, around: _Around, margin: float, *, local: bool = False, samples: int = SAMPLES
 ) -> tuple[FloatArray, bool]:
     """Evidence map: above one where a pixel rises from the background by enough to be skin.
 
-    For each signal the background is a quadratic surface fitted robustly outside `seed`, and the threshold is
-    `fraction`
-    of the rise inside `seed` nearby (at most of its median), but at least `noise_factor` times the noise outside. So a
-    shadow on the finger stays finger. `image`: (H, W) or (H, W, 3) linear; `seed`: (H, W) surely finger; `margin`:
-    pixels around `seed` that belong to neither side; `fraction`, `noise_factor`: see above; `local`: let the background
-    follow a shadow's edge beside the finger; only for a `seed` that is already complete; `samples`: pixels to which the
-    background is fitted. Returns `evidence`: (H, W) float32; `usable`: whether any signal distinguishes `seed` from the
-    background.
+    For each signal the background is a quadratic surface fitted robustly outside the seed, and the threshold is
+    `_EDGE_FRACTION` of the rise inside it nearby (at most of its median), but at least `_NOISE_FACTOR` times the noise
+    outside. So a shadow on the finger stays finger. `image`: (H, W) or (H, W, 3) linear; `around`: the seed, surely
+    finger; `margin`: pixels around it that belong to neither side; `local`: let the background follow a shadow's edge
+    beside the finger; only for a seed that is already complete; `samples`: pixels to which the background is fitted.
+    Returns `evidence`: (H, W) float32; `usable`: whether any signal distinguishes the seed from the background.
     """
-    outside = ~dilate(seed, margin)
-    inside = erode(seed, 0.5 * margin)
+    seed = around.mask
+    outside = around.away > margin
+    inside = around.depth > 0.5 * margin
     inside = inside if inside.any() else seed
     evidence = np.zeros(seed.shape, dtype=np.float32)
     usable = False
@@ -97,10 +114,10 @@ def _skin_evidence(
         if local:
             rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
         level = float(np.median(rise[inside]))
-        if level < 3.0 * noise_factor * noise or level <= 0.0:
+        if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
-        threshold = np.maximum(fraction * _local_level(rise, inside, level, 2.0 * margin), noise_factor * noise)
+        threshold = np.maximum(_EDGE_FRACTION * _local_level(rise, inside, level, 2.0 * margin), _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
@@ -121,11 +138,10 @@ def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: flo
     return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
 
 
-def _rise_at_edge(image: FloatArray, mask: BoolArray, reach: float) -> float:
-    """Relative step of brightness or colour across the outline of `mask`: (inside - outside) / inside, the larger."""
-    inside = mask & ~erode(mask, reach)
-    near = dilate(mask, 0.3 * reach)
-    outside = dilate(mask, 1.3 * reach) & ~near
+def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
+    """Relative step of brightness or colour across the outline: (inside - outside) / inside, the larger."""
+    inside = around.mask & (around.depth <= reach)
+    outside = (around.away <= 1.3 * reach) & (around.away > 0.3 * reach)
     if not outside.any() or not inside.any():
         return 0.0
     steps = []
@@ -152,15 +168,17 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     residual = values - float(np.percentile(values, 40.0))
     keep, noise = _below(residual)
     for _ in range(6):
-        part = design[keep]
-        normal = np.einsum("ni,nj->ij", part, part) + 1e-6 * len(part) * np.eye(6)
-        solution = np.linalg.solve(normal, np.einsum("ni,n->i", part, values[keep]))
-        residual = values - np.einsum("ni,i->n", design, solution)
+        part = design[:, keep]
+        normal = np.einsum("in,jn->ij", part, part) + 1e-6 * part.shape[1] * np.eye(6)
+        solution = np.linalg.solve(normal, np.einsum("in,n->i", part, values[keep]))
+        residual = values - np.einsum("in,i->n", design, solution)
+        kept = keep
         keep, noise = _below(residual)
-    surface = np.zeros(signal.shape, dtype=np.float64)
-    terms = (np.ones((1, 1)), x[None, :], y[:, None], x[None, :] ** 2, y[:, None] ** 2, x[None, :] * y[:, None])
-    for weight, term in zip(solution, terms, strict=True):
-        surface += weight * term
+        if np.array_equal(keep, kept):
+            break
+    level, right, down, right_right, down_down, twist = solution
+    surface = (level + right * x + right_right * x * x)[None, :] + (down * y + down_down * y * y)[:, None]
+    surface += (twist * y)[:, None] * x[None, :]
     return surface.astype(np.float32), noise
 
 
@@ -177,7 +195,8 @@ def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
 
 
 def _quadratic(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([np.ones_like(x), x, y, x * x, y * y, x * y], axis=1)
+    """(6, N) terms of a quadratic surface."""
+    return np.stack([np.ones_like(x), x, y, x * x, y * y, x * y])
 
 
 BLUR_MM = 0.25
@@ -276,11 +295,13 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
     margin = _EDGE_MARGIN_MM * px_per_mm
     mask = _seed(image, BLUR_MM * px_per_mm)
     for _ in range(2):
-        evidence, usable = _skin_evidence(image, mask, margin, _EDGE_FRACTION, _NOISE_FACTOR, samples=samples)
+        around = _Around.of(mask, margin)
+        evidence, usable = _skin_evidence(image, around, margin, samples=samples)
         require(usable, NO_FINGER)
-        mask = _clean(evidence > 1.0, mask)
-    require(2.0 * float(depth_inside(mask).max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
-    require(_rise_at_edge(image, mask, margin) >= _MIN_STEP, NO_FINGER)
+        mask = _clean(evidence > 1.0, around.depth)
+    around = _Around.of(mask, 1.3 * margin)
+    require(2.0 * float(around.depth.max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
+    require(_rise_at_edge(image, around, margin) >= _MIN_STEP, NO_FINGER)
     return mask
 
 
@@ -315,7 +336,7 @@ def _filtered(image: FloatArray, weights: NDArray[np.float32]) -> FloatArray:
 
 def _bright_side(image: FloatArray) -> BoolArray:
     """Whatever is far brighter than the rest of the image (nothing, where no such split shows)."""
-    brightness = image if image.ndim == 2 else image.sum(axis=2)
+    brightness = _brightness(image)
     second, _ = _two_means(brightness.reshape(-1, 1))
     split = second.reshape(brightness.shape)
     levels = [float(brightness[part].mean()) if part.any() else 0.0 for part in (split, ~split)]
@@ -374,7 +395,7 @@ def _check_image(mean_image: FloatArray) -> FloatArray:
 
 def _seed(image: FloatArray, sigma: float) -> BoolArray:
     """Cluster by chromaticity and by brightness, keep the split that is clearer and lies like a finger."""
-    brightness = image if image.ndim == 2 else image.sum(axis=2)
+    brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
     root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
     candidates = [blur(root, sigma)[..., None]]
@@ -405,9 +426,9 @@ def _finger_cluster(second: BoolArray, brightness: FloatArray) -> BoolArray:
     return second if float(brightness[second].mean()) > float(brightness[~second].mean()) else ~second
 
 
-def _clean(candidate: BoolArray, seed: BoolArray) -> BoolArray:
-    """One component that contains the middle of `seed`, without spurs and holes."""
-    grown = fill_holes(candidate | erode(seed, 0.5 * float(depth_inside(seed).max())))
+def _clean(candidate: BoolArray, depth: FloatArray) -> BoolArray:
+    """One component that contains the middle of the seed, without spurs and holes; `depth`: inside the seed."""
+    grown = fill_holes(candidate | (depth > 0.5 * float(depth.max())))
     cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)
     require(bool(cleaned.any()), NO_FINGER)
     return fill_holes(cleaned)
@@ -425,8 +446,9 @@ def _fine_outline(
     guess = cv2.resize(mask.astype(np.float32), (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR) > 0.5
     smooth = blur(fine, _FINE_BLUR_MM * px_per_mm)
     margin = _EDGE_MARGIN_MM * px_per_mm
-    evidence, _ = _skin_evidence(smooth, guess, margin, _EDGE_FRACTION, _NOISE_FACTOR, local=True, samples=samples)
-    near = dilate(guess, 0.7 * margin) & ~erode(guess, margin)
+    around = _Around.of(guess, margin)
+    evidence, _ = _skin_evidence(smooth, around, margin, local=True, samples=samples)
+    near = (around.away <= 0.7 * margin) & (around.depth <= margin)
     found = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
@@ -449,36 +471,30 @@ def _two_means(features: NDArray[np.float32], iterations: int = 30) -> tuple[Boo
     the two means in units of the pooled standard deviation along the line that joins them. Source: Lloyd, S., "Least
     squares quantization in PCM", IEEE Trans. Information Theory 28(2), 1982.
     """
-    values = features.astype(np.float64)
-    centred = values - values.mean(axis=0)
-    covariance = np.einsum("ni,nj->ij", centred, centred) / len(values)
-    axis = np.linalg.eigh(covariance)[1][:, -1]
-    along = np.einsum("ni,i->n", centred, axis)
-    low, high = np.percentile(along, [1.0, 99.0])
-    second = along > 0.5 * (low + high)
+    values = np.ascontiguousarray(features.T, dtype=np.float64)
+    middle = values.mean(axis=1)
+    centred = values - middle[:, None]
+    axis = np.linalg.eigh(np.einsum("in,jn->ij", centred, centred))[1][:, -1]
+    along = np.einsum("in,i->n", centred, axis)
+    second = along > 0.5 * float(np.percentile(along, [1.0, 99.0]).sum())
     for _ in range(iterations):
-        if not second.any() or second.all():
+        count = int(np.count_nonzero(second))
+        if count in {0, second.size}:
             return np.asarray(second, dtype=np.bool_), 0.0
-        means = values[~second].mean(axis=0), values[second].mean(axis=0)
-        axis = means[1] - means[0]
-        middle = 0.5 * (means[1] + means[0])
-        updated = np.einsum("ni,i->n", values - middle, axis) > 0.0
+        mean = np.einsum("in,n->i", centred, second.astype(np.float64)) / count  # of the first: what makes the sum zero
+        axis = mean * (second.size / (second.size - count))
+        along = np.einsum("in,i->n", centred, axis)
+        updated = along > float(np.sum(axis * mean)) - 0.5 * float(np.sum(axis * axis))
         if bool((updated == second).all()):
             break
         second = updated
-    return np.asarray(second, dtype=np.bool_), _separation(values, second)
+    return np.asarray(second, dtype=np.bool_), _separation(along, second, float(np.sqrt(np.sum(axis * axis))))
 
 
-def _separation(values: NDArray[np.float64], second: NDArray[np.bool_]) -> float:
-    if not second.any() or second.all():
+def _separation(along: NDArray[np.float64], second: NDArray[np.bool_], distance: float) -> float:
+    if distance == 0.0 or not second.any() or second.all():
         return 0.0
-    first_values, second_values = values[~second], values[second]
-    axis = second_values.mean(axis=0) - first_values.mean(axis=0)
-    distance = float(np.sqrt(np.sum(axis * axis)))
-    if distance == 0.0:
-        return 0.0
-    axis = axis / distance
-    spread = np.einsum("ni,i->n", first_values, axis).var() + np.einsum("ni,i->n", second_values, axis).var()
+    spread = (along[~second].var() + along[second].var()) / distance**2
     return distance / float(np.sqrt(0.5 * spread) + 1e-9)
 
 

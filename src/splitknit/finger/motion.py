@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, check_stack
-from splitknit.finger.regions import blur, bounding_box, dilate, reduce_image, reduce_mask, reduction
+from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import RegistrationSettings
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -26,6 +27,8 @@ _BAND_RATIO = 3.2
 """Coarse end of each filter over its fine end."""
 _ITERATIONS = 6
 """Maximum refinements in each band."""
+_SAMPLES = 20_000
+"""Pixels that are compared in each band, at least, of those on the finger and around it."""
 _SURROUND_MM = 0.7
 """Width of the background around the finger that is used, for the sake of its silhouette."""
 WARN_MM = 0.05
@@ -93,13 +96,17 @@ def shot_motion(
     settings = settings or MotionSettings()
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
+    box = bounding_box(mask, int((2.0 * _SURROUND_MM + 2.0 * _BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
     count = len(stack)
     if count < 5:
         return ShotMotion(np.zeros((count, 2)), np.zeros(count))
+    scale = reduction(mask[box].shape, px_per_mm, settings.working_px_per_mm, 600)
+    stack = np.stack([reduce_image(image[box], scale) for image in stack])
+    mask, px_per_mm = _reduced(mask[box], scale), px_per_mm * scale
     shifts = np.zeros((count, 2))  # columns, rows; mm
     agreement = np.zeros(count)
     for band in _BANDS_MM:
-        bands, region, light, px = _details(stack, mask, px_per_mm, settings, band)
+        bands, region, light, px = _details(stack, mask, px_per_mm, band)
         aligned = np.stack([_shifted(image, shift * px) for image, shift in zip(bands, shifts, strict=True)])
         total = np.asarray(aligned.sum(axis=0), dtype=np.float32)
         found = np.zeros_like(shifts)
@@ -123,14 +130,18 @@ def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
     )
 
 
+def _reduced(mask: BoolArray, scale: float) -> BoolArray:
+    fraction = reduce_mask(mask, scale)
+    return np.asarray(fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0)
+
+
 def _details(
-    stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: MotionSettings, band_mm: float
+    stack: FloatArray, mask: BoolArray, px_per_mm: float, band_mm: float
 ) -> tuple[FloatArray, BoolArray, NDArray[np.float64], float]:
     """Band-passed copies (L, h, w), pixels used, where the light falls in each (L, 2), and their scale."""
-    scale = reduction(mask.shape, px_per_mm, min(settings.working_px_per_mm, 0.8 / band_mm), 600)
+    scale = min(1.0, 0.8 / band_mm / px_per_mm)
     px = px_per_mm * scale
-    fraction = reduce_mask(mask, scale)
-    inside = fraction > 0.5 if bool((fraction > 0.5).any()) else fraction > 0.0
+    inside = _reduced(mask, scale)
     region = dilate(inside, _SURROUND_MM * px)
     reach = _BAND_RATIO * band_mm
     box = bounding_box(dilate(region, 2.0 * reach * px))
@@ -143,10 +154,10 @@ def _details(
     details, light = [], []
     for image in stack:
         small = reduce_image(image, scale)[box]
-        on_finger = np.maximum(small[inside].astype(np.float64), 0.0)
-        power = max(float(on_finger.sum()), 1e-12)
-        light.append((float((on_finger * columns).sum()) / power, float((on_finger * rows).sum()) / power))
-        floor = max(0.1 * float(np.median(on_finger)), 1e-12)
+        on_finger = np.maximum(small[inside], np.float32(0.0))
+        power = max(float(on_finger.sum(dtype=np.float64)), 1e-12)
+        light.append(tuple(float(np.einsum("n,n->", on_finger, place)) / power for place in (columns, rows)))
+        floor = max(0.1 * quantile(on_finger[::8]), 1e-12)
         local = np.maximum(blur(small, 1.2 * px), np.float32(floor))
         relative: FloatArray = np.divide(small, local, dtype=np.float32)
         details.append(np.subtract(blur(relative, band_mm * px), blur(relative, reach * px)))
@@ -154,41 +165,47 @@ def _details(
 
 
 def _shifted(image: FloatArray, shift: NDArray[np.float64]) -> FloatArray:
-    """The image with a shift of (columns, rows) undone."""
-    matrix = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    size = (image.shape[1], image.shape[0])
-    warped = cv2.warpAffine(image, matrix, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(warped, dtype=np.float32)
+    """The image with a shift of (columns, rows) undone: cubic interpolation, between pixels at any place."""
+    across, down = (_cubic(float(along)) for along in shift)
+    moved = cv2.sepFilter2D(image, cv2.CV_32F, across, down, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, dtype=np.float32)
+
+
+def _cubic(shift: float) -> NDArray[np.float64]:
+    """Weights of the pixels around one for the value at a distance of `shift`; Keys' kernel with a = -0.75."""
+    reach = int(np.ceil(abs(shift))) + 1
+    away = np.abs(np.arange(-reach, reach + 1) - shift)
+    near, far = (1.25 * away - 2.25) * away * away + 1.0, ((-0.75 * away + 3.75) * away - 6.0) * away + 3.0
+    return np.where(away < 1.0, near, np.where(away < 2.0, far, 0.0))
 
 
 def _register(
     reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray, iterations: int
 ) -> tuple[NDArray[np.float64], float]:
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
-    rows, columns = np.nonzero(region)
-    stride = max(1, len(rows) // 20_000)
-    rows, columns = rows[::stride], columns[::stride]
-    slopes = np.gradient(reference)
-    down, right = np.asarray(slopes[0]), np.asarray(slopes[1])
-    target = reference[rows, columns]
-    design = np.stack([-right[rows, columns], -down[rows, columns], target]).astype(np.float64)
+    places = np.flatnonzero(region)
+    places = places[:: max(1, len(places) // _SAMPLES)]
+    some = slice(None, None, max(1, len(places) // 4_000))  # a median needs no more
+    down, right = np.gradient(reference)
+    rows = np.stack([-right.ravel()[places], -down.ravel()[places], reference.ravel()[places], np.zeros(len(places))])
+    rows = rows.astype(np.float32)
+    values = rows[3]
     shift = start.astype(np.float64)
-    weights = np.ones(len(rows))
-    values = design[2]
+    root = np.ones(len(places), dtype=np.float32)  # of the weights
     for _ in range(iterations):
-        values = _shifted(image, shift)[rows, columns].astype(np.float64)
+        values[:] = _shifted(image, shift).ravel()[places]
         for _ in range(2):
-            solution = _least_squares(design, values, weights)
-            residual = values - np.einsum("i,in->n", solution, design)
-            spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
-            weights = 1.0 / np.maximum(1.0, np.abs(residual) / (1.5 * spread))
+            solution = _least_squares(_products(rows * root))
+            x, y, gain = solution.astype(np.float32)
+            residual = np.abs(values - x * rows[0] - y * rows[1] - gain * rows[2])
+            spread = max(1.4826 * quantile(residual[some]), 1e-12)
+            root = 1.0 / np.sqrt(np.maximum(np.float32(1.0), residual / np.float32(1.5 * spread)))
         step = np.clip(solution[:2] / max(float(solution[2]), 0.3), -1.5, 1.5)
         shift = shift + step
         if float(np.abs(step).max()) < 0.01:
             break
-    power = float(np.sqrt(np.sum(weights * values**2) * np.sum(weights * design[2] ** 2)))
-    return shift, float(np.sum(weights * values * design[2])) / max(power, 1e-30)
+    products = _products(rows[2:] * root)
+    return shift, float(products[0, 1]) / max(float(np.sqrt(products[0, 0] * products[1, 1])), 1e-30)
 
 
 def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -207,11 +224,14 @@ def _without_illumination(shifts: NDArray[np.float64], light: NDArray[np.float64
     return residual
 
 
-def _least_squares(
-    design: NDArray[np.float64], target: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    weighted = design * weights
-    normal = np.einsum("in,jn->ij", weighted, design)
+def _products(rows: FloatArray) -> NDArray[np.float64]:
+    """(K, K) inner products of rows (K, N), the same bytes whatever the number of threads."""
+    return np.asarray(np.einsum("in,jn->ij", rows, rows), dtype=np.float64)
+
+
+def _least_squares(products: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K,) weights of K rows that come nearest to a last one, by the inner products (K + 1, K + 1) of all."""
+    normal, target = products[:-1, :-1], products[:-1, -1]
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-30))
     normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
-    return np.asarray(np.linalg.solve(normal, np.einsum("in,n->i", weighted, target) / scale) / scale)
+    return np.asarray(np.linalg.solve(normal, target / scale) / scale)

@@ -192,14 +192,18 @@ def _difference(across: NDArray[np.float64], down: NDArray[np.float64], inside: 
     middles = np.bincount(strip, across[inside]) / np.maximum(widths, 1)
     middle = float(np.median(middles[widths > 0.5 * width])) if width > 0 else 0.0
     aside = np.abs(across - middle) / max(0.5 * width, 0.5)
+    aside *= aside
+    strip_only = (down <= last) & (aside < 1.0)  # what is drawn lies in it, whatever the tip is
+    tip = strip_only & (down < first + max(_CAPS) * width)  # below, all of it is drawn
+    outside = int(np.count_nonzero(inside & ~strip_only) + np.count_nonzero(strip_only & ~tip & ~inside))
+    aside, down, inside = aside[tip], down[tip] - first, inside[tip]
     best = inside.size
     for hidden in _HIDDEN:
+        below = down + hidden * width
         for cap in _CAPS:
-            left = np.clip(1.0 - (down - first + hidden * width) / (cap * width), 0.0, 1.0)
-            finger = (aside * aside < 1.0 - left * left) & (down >= first - hidden * width)
-            for drawn in (finger, finger & (down <= last)):
-                best = min(best, int(np.count_nonzero(drawn != inside)))
-    return best, width
+            left = np.maximum(1.0 - below / (cap * width), 0.0)
+            best = min(best, int(np.count_nonzero((aside < 1.0 - left * left) != inside)))
+    return outside + best, width
 
 
 def as_it_lies(mask: BoolArray) -> Upright:

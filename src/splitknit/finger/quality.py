@@ -18,15 +18,16 @@ from splitknit.errors import check_image, check_mask, check_stack, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.regions import (
     blur,
-    bounding_box,
     depth_inside,
     erode,
     fill_holes,
     largest_component,
+    quantile,
     reduce_image,
     reduce_mask,
     reduction,
 )
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -105,8 +106,11 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
 
 def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
     """Fill the dark marks of an (H, W) image that hold no straight line of `length_px` in any direction."""
-    closings = (cv2.morphologyEx(image, cv2.MORPH_CLOSE, line) for line in _lines(length_px))
-    return np.asarray(np.minimum.reduce(list(closings)), dtype=np.float32)
+    filled = np.full_like(image, np.inf)
+    closed = np.empty_like(image)
+    for line in _lines(length_px):
+        np.minimum(filled, cv2.morphologyEx(image, cv2.MORPH_CLOSE, line, dst=closed), out=filled)
+    return filled
 
 
 def _lines(length_px: float) -> list[NDArray[np.uint8]]:
@@ -130,7 +134,7 @@ def _finer(image: NDArray[np.float32], px: float) -> NDArray[np.float32]:
 def _relative(image: NDArray[np.float32], core: BoolArray, px: float) -> NDArray[np.float32]:
     """Brightness over that of the surroundings."""
     wide = blur(image, _LEVEL_MM * px)
-    least = np.float32(0.05 * max(float(np.median(wide[core])), 1e-12))
+    least = np.float32(0.05 * max(quantile(wide[core][::4]), 1e-12))
     return np.asarray(image / np.maximum(wide, least), dtype=np.float32)
 
 
@@ -202,22 +206,22 @@ def capture_quality(
     stack = check_stack(stack)
     shape = (stack.shape[1], stack.shape[2])
     mask = check_mask(mask, shape)
-    rows, columns = bounding_box(mask)
     stride = max(1, round(float(np.sqrt(mask.sum() / 200_000))))  # a median needs no more pixels than that
     some = np.s_[::stride, ::stride]
     some = some if mask[some].any() else np.s_[::1, ::1]
-    medians = np.array([float(np.median(image[some][mask[some]])) for image in stack])
-    brightness = float(np.median(stack[:, *some].mean(axis=0)[mask[some]]))
+    light = [image[some][mask[some]] for image in stack]
+    medians = np.array([quantile(image) for image in light])
+    brightness = quantile(np.mean(light, axis=0))
     ceilings = np.broadcast_to(np.asarray(_SATURATION if saturation is None else saturation), (len(stack),))
-    saturated = [float((image[mask] >= limit).mean()) for image, limit in zip(stack, ceilings, strict=True)]
+    pairs = zip(stack, ceilings, strict=True)
+    saturated = [float((image[mask] >= limit).mean()) if float(image.max()) >= limit else 0.0 for image, limit in pairs]
     contrast, sharpness = _ridge_contrast(stack, mask, px_per_mm)
     dark_specks, bright_specks = _speck_fractions(stack, mask, px_per_mm)
     ambient_share = None
     if ambient is not None:
         dark = check_image(ambient, name="the ambient image")
         require(dark.shape == shape, f"the ambient image must have the shape {shape}, but it has {dark.shape}.")
-        ambient_share = float(np.median(dark[mask])) / max(brightness, 1e-12)
-    area = float(mask.sum()) / px_per_mm**2
+        ambient_share = quantile(dark[mask]) / max(brightness, 1e-12)
     return {
         "ridge_contrast": float(np.mean(contrast)),
         "ridge_contrast_per_image": contrast,
@@ -228,12 +232,20 @@ def capture_quality(
         "brightness": brightness,
         "brightness_per_image": [float(v) for v in medians],
         "ambient_share": ambient_share,
-        "area_mm2": area,
+        **outline_figures(mask, px_per_mm),
+        "led_relative": None if lights is None else _led_relative(medians, np.asarray(lights, dtype=np.float64)),
+    }
+
+
+def outline_figures(mask: BoolArray, px_per_mm: float) -> dict[str, Any]:
+    """What :func:`capture_quality` reports of the finger's outline alone."""
+    rows, columns = bounding_box(mask)
+    return {
+        "area_mm2": float(mask.sum()) / px_per_mm**2,
         "length_mm": float(rows.stop - rows.start) / px_per_mm,
         "width_mm": float(columns.stop - columns.start) / px_per_mm,
         "frame_share": float(mask.mean()),
         "borders": list(touched_borders(mask)),
-        "led_relative": None if lights is None else _led_relative(medians, np.asarray(lights, dtype=np.float64)),
     }
 
 
@@ -311,10 +323,9 @@ def _ridge_contrast(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tup
     for image in stack:
         small = reduce_image(image, scale)[box]
         fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
-        level = np.maximum(wide, np.float32(0.05 * max(float(np.median(wide[core[box]])), 1e-12)))
-        relative = ((fine - wide) / level)[core[box]]
-        spread = float(np.percentile(np.abs(relative), 68.3))  # robust standard deviation: glints do not count
-        contrast.append(spread)
+        fine, wide = fine[core[box]], wide[core[box]]
+        level = np.maximum(wide, np.float32(0.05 * max(quantile(wide[::8]), 1e-12)))
+        contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
         total += small
     smooth = blur(total, 0.06 * px)
     laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 
 
@@ -48,29 +49,61 @@ def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(smooth, dtype=np.float32)
 
 
+def quantile(values: NDArray[np.float32], fraction: float = 0.5) -> float:
+    """The value that a fraction of the values lie below, one of them: sooner than `numpy.quantile`, which means two."""
+    place = int(fraction * values.size)
+    return float(np.partition(values, place, axis=None)[place])
+
+
 def dilate(mask: BoolArray, radius: float) -> BoolArray:
     """Grow `mask` by `radius` pixels; by the distance transform, so large radii cost no more than small ones."""
     if radius < 1.0 or not mask.any():
         return mask
-    return np.asarray(_distance_to(mask) <= radius, dtype=np.bool_)
+    if radius <= _SMALL_PX:
+        return cv2.dilate(mask.view(np.uint8), _disc(radius)).view(np.bool_)
+    return np.asarray(distance_outside(mask, radius) <= radius, dtype=np.bool_)
 
 
 def erode(mask: BoolArray, radius: float) -> BoolArray:
     """Shrink `mask` by `radius` pixels; beyond the image's border the mask is taken to go on."""
     if radius < 1.0 or mask.all():
         return mask
-    return np.asarray(_distance_to(~mask) > radius, dtype=np.bool_)
+    if radius <= _SMALL_PX:
+        return cv2.erode(mask.view(np.uint8), _disc(radius)).view(np.bool_)
+    return np.asarray(depth_inside(mask) > radius, dtype=np.bool_)
+
+
+_SMALL_PX = 2.0
+"""Up to this radius a disc is laid everywhere; the same pixels, sooner."""
+
+
+def _disc(radius: float) -> NDArray[np.uint8]:
+    along = np.arange(-int(radius), int(radius) + 1)
+    return np.asarray(np.hypot(along[:, None], along[None, :]) <= radius, dtype=np.uint8)
 
 
 def depth_inside(mask: BoolArray) -> FloatArray:
     """Distance of every pixel of `mask` to the nearest pixel outside; the image's border does not count as outside."""
     if mask.all():
         return np.full(mask.shape, float(max(mask.shape)), dtype=np.float32)
-    return _distance_to(~mask)
+    depth = np.zeros(mask.shape, dtype=np.float32)
+    if mask.any():
+        box = bounding_box(mask, 1)
+        depth[box] = _distance_to(~mask[box])
+    return depth
+
+
+def distance_outside(mask: BoolArray, reach: float) -> FloatArray:
+    """Distance of every pixel outside `mask` to the nearest one inside; infinite well beyond `reach`."""
+    away = np.full(mask.shape, np.inf, dtype=np.float32)
+    if mask.any():
+        box = bounding_box(mask, int(reach) + 1)
+        away[box] = _distance_to(mask[box])
+    return away
 
 
 def _distance_to(mask: BoolArray) -> FloatArray:
-    source = np.where(mask, np.uint8(0), np.uint8(1))
+    source = np.logical_not(mask).view(np.uint8)
     return np.asarray(cv2.distanceTransform(source, cv2.DIST_L2, cv2.DIST_MASK_PRECISE), dtype=np.float32)
 
 
@@ -90,8 +123,12 @@ def largest_component(mask: BoolArray) -> BoolArray:
 
 def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
     """Fill holes of `mask` up to `largest_area` pixels; a gap open to the image's border is no hole."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
-    rows, columns = mask.shape
+    if not mask.any():
+        return mask
+    box = bounding_box(mask, 1)
+    part = mask[box]
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.logical_not(part).view(np.uint8), connectivity=4)
+    rows, columns = part.shape
     left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
     right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
     closed = (left > 0) & (top > 0) & (right < columns) & (bottom < rows)
@@ -99,7 +136,9 @@ def fill_holes(mask: BoolArray, largest_area: float = np.inf) -> BoolArray:
     hole[0] = False
     if count == 1 or not hole.any():
         return mask
-    return np.asarray(mask | hole[labels], dtype=np.bool_)
+    filled = mask.copy()
+    filled[box] |= hole[labels]
+    return filled
 
 
 def remove_spurs(mask: BoolArray, fraction: float) -> BoolArray:
@@ -108,10 +147,11 @@ def remove_spurs(mask: BoolArray, fraction: float) -> BoolArray:
     An opening with a disc as wide as `fraction` times the widest place; beyond the image's border the region is taken
     to go on, so that the finger's entry is not rounded. What the opening shaves off the outline itself is put back.
     """
-    radius = fraction * float(depth_inside(mask).max())
+    depth = depth_inside(mask)
+    radius = fraction * float(depth.max())
     if radius < 1.0:
         return largest_component(mask)
-    core = largest_component(erode(mask, radius))
+    core = largest_component(np.asarray(depth > radius))
     if not core.any():
         return largest_component(mask)
     opened = dilate(core, radius)
@@ -122,9 +162,3 @@ def remove_specks(mask: BoolArray, radius: float) -> BoolArray:
     """Opening of `mask` with a disc of `radius` pixels, largest part kept."""
     core = erode(mask, radius)
     return largest_component(np.asarray(mask & dilate(core, radius), dtype=np.bool_)) if core.any() else mask
-
-
-def bounding_box(mask: BoolArray) -> tuple[slice, slice]:
-    """Rows and columns that hold `mask`, which must not be empty."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)

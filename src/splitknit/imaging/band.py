@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from math import ceil
 from typing import Any
 
@@ -26,8 +27,9 @@ CHUNK_ROWS = 64
 """Rows of an image that are made at a time."""
 
 
+@lru_cache(maxsize=4)
 def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
-    """Return the table from stored integer to linear light in [0, 1].
+    """Return the table from stored integer to linear light in [0, 1], not to be written to.
 
     `encoding` is ``linear`` or ``srgb`` (IEC 61966-2-1).
     """
@@ -36,7 +38,9 @@ def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
     values = np.arange(full_scale + 1, dtype=np.float64) / full_scale
     if encoding == "srgb":
         values = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return values.astype(np.float32)
+    table = values.astype(np.float32)
+    table.setflags(write=False)
+    return table
 
 
 def srgb_code(light: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -196,17 +200,17 @@ def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArr
     grey = np.empty((count, height, width), dtype=np.float32)
     ambient = _ambient_light(band, encoding, (slice(None), slice(None)), binning)
 
-    def work(k: int) -> FloatArray:
-        light = _lit_light(band, k, encoding, (slice(None), slice(None)), binning, ambient)
-        grey[k] = pick_channel(light, "grey")
-        return light
+    def work(top: int) -> None:  # all images of a few rows: their sum stays in a core's cache
+        part = slice(top, min(top + CHUNK_ROWS, height))
+        rows = slice(part.start * binning, part.stop * binning)
+        dark = None if ambient is None else ambient[part]
+        for k in range(count):
+            light = _lit_light(band, k, encoding, (rows, slice(None)), binning, dark)
+            grey[k, part] = pick_channel(light, "grey")
+            total[part] += light
 
     with ThreadPoolExecutor(2) as pool:
-        waiting = [pool.submit(work, k) for k in range(min(3, count))]
-        for k in range(count):  # summed in their order, whichever thread was faster
-            total += waiting.pop(0).result()
-            if k + 3 < count:
-                waiting.append(pool.submit(work, k + 3))
+        list(pool.map(work, range(0, height, CHUNK_ROWS)))
     total /= np.float32(count)
     return total, grey
 

@@ -13,6 +13,15 @@ from splitknit.errors import BadInput
 from splitknit.model import BoolArray, FloatArray
 
 
+def bounding_box(mask: BoolArray, margin: int = 0) -> tuple[slice, slice]:
+    """Rows and columns that hold `mask`, which must not be empty, and `margin` pixels around it, inside the image."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return (
+        slice(max(0, int(rows[0]) - margin), min(mask.shape[0], int(rows[-1]) + 1 + margin)),
+        slice(max(0, int(columns[0]) - margin), min(mask.shape[1], int(columns[-1]) + 1 + margin)),
+    )
+
+
 def gradients_from_normals(
     normals: FloatArray, mask: BoolArray | None = None, max_slope: float = 10.0
 ) -> tuple[FloatArray, FloatArray]:

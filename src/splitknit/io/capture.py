@@ -77,8 +77,8 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
     bands = {
         key: _seen_by(plan.rig, _band(key, band, stacks[key], ambients.get(key))) for key, band in plan.bands.items()
     }
-    for band in bands.values():
-        check_content(band)
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(check_content, bands.values()))
     hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
     return Capture(
         rig=plan.rig,

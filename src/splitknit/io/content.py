@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil, sqrt
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ per cent, which robust weights and a warning deal with; with a fifth gone, many 
 _SATURATED_AREA = 0.005
 """It must be more than this part of the whole image too: a dark object with a small highlight is no overexposure."""
 _SAMPLE_PIXELS = 200_000
-"""Pixels that are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
+"""About so many pixels are looked at in an image, on a regular grid; enough for a thousandth to be 200 pixels."""
 
 
 def check_content(band: Band) -> None:
@@ -43,7 +44,8 @@ def check_content(band: Band) -> None:
     BadInput
         Naming the file and its LED.
     """
-    peaks = np.array([_check_image(band, k) for k in range(len(band.pixels))])
+    ambient = _ambient_light(band)
+    peaks = np.array([_check_image(band, k, ambient) for k in range(len(band.pixels))])
     scaled = peaks / band.exposure
     fraction = np.maximum(peaks / np.median(peaks), scaled / np.median(scaled))  # a short exposure is dark, but lit
     for k in range(len(peaks)):
@@ -54,32 +56,34 @@ def check_content(band: Band) -> None:
         )
 
 
-def _check_image(band: Band, k: int) -> float:
+def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> float:
     """Return the light of the bright pixels of image k as a fraction of the full scale."""
     scale = float(np.iinfo(band.pixels.dtype).max)
     sample = _sample(band.pixels[k])
-    light = sample.astype(np.float32) - np.float32(band.black_level[k])
+    black, most = np.float32(band.black_level[k]), int(sample.max())
     require(
-        float(light.max()) > _DARK_FRACTION * scale,
-        f"{_name(band, k)} is black: its largest value is {int(sample.max())} of {int(scale)}; check "
+        most - float(black) > _DARK_FRACTION * scale,
+        f"{_name(band, k)} is black: its largest value is {most} of {int(scale)}; check "
         f"{_leds(band, k)} and capture it again (or, if data of fewer bits were stored unscaled, scale them).",
     )
     require(
-        int(sample.max()) > int(sample.min()) or sample.size == 1,
-        f"{_name(band, k)} shows nothing: every pixel is {int(sample.max())}; capture it again.",
+        most > int(sample.min()) or sample.size == 1,
+        f"{_name(band, k)} shows nothing: every pixel is {most}; capture it again.",
     )
-    clipped = sample >= _FULL_SCALE * scale
-    clipped_pixels = clipped.sum(axis=0) >= min(2, len(sample))
-    lit = (light > _LIT_FRACTION * scale).any(axis=0)
-    fraction = float(clipped_pixels.sum()) / max(1.0, float(lit.sum()))
-    require(
-        fraction <= _SATURATED_FRACTION or float(clipped_pixels.mean()) <= _SATURATED_AREA,
-        f"{_name(band, k)} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture it "
-        f"again with a shorter exposure or a lower gain.",
-    )
-    if band.ambient is not None:
-        light -= _ambient_light(band, k, scale)
-    peak = float(np.quantile(light.max(axis=0), _BRIGHT_QUANTILE)) / scale
+    clips_at = ceil(_FULL_SCALE * scale)
+    if most >= clips_at:
+        clipped = (sample >= clips_at).sum(axis=0) >= min(2, len(sample))
+        lit = sample.max(axis=0) > black + np.float32(_LIT_FRACTION * scale)
+        fraction = float(clipped.sum()) / max(1.0, float(lit.sum()))
+        require(
+            fraction <= _SATURATED_FRACTION or float(clipped.mean()) <= _SATURATED_AREA,
+            f"{_name(band, k)} is overexposed: {100 * fraction:.0f} % of its lit pixels are at the full scale; capture "
+            f"it again with a shorter exposure or a lower gain.",
+        )
+    light = sample.max(axis=0) - black
+    if ambient is not None:
+        light = np.maximum.reduce(sample - (black + ambient * np.float32(scale * float(band.exposure[k]))))
+    peak = float(np.quantile(light, _BRIGHT_QUANTILE)) / scale
     require(
         peak > _DARK_FRACTION,
         f"{_name(band, k)} is black: its bright pixels reach {100 * max(peak, 0.0):.1f} % of the full scale"
@@ -89,13 +93,13 @@ def _check_image(band: Band, k: int) -> float:
     return peak
 
 
-def _ambient_light(band: Band, k: int, scale: float) -> NDArray[np.float32]:
-    assert band.ambient is not None
-    ambient = _sample(band.ambient).astype(np.float32) - np.float32(band.ambient_black_level)
-    if len(ambient) != band.pixels.shape[3]:  # one is grey, the other RGB
-        ambient = ambient.mean(axis=0, keepdims=True)
-    factor = scale / float(np.iinfo(band.ambient.dtype).max) * float(band.exposure[k]) / band.ambient_exposure
-    return np.asarray(ambient * np.float32(factor), dtype=np.float32)
+def _ambient_light(band: Band) -> NDArray[np.float32] | None:
+    """Sample (C, n) of the ambient light as a fraction of the full scale at exposure 1, in the images' channels."""
+    if band.ambient is None:
+        return None
+    ambient = _sample(band.ambient) - np.float32(band.ambient_black_level)
+    ambient *= np.float32(1.0 / (float(np.iinfo(band.ambient.dtype).max) * band.ambient_exposure))
+    return ambient if len(ambient) == band.pixels.shape[3] else ambient.mean(axis=0, keepdims=True)
 
 
 def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
@@ -116,7 +120,7 @@ def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
 
 def _sample(image: PixelArray) -> NDArray[Any]:
     """Pixels (C, n) on a regular grid."""
-    step = max(1, int(np.sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
+    step = max(1, round(sqrt(image.shape[0] * image.shape[1] / _SAMPLE_PIXELS)))
     return np.ascontiguousarray(np.moveaxis(image[::step, ::step], 2, 0)).reshape(image.shape[2], -1)
 
 

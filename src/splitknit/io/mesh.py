@@ -45,33 +45,59 @@ def surface_mesh(
     if mask is not None:
         require(np.shape(mask) == z_mm.shape, f"mask must be {z_mm.shape}, but it is {np.shape(mask)}.")
         valid &= np.asarray(mask, dtype=np.bool_)
-    index = np.full(z_mm.shape, -1, dtype=np.int32)
-    count = int(valid.sum())
-    index[valid] = np.arange(count, dtype=np.int32)
-    vertices = np.empty((count, 3), dtype=np.float32)
+    index, triangles, pieces = triangulate(valid)
+    vertices = np.empty((np.count_nonzero(valid), 3), dtype=np.float32)
     for axis, values in enumerate((x_mm, y_mm, z_mm)):
         try:
             full = np.broadcast_to(np.asarray(values), z_mm.shape)
         except ValueError:
             require(False, f"{'xyz'[axis]}_mm {np.shape(values)} does not fit z_mm {z_mm.shape}.")
         vertices[:, axis] = full[valid]
-    return vertices, _triangles(index), index
+    faces = np.empty((triangles, 3), dtype=np.int32)
+    done = 0
+    for piece in pieces:
+        faces[done : done + len(piece)] = piece
+        done += len(piece)
+    return vertices, faces, index
 
 
-def _triangles(index: NDArray[np.int32]) -> NDArray[np.int32]:
-    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()  # a b   of each square of four pixels
-    c, d = index[1:, :-1].ravel(), index[1:, 1:].ravel()  #   c d
-    missing = (a < 0).view(np.uint8) + (b < 0).view(np.uint8) + (c < 0).view(np.uint8) + (d < 0).view(np.uint8)
-    full = np.flatnonzero(missing == 0)
-    single = np.flatnonzero(missing == 1)
-    corners = np.stack([a[single], c[single], d[single], b[single]], axis=1)  # counter-clockwise
-    faces = np.empty((2 * len(full) + len(single), 3), dtype=np.int32)
-    quads = faces[: 2 * len(full)].reshape(-1, 2, 3)
-    quads[:, 0, 0], quads[:, 0, 1] = a[full], c[full]
-    quads[:, 0, 2] = quads[:, 1, 0] = b[full]
-    quads[:, 1, 1], quads[:, 1, 2] = c[full], d[full]
-    faces[2 * len(full) :] = corners[corners >= 0].reshape(-1, 3)
-    return faces
+def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], int, Iterator[NDArray[np.int32]]]:
+    """Triangulate the pixels (H, W) of a surface, see :func:`surface_mesh`, without holding all triangles.
+
+    Returns
+    -------
+    index : (H, W) int32, the vertex of each pixel, -1 where there is none
+    count : how many triangles there are
+    pieces : of the triangles, (m, 3) int32 each, in order: those of whole squares of four pixels, then those of three
+    """
+    index: NDArray[np.int32] = np.full(valid.shape, -1, dtype=np.int32)
+    index[valid] = np.arange(np.count_nonzero(valid), dtype=np.int32)
+    ones = valid.view(np.uint8)
+    known = ones[:-1, :-1] + ones[:-1, 1:] + ones[1:, :-1] + ones[1:, 1:]
+    whole, three = known == 4, known == 3
+    return index, int(2 * np.count_nonzero(whole) + np.count_nonzero(three)), _pieces(index, whole, three)
+
+
+def _pieces(index: NDArray[np.int32], whole: BoolArray, three: BoolArray) -> Iterator[NDArray[np.int32]]:
+    for band in bands(whole.shape):
+        a = index[band][:, :-1][whole[band]]  # a b   of each square of four pixels
+        c = index[band.start + 1 : band.stop + 1, :-1][whole[band]]  #   c d
+        faces = np.empty((len(a), 2, 3), dtype=np.int32)
+        faces[:, 0, 0], faces[:, 0, 1] = a, c
+        faces[:, 0, 2] = faces[:, 1, 0] = a + 1
+        faces[:, 1, 1], faces[:, 1, 2] = c, c + 1
+        yield faces.reshape(-1, 3)
+    row, column = np.nonzero(three)
+    corners = np.stack(
+        [index[row, column], index[row + 1, column], index[row + 1, column + 1], index[row, column + 1]], axis=1
+    )  # counter-clockwise
+    yield corners[corners >= 0].reshape(-1, 3)
+
+
+def bands(shape: tuple[int, ...]) -> Iterator[slice]:
+    """Rows of a grid (H, W), some ten thousand pixels at a time."""
+    step = max(1, _CHUNK // max(1, shape[1]))
+    return (slice(start, min(start + step, shape[0])) for start in range(0, shape[0], step))
 
 
 # Binary STL of an indexed mesh, in pieces, so that millions of triangles need little memory.

@@ -27,6 +27,7 @@ from itertools import pairwise
 from typing import IO, Any, BinaryIO, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.io.atomic import atomic_file
@@ -44,6 +45,8 @@ _STORED = 65535
 _LIMIT = (1 << 32) - 1
 _DATE = (0, (0 << 9) | (1 << 5) | 1)  # 1980-01-01 00:00, the first date a ZIP archive knows
 _DEFLATE = 8
+_ALL_TRUE = np.uint64(0x0101010101010101)
+"""Eight booleans."""
 RESULT_BYTES = 600_000_000
 """Of arrays that are read at once: those that a use needs of a result of 25 million pixels, three times the rig's."""
 _MAX_ARRAYS = 1000
@@ -196,7 +199,9 @@ def _write_member(
 def _deflate(block: memoryview, last: bool) -> bytes:
     """Deflate a block: level 1, but measured numbers that hardly shrink are stored between runs that do."""
     words = np.frombuffer(block[: len(block) // _PAGE * _PAGE], np.uint64).reshape(-1, _PAGE // 8)
-    constant = (words == words[:, :1]).all(axis=1)
+    constant = _constant(words)
+    if len(block) == _BLOCK and not last and constant.all() and (words[:, 0] == words[0, 0]).all():
+        return _run(words[0, :1].tobytes(), _BLOCK)
     mixed = np.flatnonzero(~constant)
     sample = words[mixed[:: max(1, len(mixed) // _SAMPLED)]].tobytes()
     if len(mixed) < _SAMPLED or len(zlib.compress(sample, 1)) < _HARDLY * len(sample):
@@ -211,6 +216,16 @@ def _deflate(block: memoryview, last: bool) -> bytes:
             piece = block[start : min(start + _STORED, end * _PAGE)]
             parts += [b"\0" + struct.pack("<HH", len(piece), len(piece) ^ 0xFFFF), piece]
     return b"".join([*parts, _packed(block[len(constant) * _PAGE :], last)])
+
+
+def _constant(words: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """Rows (n, 16) of one value throughout, (n,)."""
+    same = np.ones(words.shape, dtype=np.bool_)
+    flat = words.reshape(-1)
+    np.equal(flat[1:], flat[:-1], out=same.reshape(-1)[:-1])
+    same[:, -1] = True  # compared with the next row
+    pairs = same.view(np.uint64)
+    return np.asarray((pairs[:, 0] & pairs[:, 1]) == _ALL_TRUE)
 
 
 def _packed(block: bytes | memoryview, last: bool) -> bytes:

@@ -11,8 +11,8 @@ G. Turk, The PLY Polygon File Format, 1994.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from typing import Any, BinaryIO
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,34 +70,49 @@ def write_ply(  # noqa: PLR0917 - a mesh is these arrays
         all(text.isascii() and text.isprintable() for text in comments),
         "a comment in a PLY file must be one line of printable ASCII.",
     )
+    scale = np.float32(1.0 / 255.0) if shade.dtype == np.uint8 else np.float32(1.0)
+    parts = [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
+    points = ((vertices_mm[part], normals[part], shade[part] * scale) for part in parts)
+    faces_in_parts = (corners[start : start + _CHUNK] for start in range(0, len(corners), _CHUNK))
+    write_ply_pieces(path, (count, points), (len(corners), faces_in_parts), comments)
+
+
+def write_ply_pieces(
+    path: str | os.PathLike[str],
+    vertices: tuple[int, Iterable[tuple[FloatArray, FloatArray, FloatArray]]],
+    faces: tuple[int, Iterable[NDArray[Any]]],
+    comments: Sequence[str],
+) -> None:
+    """Write what :func:`write_ply` writes, piece by piece.
+
+    Parameters
+    ----------
+    vertices : how many there are, and pieces of them: places (n, 3) in mm, normals (n, 3) and intensity (n,) in [0, 1]
+    faces : how many there are, and pieces of them, (m, 3)
+    comments : single lines of printable ASCII
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be written.
+    """
     header = [
         "ply",
         "format binary_little_endian 1.0",
         *(f"comment {text}" for text in comments),
-        f"element vertex {count}",
+        f"element vertex {vertices[0]}",
         *_VERTEX_LINES,
-        f"element face {len(corners)}",
+        f"element face {faces[0]}",
         *_FACE_LINES,
         "end_header",
     ]
-    scale = np.float32(1.0 / 255.0) if shade.dtype == np.uint8 else np.float32(1.0)
     with atomic_file(path) as stream:
         stream.write(("\n".join(header) + "\n").encode("ascii"))
-        buffer = np.empty(min(_CHUNK, count), dtype=_VERTEX)
-        for start in range(0, count, _CHUNK):
-            part = slice(start, min(start + _CHUNK, count))
-            chunk = buffer[: part.stop - start]
-            chunk["place"] = vertices_mm[part]
-            chunk["normal"] = normals[part]
-            chunk["quality"] = shade[part] * scale
-            stream.write(chunk.data)
-        _write_faces(stream, corners)
-
-
-def _write_faces(stream: BinaryIO, corners: NDArray[Any]) -> None:
-    buffer = np.empty(min(_CHUNK, len(corners)), dtype=_FACE)
-    buffer["count"] = 3
-    for start in range(0, len(corners), _CHUNK):
-        part = corners[start : start + _CHUNK]
-        buffer["corners"][: len(part)] = part
-        stream.write(buffer[: len(part)].data)
+        for place, normal, quality in vertices[1]:
+            points = np.empty(len(place), dtype=_VERTEX)
+            points["place"], points["normal"], points["quality"] = place, normal, quality
+            stream.write(points.data)
+        for corners in faces[1]:
+            triangles = np.empty(len(corners), dtype=_FACE)
+            triangles["count"], triangles["corners"] = 3, corners
+            stream.write(triangles.data)

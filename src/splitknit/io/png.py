@@ -17,6 +17,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -195,19 +196,17 @@ def _inflate(compressed: bytes, header: PngHeader, name: str) -> Iterator[bytes]
 def _decode_strips(header: PngHeader, compressed: bytes, name: str, out: PixelArray) -> None:
     line = header.line_bytes()
     strip_bytes = max(1, _STRIP_BYTES // line) * line
-    pending = bytearray()
-    above = b""  # the last decoded row, as the file would store it, which the row filters refer to
-    row = 0
+    pending = bytearray()  # begins with the last decoded row, as the file would store it: row filters refer to it
+    row = held = 0
     for piece in _inflate(compressed, header, name):
         pending += piece
-        while len(pending) >= strip_bytes or (pending and len(pending) == (header.rows - row) * line):
-            lines = bytes(memoryview(pending)[:strip_bytes])
-            del pending[:strip_bytes]
-            count = len(lines) // line
-            strip = _unfilter(header, above + lines, count + bool(above), name)[bool(above) :]
+        while (new := len(pending) - held) >= strip_bytes or (new and new == (header.rows - row) * line):
+            count = min(new, strip_bytes) // line
+            with memoryview(pending) as view:
+                strip = _unfilter(header, view[: held + count * line], count + held // line, name)[held // line :]
             _store(strip, header.colour, out[row : row + count])
-            above = b"\0" + _stored_row(strip[-1], header)
-            row += count
+            pending[: held + count * line] = b"\0" + _stored_row(strip[-1], header)
+            row, held = row + count, line
 
 
 def _decode_palette(header: PngHeader, palette: bytes, compressed: bytes, name: str, out: PixelArray) -> None:
@@ -223,7 +222,7 @@ def _decode_palette(header: PngHeader, palette: bytes, compressed: bytes, name: 
         out[row] = table[index[row]]
 
 
-def _unfilter(header: PngHeader, lines: bytes, rows: int, name: str) -> NDArray[Any]:
+def _unfilter(header: PngHeader, lines: bytes | memoryview, rows: int, name: str) -> NDArray[Any]:
     """Undo the row filters of `rows` complete filtered rows with the C library; gives grey, RGB or BGRA."""
     import cv2  # noqa: PLC0415 - slow to import
 
@@ -233,8 +232,8 @@ def _unfilter(header: PngHeader, lines: bytes, rows: int, name: str) -> NDArray[
         [
             SIGNATURE,
             *_chunk(b"IHDR", shape),
-            *_chunk(b"IDAT", _stored(lines)),
-            *_chunk(b"IEND", b""),
+            *_chunk(b"IDAT", *_stored(lines)),
+            *_chunk(b"IEND"),
         ]
     )
     try:
@@ -251,17 +250,17 @@ def _unfilter(header: PngHeader, lines: bytes, rows: int, name: str) -> NDArray[
     return np.asarray(image)
 
 
-def _stored(data: bytes) -> bytes:
-    """A zlib stream of `data` that packs nothing; zlib takes ten times as long to make one."""
+def _stored(data: bytes | memoryview) -> list[bytes | memoryview]:
+    """The pieces of a zlib stream of `data` that packs nothing; zlib takes ten times as long to make one."""
     view = memoryview(data)
     pieces: list[bytes | memoryview] = [b"\x78\x01"]
     for start in range(0, len(view), 65535):
         part = view[start : start + 65535]
         pieces += [struct.pack("<BHH", start + len(part) == len(view), len(part), 65535 - len(part)), part]
-    return b"".join([*pieces, engine.adler32(view).to_bytes(4, "big")])
+    return [*pieces, engine.adler32(view).to_bytes(4, "big")]
 
 
-def _check_filters(header: PngHeader, lines: bytes, rows: int, name: str) -> None:
+def _check_filters(header: PngHeader, lines: bytes | memoryview, rows: int, name: str) -> None:
     data = np.frombuffer(lines, dtype=np.uint8)
     sizes = header.passes() if header.interlaced else [(rows, header.line_bytes())]
     position = 0
@@ -301,5 +300,6 @@ def _stored_row(row: NDArray[Any], header: PngHeader) -> bytes:
     return np.ascontiguousarray(row, dtype=header.dtype.newbyteorder(">")).tobytes()
 
 
-def _chunk(kind: bytes, body: bytes) -> tuple[bytes, bytes, bytes, bytes]:
-    return len(body).to_bytes(4, "big"), kind, body, engine.crc32(body, engine.crc32(kind)).to_bytes(4, "big")
+def _chunk(kind: bytes, *body: bytes | memoryview) -> list[bytes | memoryview]:
+    checksum = reduce(lambda so_far, piece: engine.crc32(piece, so_far), body, engine.crc32(kind))
+    return [sum(map(len, body)).to_bytes(4, "big"), kind, *body, checksum.to_bytes(4, "big")]

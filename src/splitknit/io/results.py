@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.images import read_image
-from splitknit.io.mesh import surface_mesh
+from splitknit.io.mesh import bands, triangulate
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
-from splitknit.io.ply import write_ply
+from splitknit.io.ply import write_ply_pieces
 from splitknit.io.prints import provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
-from splitknit.model import NO_SCALE, FloatArray, Reconstruction
+from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]
 
@@ -188,38 +189,41 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
     write_npz(path, arrays)
 
 
-def _upright_mesh(
-    result: Reconstruction,
-) -> tuple[FloatArray, FloatArray, NDArray[np.uint8], NDArray[np.int32]]:
-    """Return vertices (N, 3) in mm, normals (N, 3), intensity (N,) and faces (M, 3) of the surface, tip along +y.
-
-    One vertex for each pixel of the mask, in the order of the rows; the grid is not resampled.
-    """
-    rows, columns = _box(result)
+def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Vertices (n, 3) in mm, normals (n, 3) and intensity (n,) of the pixels `valid` of the mask's box, some rows at a
+    time, tip along +y."""
+    rows, columns = bounding_box(result.mask)
     height, width = result.mask.shape
     turn = upright_turn(result)
-    if result.x_mm is not None and result.y_mm is not None:
-        x, y = result.x_mm[rows, columns], result.y_mm[rows, columns]
-    else:
-        x = ((np.arange(width)[columns] - (width - 1) / 2) * result.pitch_mm)[None, :]
-        y = (((height - 1) / 2 - np.arange(height)[rows]) * result.pitch_mm)[:, None]
-    vertices, faces, index = surface_mesh(
-        (turn[0, 0] * x + turn[0, 1] * y).astype(np.float32),
-        (turn[1, 0] * x + turn[1, 1] * y).astype(np.float32),
-        result.height_mm[rows, columns],
-        result.mask[rows, columns],
-    )
-    used = index >= 0
-    normals = result.normals[rows, columns][used]
-    nx, ny = normals[:, 0].copy(), normals[:, 1].copy()
-    normals[:, 0] = np.float32(turn[0, 0]) * nx + np.float32(turn[0, 1]) * ny
-    normals[:, 1] = np.float32(turn[1, 0]) * nx + np.float32(turn[1, 1]) * ny
-    return vertices, normals, _albedo_bytes(result)[rows, columns][used], faces
+    albedo = _albedo_bytes(result)
+    x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
+    y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]
+    for band in bands(valid.shape):
+        here, part = valid[band], (slice(rows.start + band.start, rows.start + band.stop), columns)
+        if result.x_mm is not None and result.y_mm is not None:
+            x, places_y = result.x_mm[part], result.y_mm[part]
+        else:
+            places_y = y[part[0]]
+        places = np.empty((np.count_nonzero(here), 3), dtype=np.float32)
+        places[:, 0] = (turn[0, 0] * x + turn[0, 1] * places_y)[here]
+        places[:, 1] = (turn[1, 0] * x + turn[1, 1] * places_y)[here]
+        places[:, 2] = result.height_mm[part][here]
+        nx, ny, nz = (result.normals[part][..., axis][here] for axis in range(3))
+        normals = np.empty_like(places)
+        normals[:, 0] = np.float32(turn[0, 0]) * nx + np.float32(turn[0, 1]) * ny
+        normals[:, 1] = np.float32(turn[1, 0]) * nx + np.float32(turn[1, 1]) * ny
+        normals[:, 2] = nz
+        yield places, normals, albedo[part][here] * np.float32(1.0 / 255.0)
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write ``phalange.ply``: the surface in mm, tip up."""
-    vertices, normals, intensity, faces = _upright_mesh(result)
+    """Write ``phalange.ply``: the surface in mm, tip up.
+
+    One vertex for each pixel of the mask, in the order of the rows; the grid is not resampled.
+    """
+    box = bounding_box(result.mask)
+    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+    _, triangles, faces = triangulate(valid)
     comments = [
         f"splitknit {origin['version']}, preset {result.preset}",
         f"unit {'mm' if result.scale_known else 'pixel, the scale is unknown'}; x right, y to the fingertip, z to the "
@@ -227,15 +231,17 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
         f"settings_sha256 {origin['settings_sha256']}",
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
-    write_ply(path, vertices, normals, intensity, faces, comments)
+    vertices = int(np.count_nonzero(valid)), _vertices(result, valid)
+    write_ply_pieces(path, vertices, (triangles, faces), comments)
 
 
 def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:
     """Write the normals (by default those of the surface) as a colour picture on the input's pixel grid."""
     picture = np.zeros((*result.mask.shape, 3), dtype=np.uint8)
-    box = _box(result)
-    shown = result.normals if normals is None else normals
-    picture[box] = normal_colours(shown[box]) * result.mask[box][..., None]
+    box = bounding_box(result.mask)
+    shown, inside, into = (result.normals if normals is None else normals)[box], result.mask[box], picture[box]
+    for band in bands(inside.shape):
+        cv2.copyTo(normal_colours(shown[band]), inside[band].view(np.uint8), into[band])
     write_picture(path, picture, origin)
 
 
@@ -246,7 +252,7 @@ def write_albedo(path: Path, result: Reconstruction, origin: Origin) -> None:
 
 def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
     """Albedo (H, W) with its 99.9th percentile at 255, 0 outside the mask."""
-    box = _box(result)
+    box = bounding_box(result.mask)
     picture = np.zeros(result.mask.shape, dtype=np.uint8)
     known = result.mask[box] & np.isfinite(result.albedo[box])
     if not bool(known.any()):
@@ -255,11 +261,6 @@ def _albedo_bytes(result: Reconstruction) -> NDArray[np.uint8]:
     white = max(float(np.percentile(albedo[known][::7], 99.9)), 1e-12)
     picture[box] = np.clip(np.round(albedo * np.float32(255.0 / white)), 0, 255).astype(np.uint8)
     return picture
-
-
-def _box(result: Reconstruction) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(result.mask.any(axis=1)), np.flatnonzero(result.mask.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8], origin: Origin) -> None:

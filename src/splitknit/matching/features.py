@@ -32,8 +32,8 @@ AnyArray = np.ndarray[Any, Any]
 
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis's sizes in pixels hold."""
-_STRIP = 64
-"""Rows whose codes are found at once, about."""
+_STRIP = 256
+"""Rows whose codes are found at once, about: in smaller strips, threads wait for each other between operations."""
 
 
 @dataclass(frozen=True, slots=True)

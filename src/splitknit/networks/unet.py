@@ -10,9 +10,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from types import MappingProxyType
 from typing import Any
 from weakref import WeakValueDictionary
@@ -23,9 +22,10 @@ from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
 from splitknit.networks.weights import Card, read_network
 
-TILE = 512
-"""Side in pixels of a square as large as a tile. A network of width 12 then needs about 0.2 GB a thread, of width 64
-1 GB."""
+TILE = 724
+"""Side in pixels of a square as large as a tile. A network of width 12 then needs about 0.4 GB, of width 64 2 GB."""
+_THREADS = min(8, os.cpu_count() or 1)
+"""Of a network, where nothing else is chosen."""
 
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 """Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
@@ -51,7 +51,7 @@ class Running:
     """How this process runs networks."""
 
     device: str = "cpu"
-    threads: int = 2
+    threads: int = _THREADS
 
 
 _running = Running()
@@ -62,13 +62,13 @@ def running() -> Running:
     return _running
 
 
-def use_device(device: str = "cpu", threads: int = 2) -> str:
-    """Choose how networks of this process are run from now on.
+def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
+    """Choose how networks of this process are loaded, and so run, from now on.
 
     Parameters
     ----------
     device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
-    threads : that :func:`run_network` uses where it is given no number of them
+    threads : of a network; not a bit of a result depends on it
 
     Returns
     -------
@@ -106,7 +106,7 @@ class Network:
 
     card: Card
     session: Any
-    """onnxruntime.InferenceSession on one thread."""
+    """onnxruntime.InferenceSession."""
     input_name: str
     output_name: str
 
@@ -126,18 +126,18 @@ def load_network(name: str | os.PathLike[str]) -> Network:
         If weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
-    return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running.device)
+    return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running)
 
 
-_IN_USE: WeakValueDictionary[tuple[str, str], Network] = WeakValueDictionary()
-"""Networks of the package that somebody holds, by name and device: what they keep for running (0.4 GB) goes when
+_IN_USE: WeakValueDictionary[tuple[str, Running], Network] = WeakValueDictionary()
+"""Networks of the package that somebody holds, by name and how they run: what they keep for running (0.3 GB) goes when
 nobody does."""
 
 
-def _load_shipped(name: str, device: str) -> Network:
-    network = _IN_USE.get((name, device))
+def _load_shipped(name: str, how: Running) -> Network:
+    network = _IN_USE.get((name, how))
     if network is None:
-        network = _IN_USE[name, device] = _load(name)
+        network = _IN_USE[name, how] = _load(name)
     return network
 
 
@@ -150,9 +150,10 @@ def network_of(card: Card, weights: bytes) -> Network:
     """Prepare weights that are in memory."""
     onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
-    # one thread a session: sums are then always formed in the same order, and our own threads take a tile each
-    options.intra_op_num_threads = 1
+    # its threads share the values of a result, never the terms of a sum: the same bits for any number of them
+    options.intra_op_num_threads = _running.threads
     options.inter_op_num_threads = 1
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # waiting costs no processor time
     # it plans memory anew for every shape of a tile and keeps all the plans' memory: 0.5 GB more, and no faster
     options.enable_mem_pattern = False
     options.log_severity_level = 3
@@ -195,7 +196,7 @@ def _onnxruntime() -> Any:
     return onnxruntime
 
 
-def run_network(network: Network, images: FloatArray, *, tile: int = TILE, workers: int | None = None) -> FloatArray:
+def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
     """Run `network` on every image.
 
     Parameters
@@ -205,10 +206,8 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
         Of any size from the network's stride upwards. (N, H, W) are images of one channel. One channel is repeated for
         a network that takes more, as the thesis gives its grey images to a network for three channels.
     tile : int
-        Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square and
-        with `workers`. The result does not depend on it, but for rounding (about 1e-6).
-    workers : int, optional
-        Threads, those of :func:`use_device` where none are given; not a bit of the result depends on it.
+        Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square. The
+        result does not depend on it, but for rounding (about 1e-6).
 
     Returns
     -------
@@ -225,8 +224,6 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
     and the result is cut back. Tiles overlap by the network's reach, see :mod:`splitknit.networks.unet`.
     """
     stack = _checked(images, network.card)
-    workers = _running.threads if workers is None else workers
-    require(workers >= 1, f"workers must be at least 1, but it is {workers}.")
     count, channels, height, width = stack.shape
     stride = network.card.stride
     tiles = _plan_tiles(
@@ -234,8 +231,7 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
     )
     result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
 
-    def one(job: tuple[int, _Tile]) -> None:
-        k, part = job
+    for k, part in product(range(count), tiles):
         piece = stack[(k, slice(None), *part.source)]
         beyond = [(0, s.stop - s.start - n) for s, n in zip(part.source, piece.shape[1:], strict=True)]
         if any(more for _, more in beyond):
@@ -245,14 +241,6 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE, worke
         made = _infer(network, np.ascontiguousarray(piece)[None])[0]
         room = result[(k, slice(None), *part.target)]
         room[...] = made[(slice(None), *part.inner)][:, : room.shape[1], : room.shape[2]]
-
-    jobs = [(k, part) for k in range(count) for part in tiles]
-    if workers == 1:
-        for job in jobs:
-            one(job)
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(one, jobs))
     return result
 
 
@@ -323,8 +311,8 @@ def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -
 
     `shape`: rows, columns; both multiples of `stride`; `tile`: pixels without margins, rounded up to a multiple of
     `stride`; `reach`: distance in pixels over which the network looks; `stride`: grid of the network in pixels. Of all
-    regular cuts that with the least work, in all and of the busier of two threads: two strips of a capture's finger.
-    Returns list of Tile, row by row. The targets cover the image without overlap.
+    regular cuts that with the fewest pixels computed. Returns list of Tile, row by row. The targets cover the image
+    without overlap.
     """
     require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
     side = -(-tile // stride) * stride
@@ -338,8 +326,7 @@ def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -
                 rows = _spans(shape[0], down, reach, stride)
                 pixels = max(_length(r) for r in rows) * max(_length(c) for c in columns)
                 if pixels <= limit or (down, across) == (most[0], most[1]):
-                    computed = sum(map(_length, rows)) * sum(map(_length, columns))
-                    yield computed + 2 * -(-down * across // 2) * pixels, rows, columns
+                    yield sum(map(_length, rows)) * sum(map(_length, columns)), rows, columns
 
     _, rows, columns = min(cuts(), key=lambda cut: cut[0])
     return [

@@ -33,28 +33,28 @@ def linear_map(matrix: NDArray[np.floating], images: FloatArray) -> FloatArray:
 def moment_matrix(lights: FloatArray, weights: FloatArray | None) -> FloatArray:
     """Upper triangle of M, (6, n) in the order of `PAIRS`, from lights (L, 3) or (L, 3, n) and weights (L, n)."""
     per_pixel = lights[..., None] if lights.ndim == 2 else lights
-    pixels = per_pixel.shape[2] if weights is None else weights.shape[1]
-    result = np.zeros((6, pixels), dtype=np.float32)
-    term = np.empty(pixels, dtype=np.float32)
-    for k in range(per_pixel.shape[0]):
-        weighted = per_pixel[k] if weights is None else per_pixel[k] * weights[k]
-        for index, (i, j) in enumerate(PAIRS):
-            np.multiply(weighted[i], per_pixel[k, j], out=term)
-            result[index] += term
+    weighted = per_pixel if weights is None else per_pixel * weights[:, None]
+    result = np.empty((6, weighted.shape[2]), dtype=np.float32)
+    for (i, j), total in zip(PAIRS, result, strict=True):
+        _add_up(weighted[:, i] * per_pixel[:, j], total)
     return result
 
 
 def moment_vector(images: FloatArray, lights: FloatArray, weights: FloatArray | None) -> FloatArray:
     """b (3, n)."""
     per_pixel = lights[..., None] if lights.ndim == 2 else lights
-    result = np.zeros((3, images.shape[1]), dtype=np.float32)
-    term = np.empty(images.shape[1], dtype=np.float32)
-    for k in range(images.shape[0]):
-        image = images[k] if weights is None else images[k] * weights[k]
-        for i in range(3):
-            np.multiply(image, per_pixel[k, i], out=term)
-            result[i] += term
+    weighted = images if weights is None else images * weights
+    result = np.empty((3, images.shape[1]), dtype=np.float32)
+    for axis, total in enumerate(result):
+        _add_up(weighted * per_pixel[:, axis], total)
     return result
+
+
+def _add_up(terms: FloatArray, total: FloatArray) -> None:
+    """Sum of terms (L, n), one after the other: numpy's own sum takes another order where n is small."""
+    total[...] = terms[0]
+    for term in terms[1:]:
+        total += term
 
 
 def factorise(moments: FloatArray) -> FloatArray:
@@ -100,16 +100,9 @@ def solve(images: FloatArray, lights: FloatArray, weights: FloatArray | None) ->
 
 
 def shading(g: FloatArray, lights: FloatArray) -> FloatArray:
-    """l_k . g, (L, n): negative where the light is behind the surface."""
-    per_pixel = lights[..., None] if lights.ndim == 2 else lights
-    result = np.empty((per_pixel.shape[0], g.shape[1]), dtype=np.float32)
-    term = np.empty(g.shape[1], dtype=np.float32)
-    for k in range(per_pixel.shape[0]):
-        np.multiply(g[0], per_pixel[k, 0], out=result[k])
-        for i in (1, 2):
-            np.multiply(g[i], per_pixel[k, i], out=term)
-            result[k] += term
-    return result
+    """l_k . g, (L, ...), from g (3, ...) and lights (L, 3) or (L, 3, ...): negative where the light is behind."""
+    x, y, z = np.moveaxis(lights[..., None] if lights.ndim == 2 else lights, 1, 0)
+    return np.asarray(x * g[0] + y * g[1] + z * g[2], dtype=np.float32)
 
 
 def unit_normals(g: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -130,6 +130,7 @@ def pseudo_normals(  # noqa: PLR0917
     x_mm: Any = None,
     y_mm: Any = None,
     view: View | None = None,
+    entering: Any = None,
 ) -> FloatArray:
     """Albedo times normal, (H, W, 3), zero outside the mask: linear in the images for given weights.
 
@@ -141,6 +142,8 @@ def pseudo_normals(  # noqa: PLR0917
         As of :func:`near_light`.
     weights : (L, H, W), 0 or more, optional
         What each light counts at each pixel; without them all count equally.
+    entering : (L, H, W), 0 or more, optional
+        Fraction of each light that enters the surface at each pixel (Fresnel); all of it without.
 
     Returns
     -------
@@ -150,7 +153,7 @@ def pseudo_normals(  # noqa: PLR0917
     Raises
     ------
     BadInput
-        As :func:`near_light`, and if the weights have another shape, or are negative or not finite.
+        As :func:`near_light`, and if weights or fractions have another shape, or are negative or not finite.
     """
     array = np.asarray(stack)
     channels = array.ndim == 4
@@ -159,18 +162,24 @@ def pseudo_normals(  # noqa: PLR0917
     count, (rows, columns) = images.shape[0] // colours, images.shape[1:]
     grouped = images.reshape(colours, count, rows, columns)
     scene = near_scene(grouped, rig, surface_mm, mask, x_mm, y_mm, view)
-    given = None if weights is None else _check_weights(weights, (count, rows, columns))
-    result = np.zeros((colours, rows, columns, 3), dtype=np.float32)
+    given, let_in = (
+        None if one is None else _check_weights(one, (count, rows, columns), name)
+        for one, name in ((weights, "weights"), (entering, "entering"))
+    )
+    planes = np.zeros((colours, 3, rows, columns), dtype=np.float32)  # a plane a component: faster to write and read
 
     def work(chunk: slice) -> None:
         if not scene.mask[chunk].any():
             return
         here, lights, part = scene.cut(chunk)
+        if let_in is not None:
+            lights = lights * gather(let_in, chunk, here)[:, None]
         g = _solve(part, lights, None if given is None else gather(given, chunk, here))
-        for c in range(colours):
-            result[c, chunk][here] = g[c].T
+        for room, values in zip(planes.reshape(-1, rows, columns)[:, chunk], np.concatenate(g), strict=True):
+            room[here] = values
 
     for_each_chunk(work, rows, columns, count)
+    result = np.moveaxis(planes, 1, -1)
     return result if channels else result[0]
 
 
@@ -232,10 +241,10 @@ def near_scene(  # noqa: PLR0917
     return NearScene(images, rig, surface, inside, view)
 
 
-def _check_weights(weights: Any, shape: tuple[int, int, int]) -> FloatArray:
+def _check_weights(weights: Any, shape: tuple[int, int, int], name: str = "weights") -> FloatArray:
     array = np.asarray(weights, dtype=np.float32)
-    require(array.shape == shape, f"weights must have the shape {shape}, but it has the shape {array.shape}.")
-    require(bool(np.isfinite(array).all()) and float(array.min()) >= 0, "weights must be finite and not negative.")
+    require(array.shape == shape, f"{name} must have the shape {shape}, but it has the shape {array.shape}.")
+    require(bool(np.isfinite(array).all()) and float(array.min()) >= 0, f"{name} must be finite and not negative.")
     return array
 
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import mask_box
 from splitknit.settings import Checked, Limits
 
 AnyArray = np.ndarray[Any, Any]
@@ -93,7 +93,7 @@ def curvature(  # noqa: PLR0917
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
     mask = check_mask(mask, (height_mm.shape[0], height_mm.shape[1]))
     side = settings.side(1.0 / pitch_mm)
-    box = mask_box(mask, side // 2 + 1)
+    box = bounding_box(mask, side // 2 + 1)
     inside = mask[box] & np.isfinite(height_mm[box])
     fractions = _blurred(inside.astype(np.float32), [1.0] * side, [1.0] * side)
     cut = inside & (fractions < side * side - 0.5)

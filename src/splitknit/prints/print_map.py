@@ -15,8 +15,9 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH, blur, mask_box
+from splitknit.prints.ridges import MM_PER_INCH, blur
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
@@ -336,7 +337,7 @@ def resample(
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm
-    rows, columns = mask_box(mask, int(4 * step) + 2)
+    rows, columns = bounding_box(mask, int(4 * step) + 2)
     inside = mask[rows, columns]
     weight = inside.astype(np.float32)
     values = np.where(inside, field[rows, columns], np.float32(0.0)).astype(np.float32)

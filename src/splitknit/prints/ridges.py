@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
-from splitknit.imaging.geometry import warp
+from splitknit.imaging.geometry import bounding_box, warp
 from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
 from splitknit.settings import Checked, Limits
 
@@ -89,7 +89,7 @@ def relief_print(  # noqa: PLR0917
     input_per_print = px_per_mm * MM_PER_INCH / settings.ppi
     size = (max(1, round(upright_size[0] / input_per_print)), max(1, round(upright_size[1] / input_per_print)))
 
-    rows, columns = mask_box(mask, int(4 * input_per_print) + 2)
+    rows, columns = bounding_box(mask, int(4 * input_per_print) + 2)
     inside = mask[rows, columns].astype(np.float32)
     relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
@@ -145,16 +145,6 @@ def blur(image: FloatArray, sigma: float) -> FloatArray:
         return image
     blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(blurred, dtype=np.float32)
-
-
-def mask_box(mask: BoolArray, margin: int) -> tuple[slice, slice]:
-    """Rows and columns of the mask and `margin` pixels around it, inside the image."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    columns = np.flatnonzero(mask.any(axis=0))
-    return (
-        slice(max(0, int(rows[0]) - margin), min(mask.shape[0], int(rows[-1]) + margin + 1)),
-        slice(max(0, int(columns[0]) - margin), min(mask.shape[1], int(columns[-1]) + margin + 1)),
-    )
 
 
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:

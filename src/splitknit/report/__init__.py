@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 
-def render(template: str, **values: Any) -> str:
-    """Fill in a template of ``templates/``; a name that it does not get is an error."""
+def template(name: str) -> Any:
+    """A page of ``templates/``, to be rendered; a name that it does not get is an error."""
     import jinja2  # noqa: PLC0415 - charts need none of it
 
     environment = jinja2.Environment(
@@ -17,4 +17,9 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(template).render(**values)
+    return environment.get_template(name)
+
+
+def render(name: str, **values: Any) -> str:
+    """Fill in a template of ``templates/``."""
+    return str(template(name).render(**values))

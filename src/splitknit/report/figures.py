@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
 from splitknit.io.pictures import (
     ColourArray,
     Frame,
     colour,
+    fields_to_frame,
     normal_colours,
     on_paper,
     to_frame,
@@ -37,12 +41,32 @@ def is_finger(result: Reconstruction) -> bool:
     return str(result.facts.get("material", "skin")) == "skin"
 
 
-def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
+@dataclass(frozen=True, slots=True, eq=False)
+class SmallFields:
+    """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
+
+    frame: Frame
+    weight: FloatArray
+    """(h, w) in [0, 1], fraction of the pixel inside the mask."""
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    normals: FloatArray
+    """(h, w, 3)."""
+
+
+def small_fields(result: Reconstruction, frame: Frame) -> SmallFields:
+    """Bring a reconstruction onto a picture's frame, all fields at once."""
+    fields = (result.height_mm, result.ridge_mm, result.shape_mm, result.normals)
+    small, weight = fields_to_frame(fields, result.mask, frame)
+    return SmallFields(frame, weight, *small)
+
+
+def normals_picture(result: Reconstruction, small: SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
-    values, weight = to_frame(result.normals, result.mask, frame)
-    turned = values.copy()
-    turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), values[..., :2])
-    picture = on_paper(normal_colours(turned), weight)
+    turned = small.normals.copy()
+    turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), turned[..., :2])
+    picture = on_paper(normal_colours(turned), small.weight)
     return captioned(
         "Surface normals",
         picture,
@@ -51,18 +75,16 @@ def normals_picture(result: Reconstruction, frame: Frame) -> Picture:
         if not is_finger(result)
         else "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
         "Good: colours change smoothly over the finger, with the ridges as fine lines on top, and no blotches.",
-        pitch_mm=frame.pitch_mm,
+        pitch_mm=small.frame.pitch_mm,
         photo=True,
     )
 
 
-def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
+def relief_picture(result: Reconstruction, small: SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
-    values, weight = to_frame(result.ridge_mm, result.mask, frame)
     factor, unit = (1000.0, "µm") if result.scale_known else (1.0, "px")
-    relief = factor * values
     low, high = relief_limits(result, factor)
-    picture = on_paper(colour(relief, low, high), weight)
+    picture = on_paper(colour(factor * small.ridge_mm, low, high), small.weight)
     return captioned(
         "Relief",
         picture,
@@ -71,16 +93,15 @@ def relief_picture(result: Reconstruction, frame: Frame) -> Picture:
         if is_finger(result)
         else "Height of fine details above their surroundings, without the shape. Yellow is high.",
         charts.colour_bar(low, high, unit),
-        frame.pitch_mm,
+        small.frame.pitch_mm,
     )
 
 
 def relief_limits(result: Reconstruction, factor: float) -> tuple[float, float]:
     """Limits of a colour scale for the relief times `factor`: what ridges span where the skin faces the camera, in
     whole fives of um, or of the first figure that counts."""
-    facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
-    where = facing if bool(facing.any()) else result.mask
-    relief = factor * result.ridge_mm[where][::3]
+    facing = facing_relief_mm(result)
+    relief = factor * (facing if facing.size else result.ridge_mm[result.mask])[::3]
     low, high = (float(v) for v in np.nanpercentile(relief, (3.0, 98.0)))
     margin = 0.1 * (high - low)
     step = 5.0 if result.scale_known else 0.5 * 10.0 ** float(np.floor(np.log10(max(high - low, 1e-6))))
@@ -88,9 +109,17 @@ def relief_limits(result: Reconstruction, factor: float) -> tuple[float, float]:
     return float(f"{ends[0]:.6g}"), float(f"{ends[1]:.6g}")
 
 
-def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
+def facing_relief_mm(result: Reconstruction) -> FloatArray:
+    """The relief (N,) where it is known and the skin faces the camera, in the order of the rows."""
+    box = bounding_box(result.mask)
+    relief = result.ridge_mm[box]
+    facing = result.mask[box] & (result.normals[box][..., 2] > np.cos(np.pi / 4)) & np.isfinite(relief)
+    return np.asarray(relief[facing])
+
+
+def shape_picture(result: Reconstruction, small: SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
-    values, weight = to_frame(result.shape_mm, result.mask, frame)
+    values, weight = small.shape_mm, small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
     depth = values - np.float32(top)
     low = float(np.percentile(depth[weight > 0.5], 0.5))
@@ -114,7 +143,7 @@ def shape_picture(result: Reconstruction, frame: Frame) -> Picture:
         if is_finger(result)
         else f"Height without fine details, below the highest point; a line every {step:g} {unit}.",
         charts.colour_bar(round(low, 1), 0.0, unit),
-        frame.pitch_mm,
+        small.frame.pitch_mm,
     )
 
 
@@ -149,11 +178,18 @@ class Views:
     """Size of one pixel of `above`."""
 
 
-def render_views(result: Reconstruction, frame: Frame) -> Views:
+def render_views(result: Reconstruction, small: SmallFields) -> Views:
     """Render the surface from above and from two sides."""
-    surface = upright_surface(result, frame, RELIEF_EXAGGERATION if is_finger(result) else 1.0)
-    left, right = (oblique_view(surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
-    return Views(_top_view(surface), left, right, frame.pitch_mm)
+    above, left, right = draw_views(result, small, map)
+    return Views(above, left, right, small.frame.pitch_mm)
+
+
+def draw_views(result: Reconstruction, small: SmallFields, each: Callable[..., Any]) -> Iterator[ColourArray]:
+    """The pictures of :class:`Views` in order; `each` is ``map``, or that of a pool, which begins at once."""
+    surface = upright_surface(small, RELIEF_EXAGGERATION if is_finger(result) else 1.0)
+    sides = (partial(oblique_view, surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
+    drawn: Iterator[ColourArray] = each(lambda view: view(), (partial(_top_view, surface), *sides))
+    return drawn
 
 
 def view_pictures(views: Views, finger: bool = True) -> list[Picture]:
@@ -265,17 +301,16 @@ class UprightSurface:
     pitch_mm: float
 
 
-def upright_surface(result: Reconstruction, frame: Frame, exaggeration: float = 1.0) -> UprightSurface:
-    """Bring a reconstruction onto a picture's frame.
+def upright_surface(small: SmallFields, exaggeration: float = 1.0) -> UprightSurface:
+    """The surface of a picture's fields, with its relief multiplied by `exaggeration`.
 
-    The relief is multiplied by `exaggeration` within the height, so that ridges of a few hundredths of a millimetre
-    are seen on a finger of several millimetres; less so on steep flanks, where they would overhang.
+    So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep flanks,
+    where they would overhang.
     """
-    height, weight = to_frame(result.height_mm, result.mask, frame)
-    relief, _ = to_frame(result.ridge_mm, result.mask, frame)
-    facing, _ = to_frame(result.normals[..., 2], result.mask, frame)
+    facing = small.normals[..., 2]
     extra = np.float32(exaggeration - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
-    return UprightSurface((height + extra * relief).astype(np.float32), relief, weight, frame.pitch_mm)
+    height = (small.height_mm + extra * small.ridge_mm).astype(np.float32)
+    return UprightSurface(height, small.ridge_mm, small.weight, small.frame.pitch_mm)
 
 
 def shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
@@ -357,44 +392,46 @@ def _turn(
     middle = np.array([(columns - 1) / 2, (rows - 1) / 2])
     matrix = np.column_stack([linear, middle - linear @ ((np.array(size) - 1) / 2)])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    outside = cv2.warpAffine(weight, matrix, size, flags=flags) <= 0.5
-    turned = np.asarray(cv2.warpAffine(height, matrix, size, flags=flags), dtype=np.float32)
+    inside = np.asarray(cv2.warpAffine(weight, matrix, size, flags=flags)) > 0.5
+    turned = np.full(inside.shape, np.nan, dtype=np.float32)
+    np.copyto(turned, cv2.warpAffine(height, matrix, size, flags=flags), where=inside)
     colours = np.asarray(cv2.warpAffine(painted, matrix, size, flags=flags), dtype=np.uint8)
-    turned[outside] = np.nan
-    colours[outside] = 0
+    colours.view(np.uint32)[..., 0] *= inside
     return turned, colours
 
 
 def _tilt(height: FloatArray, painted: NDArray[np.uint8], tilt_rad: float, pitch_mm: float) -> NDArray[np.uint8]:
     """Floating horizon: the tilted view of `painted` (H, W, 4), colours premultiplied by the coverage."""
-    rows, columns = height.shape
-    depth = np.arange(rows, dtype=np.float32)[:, None] * np.float32(np.cos(tilt_rad))
-    screen = depth - height * np.float32(np.sin(tilt_rad) / pitch_mm)  # downwards; the front is the last row
-    np.nan_to_num(screen, copy=False, nan=float(_NOWHERE))
-    horizon = np.minimum.accumulate(screen[::-1], axis=0)  # (rows, columns), from the front to the back
-    seen = horizon < _NOWHERE
-    if not bool(seen.any()):
+    known = np.isfinite(height)
+    if not bool(known.any()):
         return painted
-    top, bottom = int(np.floor(horizon.min())) - 2, int(np.ceil(horizon[seen].max())) + 2
-    lines = np.arange(top, bottom, dtype=np.float32)
-    source = np.full((lines.size, columns), -10.0, dtype=np.float32)
-    for column in np.flatnonzero(seen[-1]):
-        front = int(np.argmax(seen[:, column]))
-        line = horizon[front:, column]
-        new = np.concatenate([[True], line[1:] < line[:-1]])
-        places = (rows - 1 - front - np.flatnonzero(new)).astype(np.float32)
-        source[:, column] = np.interp(lines, line[new][::-1], places[::-1], left=-10.0, right=-10.0)
-    across = np.ascontiguousarray(np.broadcast_to(np.arange(columns, dtype=np.float32), source.shape))
-    return np.asarray(cv2.remap(painted, across, source, cv2.INTER_LINEAR), dtype=np.uint8)
+    rows, columns = bounding_box(known)
+    depth = np.arange(rows.start, rows.stop, dtype=np.float32)[:, None] * np.float32(np.cos(tilt_rad))
+    screen = depth - height[rows, columns] * np.float32(np.sin(tilt_rad) / pitch_mm)  # downwards; the front is last
+    screen[~known[rows, columns]] = _NOWHERE
+    for row in range(len(screen) - 2, -1, -1):  # the horizon, from the front to the back
+        np.minimum(screen[row], screen[row + 1], out=screen[row])
+    new = screen < _NOWHERE
+    top, bottom = int(np.floor(screen.min())) - 2, int(np.ceil(screen[new].max())) + 2
+    new[:-1] = screen[:-1] < screen[1:]  # what is hidden by what is before it adds nothing
+    lines = np.arange(top, bottom, dtype=np.float64)
+    source = np.full((height.shape[1], lines.size), -10.0, dtype=np.float32)
+    each = zip(cv2.transpose(screen), cv2.transpose(new.view(np.uint8)), strict=True)
+    for column, (horizon, seen) in enumerate(each, columns.start):
+        places = np.flatnonzero(seen)
+        if places.size:
+            line = horizon[places].astype(np.float64)
+            ends = slice(math.ceil(line[0]) - top, math.floor(line[-1]) - top + 1)
+            source[column, ends] = np.interp(lines[ends], line, places + float(rows.start))
+    across = np.ascontiguousarray(np.broadcast_to(np.arange(len(source), dtype=np.float32), source.shape[::-1]))
+    return np.asarray(cv2.remap(painted, across, cv2.transpose(source), cv2.INTER_LINEAR), dtype=np.uint8)
 
 
 def _cut(view: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
-    alpha = view[..., 3]
-    rows, columns = np.flatnonzero(alpha.max(axis=1)), np.flatnonzero(alpha.max(axis=0))
-    if rows.size == 0:
+    covered = view[..., 3] > 0
+    if not bool(covered.any()):
         return view
-    part = view[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    return np.pad(part, ((margin, margin), (margin, margin), (0, 0)))
+    return np.pad(view[bounding_box(covered)], ((margin, margin), (margin, margin), (0, 0)))
 
 
 def _flattened(view: NDArray[np.uint8]) -> ColourArray:

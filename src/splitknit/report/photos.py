@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri
+from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri, ends_of_rows
 from splitknit.model import Band, Capture, PixelArray, Reconstruction
 
 _NO_LEGEND = Markup("")
@@ -22,7 +22,7 @@ class Picture:
     """One figure of the report."""
 
     title: str
-    uri: str
+    uri: Markup
     caption: str
     width: int
     height: int
@@ -45,7 +45,7 @@ def captioned(  # noqa: PLR0917
     bar_mm = next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0) if pitch_mm else 0.0
     return Picture(
         title=title,
-        uri=data_uri(image, photo=photo),
+        uri=Markup(data_uri(image, photo=photo)),  # holds nothing that HTML would have to escape
         caption=caption,
         width=width,
         height=height,
@@ -123,7 +123,7 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
 
 def _axis(result: Reconstruction) -> NDArray[np.float64]:
     """Two points (column, row) of the input: tip end and base end of the upright frame's middle line in the mask."""
-    rows, columns = np.nonzero(result.mask[::4, ::4])
+    rows, columns = ends_of_rows(result.mask[::4, ::4])
     points = np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
     upright = np.linalg.inv(result.input_from_upright) @ points
     middle = (float(upright[0].min()) + float(upright[0].max())) / 2

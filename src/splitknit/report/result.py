@@ -9,10 +9,9 @@ import datetime
 import json
 import os
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,16 +19,17 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.float_tiff import write_height_tiff
-from splitknit.io.pictures import data_uri, upright_frame
+from splitknit.io.pictures import data_uri, ends_of_rows, upright_frame
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
-from splitknit.io.results import Origin, write_albedo, write_arrays, write_mesh, write_normals, write_picture
+from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
-from splitknit.report import charts, figures, render
-from splitknit.report.figures import Views, is_finger, render_views
+from splitknit.report import charts, figures, template
+from splitknit.report.figures import Views, is_finger
 from splitknit.report.photos import LONGEST_PX, Picture, mask_on_image, mirror_pictures
 
 if TYPE_CHECKING:
@@ -55,24 +55,24 @@ COMPARED = (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The page and the same facts for programs."""
+    """The page, the same facts for programs, and the surface as the page shows it."""
 
     html: str
     facts: Mapping[str, Any]
+    views: Views
 
 
 def make_report(
     result: Reconstruction,
     capture: Capture | None,
     prints: NDArray[np.uint8] | None,
-    views: Views | None = None,
     *,
     truth: Truth | None = None,
     others: Sequence[Reconstruction] = (),
     files: Sequence[str] = (),
     title: str = "",
 ) -> Report:
-    """Build the report of `result`.
+    """Build the report of `result`; its pictures are drawn side by side, in threads.
 
     Parameters
     ----------
@@ -81,8 +81,6 @@ def make_report(
         What it was made from; only small previews of the images enter the page. None leaves them out.
     prints : (h, w) uint8
         The relief as a print.
-    views : Views, optional
-        The shaded surface, where it has been rendered already.
     truth : mapping, optional
         A simulator's arrays; `result` and `others` are then compared with it, side by side.
     others : sequence of Reconstruction
@@ -93,31 +91,40 @@ def make_report(
         By default "3D fingerprint", or "Surface" of what is no finger.
     """
     finger = is_finger(result)
-    comparisons = [] if truth is None else _compared((result, *others), truth)
-    facts = _facts(result, capture, comparisons, files)
-    frame = upright_frame(result, LONGEST_PX)
-    uncertainty = figures.uncertainty_picture(result, frame)
-    maps = [] if capture is None else [mask_on_image(result, capture)]
-    maps += [picture(result, frame) for picture in (figures.normals_picture, figures.relief_picture)]
-    maps += [figures.shape_picture(result, frame)]
-    maps += [] if capture is None else mirror_pictures(result, capture)
+    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        page = pool.submit(template, "report.html")
+        frame = upright_frame(result, LONGEST_PX)
+        small = figures.small_fields(result, frame)
+        drawn = figures.draw_views(result, small, pool.map)
+        uncertainty = pool.submit(figures.uncertainty_picture, result, frame)
+        photographs = [] if capture is None else [pool.submit(mask_on_image, result, capture)]
+        drawings = (figures.normals_picture, figures.relief_picture, figures.shape_picture)
+        fields = [pool.submit(draw, result, small) for draw in drawings]
+        printed = None if prints is None else pool.submit(figures.print_picture, prints)
+        charted, summary = pool.submit(_profiles, result, truth), pool.submit(_summary, result)
+        comparisons = [] if truth is None else _compared((result, *others), truth)
+        facts = _facts(result, capture, comparisons, files)
+        maps = [job.result() for job in photographs + fields]
+        maps += [] if capture is None else mirror_pictures(result, capture)
+        maps += [picture] if (picture := uncertainty.result()) is not None else []
+        above, left, right = drawn
+    views = Views(above, left, right, frame.pitch_mm)
 
     def of_size(pictures: list[Picture]) -> list[Picture]:
         """Without bars of a length in mm where there is no scale."""
         return pictures if result.scale_known else [replace(picture, scale_percent=0.0) for picture in pictures]
 
-    html = render(
-        "report.html",
+    html = page.result().render(
         title=title or ("3D fingerprint" if finger else "Surface"),
         finger=finger,
         unit="millimetres" if result.scale_known else "pixels: its scale is unknown",
         facts=facts,
-        summary=_summary(result),
+        summary=summary.result(),
         warnings=[sentence(warning) for warning in result.warnings],
-        views=of_size(figures.view_pictures(views or figures.render_views(result, frame), finger)),
-        prints=None if prints is None else figures.print_picture(prints),
-        maps=of_size(maps + ([uncertainty] if uncertainty is not None else [])),
-        profiles=_profiles(result, truth),
+        views=of_size(figures.view_pictures(views, finger)),
+        prints=None if printed is None else printed.result(),
+        maps=of_size(maps),
+        profiles=charted.result(),
         quality=_tables(facts["quality"]),
         found=_tables({name: fact for name, fact in facts["facts"].items() if name != "mirror_drawing"}),
         settings=_tables(facts["settings"]),
@@ -132,7 +139,7 @@ def make_report(
         else [],
         total_s=sum(result.timings_s.values()),
     )
-    return Report(html, facts)
+    return Report(html, facts, views)
 
 
 def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
@@ -168,8 +175,8 @@ def _facts(
             "scale_known": result.scale_known,
             "input_from_upright": plain(result.input_from_upright),
             "upright_size": list(result.upright_size),
-            "area_mm2": float(np.sum(result.mask)) * result.pitch_mm**2 if result.scale_known else None,
-            "area_px": int(np.sum(result.mask)),
+            "area_mm2": int(np.count_nonzero(result.mask)) * result.pitch_mm**2 if result.scale_known else None,
+            "area_px": int(np.count_nonzero(result.mask)),
         },
         "warnings": list(result.warnings),
         "quality": plain(result.quality),
@@ -204,30 +211,30 @@ def plain(value: Any) -> Any:  # noqa: PLR0911
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     """The most important facts."""
     upright = np.linalg.inv(result.input_from_upright)
-    rows, columns = np.nonzero(result.mask[::4, ::4])
+    rows, columns = ends_of_rows(result.mask[::4, ::4])
     points = upright @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
     width, length = (np.ptp(points[0]) * result.pitch_mm, np.ptp(points[1]) * result.pitch_mm)
-    depth = float(np.nanmax(result.height_mm) - np.nanmin(result.height_mm))
-    facing = result.mask & (result.normals[..., 2] > np.cos(np.pi / 4)) & np.isfinite(result.ridge_mm)
-    relief = result.ridge_mm[facing]
+    height = result.height_mm[bounding_box(result.mask)]
+    depth = float(np.nanmax(height) - np.nanmin(height))
+    relief = figures.facing_relief_mm(result)
     swing = 1000.0 * float(np.subtract(*np.percentile(relief, (95, 5)))) if relief.size else 0.0
     if not result.scale_known:
         return [
             ("Scale", "unknown, heights in pixels"),
             ("Size seen from above", f"{width:.0f} px wide, {length:.0f} px long, {depth:.1f} px deep"),
-            ("Area measured", f"{int(np.sum(result.mask))} px in projection"),
+            ("Area measured", f"{int(np.count_nonzero(result.mask))} px in projection"),
             ("Relief of fine details", f"{swing / 1000.0:.2f} px (5th to 95th percentile where it faces the camera)"),
         ]
     if not is_finger(result):
         return [
             ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
-            ("Area measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
+            ("Area measured", f"{int(np.count_nonzero(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
             ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm"),
             ("Relief of fine details", f"{swing:.0f} µm (5th to 95th percentile where it faces the camera)"),
         ]
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
-        ("Skin measured", f"{float(np.sum(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
+        ("Skin measured", f"{int(np.count_nonzero(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
         ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm ({25.4 / result.pitch_mm:.0f} per inch)"),
         ("Relief, valley to ridge", f"{swing:.0f} µm (5th to 95th percentile where the skin faces the camera)"),
     ]
@@ -444,50 +451,36 @@ def write_files(
     others: Sequence[Reconstruction] = (),
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into an existing folder."""
-    origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
-    prints = surface_print(result, PRINT_PPI) if _is_printed(result) else None
-    tasks: list[Callable[[], object]] = [
-        partial(_write_pages, target, result, capture, prints, origin, truth, others),
-        partial(write_arrays, target / "height.npz", result, origin),
-        partial(write_mesh, target / "phalange.ply", result, origin),
-        partial(write_normals, target / "normals.png", result, origin),
-        partial(write_albedo, target / "albedo.png", result, origin),
-        partial(
-            write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin,
-            unit="mm" if result.scale_known else "pixel",
-        ),
-    ]  # fmt: skip
-    if prints is not None:
-        tasks.append(partial(write_print_png, target / "print.png", prints, PRINT_PPI, provenance_texts(origin)))
-    if (measured := result.normals_measured) is not None:
-        tasks.append(partial(write_normals, target / "normals_measured.png", result, origin, measured))
+    unit = "mm" if result.scale_known else "pixel"
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        jobs = [pool.submit(task) for task in tasks]
-        done = [job.result() for job in jobs]
-    facts: dict[str, Any] = done[0]  # type: ignore[assignment]
-    return facts
-
-
-def _write_pages(  # noqa: PLR0917
-    target: Path,
-    result: Reconstruction,
-    capture: Capture | None,
-    prints: NDArray[np.uint8] | None,
-    origin: Origin,
-    truth: Truth | None,
-    others: Sequence[Reconstruction],
-) -> Mapping[str, Any]:
-    """Write what people look at: the preview and the report."""
-    views = render_views(result, upright_frame(result, LONGEST_PX))
-    write_picture(target / "preview.png", _shaded(views), origin)
-    report = make_report(result, capture, prints, views, truth=truth, others=others, files=files_of(result))
-    write_report(target, report.html, report.facts)
-    return report.facts
+        printing = pool.submit(surface_print, result, PRINT_PPI) if _is_printed(result) else None
+        origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
+        jobs = [
+            pool.submit(write_normals, target / "normals.png", result, origin),
+            pool.submit(write_arrays, target / "height.npz", result, origin),
+            pool.submit(write_mesh, target / "phalange.ply", result, origin),
+            pool.submit(write_albedo, target / "albedo.png", result, origin),
+            pool.submit(
+                write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin, unit=unit
+            ),
+        ]
+        if (measured := result.normals_measured) is not None:
+            jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
+        prints = None if printing is None else printing.result()
+        if prints is not None:
+            write_print_png(target / "print.png", prints, PRINT_PPI, provenance_texts(origin))
+        report = make_report(result, capture, prints, truth=truth, others=others, files=files_of(result))
+        write_picture(target / "preview.png", _shaded(report.views), origin)
+        write_report(target, report.html, report.facts)
+        for job in jobs:
+            job.result()
+    return dict(report.facts)
 
 
 def preview_html(result: Reconstruction) -> str:
     """The shaded surface from above and from the left as an image element, small, for notebooks."""
-    data = data_uri(_shaded(render_views(result, upright_frame(result, 400))), photo=True)
+    small = figures.small_fields(result, upright_frame(result, 400))
+    data = data_uri(_shaded(figures.render_views(result, small)), photo=True)
     return f'<img src="{data}" alt="surface from above and from the left">'
 
 

@@ -60,7 +60,6 @@ def direct_light(
     network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
     *,
     tile: int = TILE,
-    workers: int | None = None,
 ) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
@@ -70,7 +69,7 @@ def direct_light(
         Linear light, or images enhanced by CLAHE; any scale, zero outside the skin. Grey images are given to the
         network three times, as the thesis does.
     network : Network, name of a shipped network, or path of an ``.onnx`` file
-    tile, workers
+    tile
         As of :func:`splitknit.networks.unet.run_network`.
 
     Returns
@@ -104,7 +103,7 @@ def direct_light(
     levels = np.stack([local_level(image) for image in stack])
     if stack.ndim == 4:
         levels = levels[:, None]
-    made = run_network(ready, stack / levels, tile=tile, workers=workers)
+    made = run_network(ready, stack / levels, tile=tile)
     if stack.ndim == 3:
         made = made.mean(axis=1, dtype=np.float32)
     made *= levels
@@ -117,7 +116,6 @@ def direct_of_enhanced(
     network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
     *,
     tile: int = TILE,
-    workers: int | None = None,
 ) -> FloatArray:
     """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
 
@@ -129,7 +127,7 @@ def direct_of_enhanced(
     ----------
     enhanced : (N, H, W) images after CLAHE, zero outside the skin
     images : (N, 3, H, W) the same in linear red, green and blue
-    network, tile, workers
+    network, tile
         As of :func:`direct_light`.
 
     Returns
@@ -141,7 +139,7 @@ def direct_of_enhanced(
         grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:]),
         f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.",
     )
-    direct = direct_light(colours, network, tile=tile, workers=workers)
+    direct = direct_light(colours, network, tile=tile)
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
     fraction = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)

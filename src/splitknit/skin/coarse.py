@@ -16,7 +16,7 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.settings import Checked, Limits
 from splitknit.skin.colour import unmixing_weights
 from splitknit.skin.diffusion import Diffusion
-from splitknit.skin.glare import GlareFit, fit_glare, microfacet_glare
+from splitknit.skin.glare import GlareFit, MicrofacetGlare, fit_glare
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import Lighting, lighting, predict, reached_by_all
 
@@ -116,7 +116,8 @@ def compare(  # noqa: PLR0917
         light = lighting(band.rig, grid, height_mm, normals)
         reached = reached_by_all(light, grid)
         expected = predict(light, grid, normals, [transfer[n] for n in band.channels])
-        dull = _dullest(microfacet_glare(normals, light.vectors, 0.3), reached)
+        mirrored = MicrofacetGlare(normals, light.vectors)
+        dull = _dullest(mirrored(0.3), reached)
         for c, name in enumerate(band.channels):
             brightness[name] = _median_ratio(band.stack[c], expected[c], dull)
             expected[c] *= np.float32(brightness[name])
@@ -130,8 +131,7 @@ def compare(  # noqa: PLR0917
         # the same surface mirrors both bands: their glare differs by exposure only, as their diffuse light shows
         strength = gloss.strength * (brightness[band.channels[0]] / skin[band.channels[0]].albedo) / scale
         glare[band.channels[-1]] = (gloss.roughness, strength)
-        mirrored = microfacet_glare(normals, light.vectors, gloss.roughness)
-        seen = band.stack - mirrored * np.float32(strength) * grid.mask
+        seen = band.stack - mirrored(gloss.roughness) * np.float32(strength) * grid.mask
         for c, name in enumerate(band.channels):
             correction = _median_ratio(seen[c], expected[c], dull)
             brightness[name] *= correction
@@ -235,11 +235,11 @@ def _glare_by_colour(  # noqa: PLR0917
     n, sum_b, sum_bb = np.float32(len(skin)), skin.sum(), (skin * skin).sum()
     tinted = np.einsum("c,cln->ln", skin, excess)
     white = (excess.sum(axis=0) * sum_bb - sum_b * tinted) / max(float(n * sum_bb - sum_b * sum_b), 1e-9)
-    vectors = light.vectors[:, :, some][:, :, None]
+    mirrored = MicrofacetGlare(normals[some], light.vectors[:, :, some])
     best = GlareFit(ROUGHNESSES[0], 0.0, 0.0)
     total = float((white * white).sum(dtype=np.float64))
     for roughness in ROUGHNESSES:
-        lobe = microfacet_glare(normals[some][None], vectors, roughness)[:, 0]
+        lobe = mirrored(roughness)
         power = float((lobe * lobe).sum(dtype=np.float64))
         product = max(float((lobe * white).sum(dtype=np.float64)), 0.0)
         if power > 0 and product * product / power > best.explained * total:
@@ -251,12 +251,8 @@ def _glare_by_lights(band: BandImages, light: Lighting, reached: BoolArray, norm
     """Glare of a grey band: what no matt surface explains."""
     some = _some(reached)
     vectors = light.vectors[:, :, some]
-
-    def model(roughness: float) -> FloatArray:
-        return microfacet_glare(normals[some][None], vectors[:, :, None], roughness)[:, 0]
-
     lit = vectors * light.entering[:, None][:, :, some]
-    return fit_glare(band.stack[-1][:, some], lit, model, ROUGHNESSES)
+    return fit_glare(band.stack[-1][:, some], lit, MicrofacetGlare(normals[some], vectors), ROUGHNESSES)
 
 
 def _some(region: BoolArray) -> BoolArray:

@@ -6,13 +6,13 @@ It has the colour of the light and not of the skin, and it moves with the light:
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from splitknit.model import FloatArray
+from splitknit.photometric.equations import shading
 
 INDEX = 1.42
 """Refractive index of the stratum corneum, about."""
@@ -37,46 +37,40 @@ def _fresnel(cosine: Any, index: float = INDEX) -> FloatArray:
     return np.asarray(0.5 * (s * s + p * p), dtype=np.float32)
 
 
-def microfacet_glare(normals: FloatArray, lights: FloatArray, roughness: float) -> FloatArray:
-    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence.
+class MicrofacetGlare:
+    """Glare under each light, for a viewer along z and an irradiance of one at normal incidence, by its roughness.
 
     Parameters
     ----------
-    normals : (H, W, 3)
-    lights : (L, 3, H, W)
+    normals : (..., 3)
+    lights : (L, 3, ...)
         Direction towards the light times its irradiance.
-    roughness : GGX alpha
-
-    Returns
-    -------
-    (L, H, W) float32
 
     References
     ----------
     B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
     """
-    a2 = np.float32(roughness**2)
-    nx, ny, nz = (np.ascontiguousarray(normals[..., axis]) for axis in range(3))
-    view = np.clip(nz, np.float32(0.05), 1)
-    seen = _one_way(view, a2) / (4 * view)
-    glare = np.empty((lights.shape[0], *nz.shape), dtype=np.float32)
 
-    def one(k: int) -> None:
-        light = lights[k]
-        strength = np.sqrt(light[0] * light[0] + light[1] * light[1] + light[2] * light[2])
+    def __init__(self, normals: FloatArray, lights: FloatArray) -> None:
+        """Keep what does not depend on the roughness."""
+        planes = np.ascontiguousarray(np.moveaxis(normals, -1, 0))
+        nz, strength = planes[2], np.sqrt((lights * lights).sum(axis=1))
         safe = np.maximum(strength, np.float32(1e-12))
-        lx, ly, lz = light[0] / safe, light[1] / safe, light[2] / safe
-        cosine = lx * nx + ly * ny + lz * nz
-        length = np.sqrt(np.maximum(2 * (lz + 1), np.float32(1e-12)))  # of light plus view
-        nh = np.clip((cosine + nz) / length, 0, 1)
-        falloff = nh * nh * (a2 - 1) + 1
-        spread = a2 / (np.float32(np.pi) * falloff * falloff)
-        incoming = _one_way(np.maximum(cosine, np.float32(1e-4)), a2) * _fresnel(length / 2) * strength
-        glare[k] = np.where(cosine > 0, spread * seen * incoming, np.float32(0.0))
+        cosine = shading(planes, lights) / safe
+        length = np.sqrt(np.maximum(2 * (lights[:, 2] / safe + 1), np.float32(1e-12)))  # of light plus view
+        half = np.clip((cosine + nz) / length, 0, 1)
+        self._half_squared = half * half
+        self._incoming = np.maximum(cosine, np.float32(1e-4))
+        self._mirrored = np.where(cosine > 0, _fresnel(length / 2) * strength, np.float32(0.0))
+        self._view = np.clip(nz, np.float32(0.05), 1)
 
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(one, range(lights.shape[0])))
-    return glare
+    def __call__(self, roughness: float) -> FloatArray:
+        """(L, ...) float32 for a roughness (GGX alpha)."""
+        a2 = np.float32(roughness**2)
+        seen = _one_way(self._view, a2) / (4 * self._view)
+        falloff = self._half_squared * (a2 - 1) + 1
+        spread = a2 / (np.float32(np.pi) * falloff * falloff)
+        return np.asarray(spread * seen * _one_way(self._incoming, a2) * self._mirrored, dtype=np.float32)
 
 
 def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:
@@ -90,7 +84,7 @@ class GlareFit:
     roughness: float
     """GGX alpha."""
     strength: float
-    """Factor on :func:`microfacet_glare`, in the images' units; never negative."""
+    """Factor on :class:`MicrofacetGlare`, in the images' units; never negative."""
     explained: float
     """Part of the squared residual that it explains."""
 
@@ -112,7 +106,7 @@ def fit_glare(
     stack : (L, n), four lights at least
         Images at n pixels that all lights reach.
     lights : (L, 3, n)
-    model : glare (L, n) of strength one for a roughness, as :func:`microfacet_glare`
+    model : glare (L, n) of strength one for a roughness, such as a :class:`MicrofacetGlare`
     roughnesses : values to try
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -104,21 +105,32 @@ class Grid:
         return self.radial(omega, gain(omega))
 
     def smooth(self, field: FloatArray, region: BoolArray | FloatArray, sigma_mm: float) -> FloatArray:
-        """Gaussian mean of (h, w) over `region` only; wide Gaussians on a reduced copy."""
+        """Gaussian mean of (..., h, w) over `region` (h, w) only; wide Gaussians on a reduced copy."""
+        rows, columns = self.shape
         weight = region.astype(np.float32)
-        product = np.where(weight > 0, field * weight, np.float32(0.0)).astype(np.float32)
         sigma = sigma_mm / self.pitch_mm
         step = max(1, int(sigma / 4))
-        if step > 1:
-            size = (-(-self.shape[1] // step), -(-self.shape[0] // step))
-            product = np.asarray(cv2.resize(product, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-            weight = np.asarray(cv2.resize(weight, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-        total = cv2.GaussianBlur(product, (0, 0), sigma / step)
-        mean = np.asarray(total / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma / step), np.float32(1e-3)))
-        if step == 1:
-            return mean.astype(np.float32)
-        large = cv2.resize(mean, (self.shape[1], self.shape[0]), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(large, dtype=np.float32)
+        size = (-(-columns // step), -(-rows // step))
+
+        def blurred(values: FloatArray) -> FloatArray:
+            small = values if step == 1 else cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+            return np.asarray(cv2.GaussianBlur(small, (0, 0), sigma / step))
+
+        total = np.maximum(blurred(weight), np.float32(1e-3))
+        means = np.empty(field.shape, dtype=np.float32)
+
+        def mean(job: tuple[FloatArray, FloatArray]) -> None:
+            values, room = job
+            one = blurred(np.where(weight > 0, values * weight, np.float32(0.0)).astype(np.float32)) / total
+            room[...] = one if step == 1 else cv2.resize(one, (columns, rows), interpolation=cv2.INTER_LINEAR)
+
+        jobs = list(zip(field.reshape(-1, rows, columns), means.reshape(-1, rows, columns), strict=True))
+        if len(jobs) == 1:
+            mean(jobs[0])
+        else:
+            with ThreadPoolExecutor(2) as pool:
+                list(pool.map(mean, jobs))
+        return means
 
     @cached_property
     def depth_mm(self) -> FloatArray:

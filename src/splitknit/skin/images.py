@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
+from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.networks.unet import load_network, run_network
@@ -18,6 +19,8 @@ from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
 from splitknit.skin.surface import MetricSettings
 
+_MARGIN_MM = 0.1
+"""Beside the finger's outline, on the working grid: what lies further away is not looked at."""
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
     "relief and glare are separated by their colours alone."
@@ -42,6 +45,8 @@ class SkinImages:
     """Pixels a side that make a block of the camera's grid."""
     finer: bool
     """Whether the working grid has half the blocks' pitch, so that the networks can read it."""
+    place: Window
+    """Rows and columns of the window that the grid covers: those of the finger."""
     size: tuple[int, int]
     """Rows, columns of the window."""
     warnings: tuple[str, ...]
@@ -53,9 +58,10 @@ class SkinImages:
         if self.binning > 1:
             by = self.binning
             field = np.asarray(cv2.resize(field, None, fx=by, fy=by, interpolation=cv2.INTER_CUBIC), dtype=np.float32)
-        rows, columns = self.size
-        missing = ((0, max(0, rows - field.shape[0])), (0, max(0, columns - field.shape[1])))
-        return np.pad(field[:rows, :columns], missing, mode="edge")
+        covered = field[tuple(slice(part.stop - part.start) for part in self.place)]
+        first = [part.start for part in self.place]
+        last = [n - k - done for n, k, done in zip(self.size, first, covered.shape, strict=True)]
+        return np.pad(covered, tuple(zip(first, last, strict=True)), mode="edge")
 
 
 def working_images(
@@ -71,7 +77,9 @@ def working_images(
     inside : (h, w) pixels of the window that are reconstructed
     settings : MetricSettings
     """
-    grid, images, binning = skin_images(capture, bands, window, inside, settings.working_pitch_mm)
+    rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
+    seen = _within(window[0], rows), _within(window[1], columns)
+    grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns], settings.working_pitch_mm)
     wanted = settings.relief == "network"
     able = can_learn(images[0], grid.pitch_mm)
     finer = wanted and not able and can_learn(images[0], grid.pitch_mm / FACTOR)
@@ -79,7 +87,12 @@ def working_images(
         grid, images, able = finer_grid(grid), tuple(finer_images(band) for band in images), True
     networks = shipped_networks(settings) if able else None
     warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
-    return SkinImages(grid, images, networks, binning, finer, (inside.shape[0], inside.shape[1]), warnings)
+    size = inside.shape[0], inside.shape[1]
+    return SkinImages(grid, images, networks, binning, finer, (rows, columns), size, warnings)
+
+
+def _within(whole: slice, part: slice) -> slice:
+    return slice(whole.start + part.start, whole.start + part.stop)
 
 
 def skin_images(

@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.chunks import for_each_chunk
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.photometric.equations import shading
 from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.coarse import lacking_coarse, slopes_inside
 from splitknit.skin.diffusion import Diffusion
@@ -64,10 +66,10 @@ def features(
         Minimum squares over the lights where it is not given.
     """
     if found is None:
-        weights = light.trust * light.entering * light.entering
-        found = pseudo_normals(band.stack / light.entering, band.rig, surface_mm, grid.mask, weights, view=grid.view)
+        seen_by = band.rig, surface_mm, grid.mask, light.trust
+        found = pseudo_normals(band.stack, *seen_by, view=grid.view, entering=light.entering)
     g = found
-    slope_x, slope_y = (grid.smooth(s, grid.mask, RIDGE_BAND_MM) for s in height_gradients(surface_mm, grid.pitch_mm))
+    slope_x, slope_y = grid.smooth(np.stack(height_gradients(surface_mm, grid.pitch_mm)), grid.mask, RIDGE_BAND_MM)
     normals = normals_from_gradients(slope_x, slope_y)
     to_harmonics = _beyond_matt(band.rig)
     channels, lights = band.stack.shape[:2]
@@ -75,9 +77,8 @@ def features(
     bright, slopes, beyond, geometry = np.split(fields, np.cumsum([channels, 2 * channels, 4 * channels]))
     levels = np.empty((channels, *grid.shape), dtype=np.float32)
 
-    def brightness(rows: slice) -> None:
-        for c in range(channels):
-            bright[c, rows] = np.einsum("hwi,hwi->hw", g[c, rows], normals[rows])
+    def brightness(chunk: slice) -> None:
+        bright[:, chunk] = shading(np.moveaxis(normals[chunk], -1, 0), np.moveaxis(g[:, chunk], -1, 1))
 
     def relative(chunk: slice) -> None:
         columns = np.flatnonzero(grid.mask[chunk].any(axis=0))
@@ -86,25 +87,22 @@ def features(
         part = (chunk, slice(int(columns[0]), int(columns[-1]) + 1))  # the rest is no finger, and left out below
         vectors, trust, entering = light.vectors[:, :, *part], light.trust[:, *part], light.entering[:, *part]
         size = np.sqrt((vectors * vectors).sum(axis=1))  # (L, h, w)
-        left = np.empty_like(size)
-        for c in range(channels):
-            level, here = levels[c, *part], g[c, *part]
+        for c in range(channels):  # of all lights at once: threads wait for each other between operations
+            level, here = levels[c, *part], np.moveaxis(g[c, *part], -1, 0)
             bright[c, *part] = np.clip(bright[c, *part] / level - 1, -1, 1)
-            for axis, slope in ((0, slope_x[part]), (1, slope_y[part])):
-                lacking = -(here[..., axis] + slope * here[..., 2]) / (level * normals[*part, 2])
-                slopes[2 * c + axis, *part] = np.clip(lacking, -2, 2)
-            for k, v in enumerate(vectors):
-                matt = v[0] * here[..., 0] + v[1] * here[..., 1] + v[2] * here[..., 2]
-                stored = band.stack[c, k, *part] / entering[k]
-                left[k] = (stored - matt) * trust[k] / (level * size[k] + np.float32(1e-9))
+            facing = level * normals[*part, 2]
+            for axis, slope in enumerate((slope_x[part], slope_y[part])):
+                slopes[2 * c + axis, *part] = np.clip(-(here[axis] + slope * here[2]) / facing, -2, 2)
+            left = band.stack[c, :, *part] / entering
+            left -= shading(here, vectors)  # what a matt surface shows
+            left *= trust
+            left /= level * size + np.float32(1e-9)
             beyond[4 * c : 4 * c + 4, *part] = np.clip(np.tensordot(to_harmonics, left, 1), -1, 1)
 
     for_each_chunk(brightness, *grid.shape, lights)
-    for c in range(channels):
-        levels[c] = np.maximum(grid.smooth(bright[c], grid.mask, LEVEL_MM), np.float32(1e-6))
+    np.maximum(grid.smooth(bright, grid.mask, LEVEL_MM), np.float32(1e-6), out=levels)
     for_each_chunk(relative, *grid.shape, lights)
-    for k in range(len(slopes)):
-        slopes[k] -= grid.smooth(slopes[k], grid.mask, RIDGE_BAND_MM)
+    slopes -= grid.smooth(slopes, grid.mask, RIDGE_BAND_MM)
     towards = band.rig.light_vectors()
     tangent = float(np.mean(np.hypot(towards[:, 0], towards[:, 1]) / np.maximum(towards[:, 2], 1e-6)))
     others = [
@@ -119,8 +117,9 @@ def features(
     ]
     for room, field in zip(geometry, others, strict=True):
         room[...] = field
-    for field in fields:  # one at a time, so that little memory is needed beside them
-        np.nan_to_num(np.multiply(field, grid.mask, out=field), copy=False)
+    outside = ~grid.mask
+    for field in fields:
+        field[outside] = 0
     return Features(fields, levels)
 
 
@@ -130,10 +129,11 @@ def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[
     Logarithms of the rms slope in every channel but the last over that in the last (more scattering takes more from red
     than from blue), and of the rms of what no matt surface explains over the rms slope.
     """
-    region = lit if lit.any() else np.ones_like(lit)
+    region = (lit if lit.any() else np.ones_like(lit)).astype(np.uint8)
+    size = cv2.countNonZero(region)
 
     def power(fields: FloatArray) -> float:
-        return float(np.mean([(f[region] ** 2).mean(dtype=np.float64) for f in fields])) + 1e-9
+        return float(np.mean([cv2.norm(f, cv2.NORM_L2SQR, region) / size for f in fields])) + 1e-9
 
     channels = len(slopes) // 2
     of_slopes = [power(slopes[2 * c : 2 * c + 2]) for c in range(channels)]
@@ -157,6 +157,9 @@ def _beyond_matt(rig: Rig) -> FloatArray:
 Network = Callable[[FloatArray], FloatArray]
 """From (32, h, w) features to (9, h, w): relief, seven waves of the glare, logarithm of the relief's variance."""
 
+_QUARTER_TURNS = (0, 5, 3, 6)
+"""Ways to lay the finger down for the network of the shape: turned by 0, 90, 180 and 270 degrees. Mirrored ones as well
+change no figure of accuracy by more than 1 %."""
 SHAPE_SLOPE = np.float32(0.1)
 """Unit of the slopes that the network of the shape adds."""
 RELIEF_MM = np.float32(0.02)
@@ -183,24 +186,19 @@ RELIEF_TURNS = Turns(
 _RELIEF = Turns(vectors=((2, 3),), second_waves=((4, 5),), third_waves=((6, 7),))
 
 
-def _drawn_in(  # noqa: PLR0917
-    ways: Sequence[int],
-    network: Network,
-    given: list[FloatArray],
-    seen: Turns,
-    drawn: Turns,
-    before: FloatArray | None = None,
+def _drawn_in(
+    ways: Sequence[int], network: Network, fields: FloatArray, before: FloatArray | None = None
 ) -> FloatArray:
-    """Mean of what a network draws on the finger laid down in some of the eight ways, and of what it drew `before` in
-    one more; both kinds of fields turn. The fields are taken out of the list `given`: beside the network, which needs
-    most memory, there is one copy of them."""
+    """Mean of what the network of the relief draws on the finger laid down in some of the eight ways, and of what it
+    drew `before` in one more; both kinds of fields turn. The `fields` are lost: beside the network, which needs most
+    memory, there is one copy of them."""
     parts = [] if before is None else [before]
-    laid, lies = given.pop(), 0
+    laid, lies = fields, 0
     for way in ways:
         if way != lies:
-            laid, lies = seen.turned_by(laid, between(lies, way)), way
+            laid, lies = RELIEF_TURNS.turned_in_place(laid, between(lies, way)), way
         part = network(laid)
-        parts.append(drawn.turned_back(part, way) if way else part)
+        parts.append(_RELIEF.turned_back(part, way) if way else part)
     return np.asarray(sum(parts) / np.float32(len(parts)), dtype=np.float32)
 
 
@@ -253,9 +251,9 @@ def relief_by_network(  # noqa: PLR0917
     before : (9, h, w) what was drawn in one more way on an earlier shape, optional
     """
     seen = features(white, grid, smooth_mm, light, found)
-    levels, given = seen.level, [seen.fields]
-    del seen, light  # of no use beside the network, where memory is needed most
-    drawn = _drawn_in(ways, network, given, RELIEF_TURNS, _RELIEF, before)
+    del light  # of no use beside the network, where memory is needed most
+    drawn, levels = _drawn_in(ways, network, seen.fields, before), seen.level
+    del seen
     slant = slant_of(smooth_mm, grid.pitch_mm)
     trust = trust_of(slant, grid)
     relief = drawn[0] * RELIEF_MM
@@ -315,13 +313,14 @@ def slopes_by_network(  # noqa: PLR0917
     ridges: FloatArray,
     network: Network,
 ) -> tuple[FloatArray, FloatArray]:
-    """Slopes (h, w) along x and y that the shape lacks: the mean over the eight ways to lay the finger down.
+    """Slopes (h, w) along x and y that the shape lacks: the mean over four ways to lay the finger down.
 
     Parameters as for :func:`_shape_features`.
     """
     fields = _shape_features(bands, grid, height_mm, skin, ridges)
-    drawn = _drawn_in(range(8), network, [fields], SHAPE_TURNS, _SLOPES) * SHAPE_SLOPE * grid.mask
-    return drawn[0], drawn[1]
+    drawn = (_SLOPES.turned_back(network(SHAPE_TURNS.turned_by(fields, way)), way) for way in _QUARTER_TURNS)
+    slopes = sum(drawn) / np.float32(len(_QUARTER_TURNS)) * SHAPE_SLOPE * grid.mask
+    return slopes[0], slopes[1]
 
 
 def ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
@@ -334,7 +333,7 @@ def ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> F
     rows, columns = (length * factor for length in low.shape)
     parts = [p[:rows, :columns] for p in (x * x - y * y, 2 * x * y, x * x + y * y)]
     coarse = bin_mean(np.ascontiguousarray(np.nan_to_num(np.stack(parts))), factor)
-    even, odd, power = (low.smooth(part, low.mask, RIDGES_MM) for part in coarse)
+    even, odd, power = low.smooth(coarse, low.mask, RIDGES_MM)
     slope = np.sqrt(np.maximum(power, np.float32(1e-8)))
     return np.asarray(np.stack([even / slope, odd / slope, slope]) * low.mask, dtype=np.float32)
 
@@ -407,7 +406,7 @@ def _shape_features(
             fields[f"{name} x"], fields[f"{name} y"] = 4 * x, 4 * y
             fields[f"{name} level"] = np.log(np.clip(seen[..., 2] / level, 0.2, 5.0))
             if name in WITH_WAVES:
-                matt = np.einsum("lihw,hwi->lhw", light.vectors, seen)
+                matt = shading(np.moveaxis(seen, -1, 0), light.vectors)
                 left = (band.stack[c] - matt) * light.trust / (level * size + np.float32(1e-9))
                 for n, wave in enumerate(np.clip(np.tensordot(waves, left, 1), -0.5, 0.5)):
                     fields[f"{name} {n}"] = 10 * wave

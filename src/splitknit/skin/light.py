@@ -11,6 +11,7 @@ import numpy as np
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.photometric.equations import shading
 from splitknit.skin.glare import fresnel_transmission
 from splitknit.skin.grid import Grid, smooth_step
 
@@ -43,7 +44,7 @@ def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -
     """Light vectors, Fresnel transmission and trust of every light at the surface."""
     vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(height_mm)))
     length = np.sqrt((vectors * vectors).sum(axis=1))
-    cosine = np.einsum("lihw,hwi->lhw", vectors, normals) / np.maximum(length, np.float32(1e-12))
+    cosine = shading(np.moveaxis(normals, -1, 0), vectors) / np.maximum(length, np.float32(1e-12))
     trust = np.clip((cosine - np.float32(0.05)) / np.float32(0.15), 0, 1) + np.float32(1e-3)
     return Lighting(vectors, fresnel_transmission(np.maximum(cosine, np.float32(0.05))), trust * grid.mask)
 
@@ -56,7 +57,7 @@ def reached_by_all(light: Lighting, grid: Grid) -> BoolArray:
 
 def predict(light: Lighting, grid: Grid, normals: FloatArray, transfers: Sequence[FloatArray]) -> FloatArray:
     """Diffuse images (C, L, h, w) of an albedo of one, one channel for each of C transfer functions of the skin."""
-    irradiance = np.maximum(np.einsum("lihw,hwi->lhw", light.vectors, normals), 0) * light.entering
+    irradiance = np.maximum(shading(np.moveaxis(normals, -1, 0), light.vectors), 0) * light.entering
     spectrum = grid.forward((irradiance * grid.mask).astype(np.float32), extend=True)
     return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
 

@@ -182,9 +182,10 @@ def measure(  # noqa: PLR0917
     brightness: Mapping[str, float],
 ) -> Measured:
     """Photometric stereo of every channel with shared weights on the smooth surface."""
-    # light that is mirrored at the boundary does not enter: images are brought to what all of it would give
-    weights = light.trust * light.entering * light.entering
-    g = pseudo_normals(band.stack / light.entering, band.rig, surface_mm, grid.mask, weights, view=grid.view)
+    # light that is mirrored at the boundary does not enter
+    g = pseudo_normals(
+        band.stack, band.rig, surface_mm, grid.mask, light.trust, view=grid.view, entering=light.entering
+    )
     slant_deg = slant_of(surface_mm, grid.pitch_mm)
     trust = trust_of(slant_deg, grid)
     inner = (grid.mask & (grid.depth_mm > 0.5) & (slant_deg < 50)).astype(np.float32)

@@ -48,6 +48,10 @@ class Turns:
 
     def turned_by(self, fields: FloatArray, way: int) -> FloatArray:
         """One of the eight orientations (0 to 7) to lay down a square."""
+        return self.turned_in_place(np.array(fields, dtype=np.float32, order="C"), way)
+
+    def turned_in_place(self, fields: FloatArray, way: int) -> FloatArray:
+        """The same in the memory of `fields` (contiguous), which are lost."""
         marks = np.arange(1, len(fields) + 1, dtype=np.float32)[:, None, None]  # numbered, to see where each goes
         if way & 1:
             marks = self.mirrored(marks)
@@ -57,11 +61,15 @@ class Turns:
             marks = self.transposed(marks)
         down, across = (slice(None, None, -1 if way & bit else 1) for bit in (2, 1))
         rows, columns = fields.shape[1:]
-        turned = np.empty((len(fields), columns, rows) if way & 4 else fields.shape, dtype=np.float32)
-        for room, mark in zip(turned, marks.ravel(), strict=True):
-            field = fields[int(abs(mark)) - 1]
+        turned = fields.reshape(-1, columns, rows) if way & 4 else fields
+        sources = np.abs(marks.ravel()).astype(np.intp) - 1
+        waiting: dict[int, FloatArray] = {}
+        for k, (source, mark) in enumerate(zip(sources.tolist(), marks.ravel(), strict=True)):
+            field = waiting.pop(source) if source in waiting else fields[source].copy()
+            if k in sources[k + 1 :]:
+                waiting[k] = fields[k].copy()
             seen = cv2.transpose(field)[across, down] if way & 4 else field[down, across]
-            np.multiply(seen, np.sign(mark), out=room)
+            np.multiply(seen, np.sign(mark), out=turned[k])
         return turned
 
     def turned_back(self, fields: FloatArray, way: int) -> FloatArray:

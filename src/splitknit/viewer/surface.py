@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.io.results import read_fields
 from splitknit.model import BoolArray, FloatArray
 
@@ -105,7 +106,7 @@ def read_surface(folder: Path) -> Surface:
     pitch_mm, matrix = arrays["pitch_mm"], arrays["input_from_upright"]
     mask = mask & np.isfinite(arrays["height_mm"])
     require(bool(mask.any()), f"{again} (it holds no heights).")
-    box = _box(mask)
+    box = bounding_box(mask)
     inside = np.ascontiguousarray(mask[box])
     turn = _turn(matrix)
     require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is no rotation).")
@@ -138,11 +139,6 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
 def _range(values: FloatArray, mask: BoolArray) -> tuple[float, float]:
     known = values[mask]
     return float(known.min()), float(known.max())
-
-
-def _box(mask: BoolArray) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def _turn(input_from_upright: NDArray[np.float64]) -> NDArray[np.float64]:

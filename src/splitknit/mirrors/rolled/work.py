@@ -16,7 +16,7 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from splitknit.imaging.band import Window, has_colour, linear_channels
-from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import bounding_box, gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, shapelets
 from splitknit.mirrors.body import Body
@@ -102,7 +102,7 @@ def _view_relief(  # noqa: PLR0917
     white = capture.bands["white"]
     camera = capture.rig.camera
     binning = max(1, round(settings.metric.working_pitch_mm / camera.pitch_mm))
-    window = _window(mask, camera.px_per_mm)
+    window = bounding_box(mask, round(0.5 * camera.px_per_mm))
     rows, columns = window
     view = view_of(camera, rows, columns, binning=binning)
     blocks = _blocks(mask[window], binning)
@@ -170,9 +170,8 @@ def _ridges(  # noqa: PLR0917
         return found.relief_mm, found.deviation_mm, found.trust * lit, "network"
     trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
     stack = images.stack.mean(axis=0)
-    entering = light.entering if capture.material == "skin" else np.ones_like(light.entering)
-    weights = light.trust * entering * entering
-    g = pseudo_normals(stack / entering, images.rig, smooth, grid.mask, weights, view=grid.view)
+    entering = light.entering if capture.material == "skin" else None
+    g = pseudo_normals(stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering)
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), np.float32(1e-9))
     slopes = gradients_from_normals(normals, grid.mask, settings.normals.max_slope)
     shape = height_gradients(smooth, grid.pitch_mm)
@@ -209,16 +208,6 @@ def _blocks(mask: BoolArray, binning: int) -> BoolArray:
     if count > 1:
         blocks = labels == 1 + int(np.argmax(np.bincount(labels[labels > 0])[1:]))
     return np.asarray(blocks, dtype=np.bool_)
-
-
-def _window(mask: BoolArray, px_per_mm: float) -> Window:
-    """Rows and columns of the mask with a margin of half a millimetre."""
-    margin = round(0.5 * px_per_mm)
-    limits = []
-    for axis in (1, 0):
-        places = np.flatnonzero(mask.any(axis=axis))
-        limits.append(slice(max(0, int(places[0]) - margin), min(mask.shape[1 - axis], int(places[-1]) + 1 + margin)))
-    return limits[0], limits[1]
 
 
 # Photometric stereo where two lights of one exposure nearly cancel: slopes that the lights hardly determine stay near
