@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from splitknit.gallery.key import Key
 from splitknit.gallery.shards import Shards, merged, rescored_count, scan_shard, write_shards
-from splitknit.matching.code import ProbeSettings, code_model, code_of, code_size, probe_codes, ridge_field
+from splitknit.matching.code import ProbeSettings, code_of, code_size, probe_codes, ridge_field
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.search import CodeIndex, SearchSettings, glance, identify
@@ -107,10 +107,7 @@ def in_memory(probe: Template, others: list[Template], stored: list[bytes], roun
         },
         rounds,
     )
-    model = sum(part.nbytes for part in (code_model().loading, code_model().weighted, code_model().precision))
-    print(
-        f"Memory: codes {index.nbytes / 1e6:.1f} MB, model {model / 1e6:.1f} MB, 1.6 times that while it is laid out."
-    )
+    print(f"Memory: codes {index.nbytes / 1e6:.1f} MB.")
 
 
 def in_shards(

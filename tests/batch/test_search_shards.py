@@ -34,7 +34,7 @@ def probe() -> Template:
 
 
 def same(one: Hits, other: Hits) -> bool:
-    return one.rows.tolist() == other.rows.tolist() and np.allclose(one.similarity, other.similarity, atol=1e-5)
+    return one.rows.tolist() == other.rows.tolist() and one.similarity.tolist() == other.similarity.tolist()
 
 
 def test_shared_out_the_result_is_the_same(shards: Shards) -> None:

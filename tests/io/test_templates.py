@@ -57,7 +57,7 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
         encode_template(b"x", 70_000)
 
 
-@settings(max_examples=150, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(data=st.binary(max_size=80))
 def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     with contextlib.suppress(BadInput):
@@ -65,7 +65,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
         assert data == b""
 
 
-@settings(max_examples=150, derandomize=True)
+@settings(max_examples=150, deadline=None, derandomize=True)
 @given(payload=st.binary(min_size=1, max_size=50), place=st.integers(0, 10_000), change=st.integers(1, 255))
 def test_every_changed_byte_is_noticed(payload: bytes, place: int, change: int) -> None:
     data = bytearray(encode_template(payload, 1))

@@ -26,7 +26,7 @@ def test_search_is_the_best_product_over_all_variants(templates) -> None:
     order = np.argsort(-expected)[:20]
     assert ids == [f"f{n}" for n in order]
     assert ids[0] == "f1234"
-    assert np.allclose(scores, expected[order], atol=1e-4)
+    assert scores.tolist() == expected[order].tolist(), "single precision holds these sums without rounding"
 
 
 def test_adding_and_removing_in_any_order_gives_one_answer(templates) -> None:
@@ -45,7 +45,7 @@ def test_adding_and_removing_in_any_order_gives_one_answer(templates) -> None:
     for k in (1, 7, 500, 900):
         found, expected = other.search(templates[0], k), plain.search(templates[0], k)
         assert found[0] == expected[0]
-        assert np.allclose(found[1], expected[1])
+        assert found[1].tolist() == expected[1].tolist()
     assert other.nbytes <= 2 * 700 * code_size()
 
 

@@ -47,7 +47,8 @@ def test_any_bytes_are_a_template_or_refused(data: bytes) -> None:
     try:
         template = unpack(data)
     except BadInput as error:
-        assert "enroll the finger again" in str(error)
+        wanted = "by the method minutiae" if data.startswith(b"SKMI") else "enroll the finger again"
+        assert wanted in str(error)
     else:
         assert pack(template) == data or template.empty
 

@@ -135,7 +135,7 @@ def impostor_codes(channels: FloatArray, outlines: list[Template]) -> NDArray[np
     found = []
     for start in range(0, len(channels), 250):
         part = channels[start : start + 250]
-        z, _ = code_model().posterior(part, weights[(start + np.arange(len(part))) % len(weights)])
+        z = code_model().latent(part, weights[(start + np.arange(len(part))) % len(weights)])
         found.append(SCALE * z / np.linalg.norm(z, axis=1, keepdims=True))
     return np.asarray(np.clip(np.rint(np.concatenate(found)), -127, 127), dtype=np.int8)
 

@@ -13,7 +13,7 @@ import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -265,6 +265,8 @@ def code_of(template: Template) -> NDArray[np.int8]:
 def probe_codes(template: Template, settings: ProbeSettings | None = None) -> FloatArray:
     """(V, K) float32 variants of a probe, so scaled that the product with a finger's own code is about 1.
 
+    They are in steps (:func:`in_steps`), so that a product with a code is the same in whatever order it is summed.
+
     Raises
     ------
     BadInput
@@ -272,22 +274,31 @@ def probe_codes(template: Template, settings: ProbeSettings | None = None) -> Fl
     """
     settings = settings or ProbeSettings()
     require(not template.empty, "the probe is a failure to acquire; lay the finger down again.")
-    return _directions(*sampled(ridge_field(template), *settings.variants())) * np.float32(1.0 / SCALE)
+    return in_steps(_directions(*sampled(ridge_field(template), *settings.variants())) / SCALE)
 
 
-def _directions(channels: FloatArray, weights: FloatArray) -> FloatArray:
+def in_steps(variants: NDArray[Any]) -> FloatArray:
+    """Round variants to multiples of 2 ** -23, a thousandth of their size.
+
+    A product with a code, whose length is `SCALE`, is then at most 2 ** 23 such steps and something, and every part of
+    its sum is a whole number of them: single precision holds it without rounding. Rounded sums would differ with the
+    number of codes and threads, and with them which of two fingers that are almost equally similar comes first.
+    """
+    return np.asarray(np.ldexp(np.rint(np.ldexp(variants, 23)), -23), dtype=np.float32)
+
+
+def _directions(channels: FloatArray, weights: FloatArray) -> NDArray[np.float64]:
     """(V, K) unit vectors."""
     found = code_model().latent(channels, weights)
-    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9), dtype=np.float32)
+    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9))
 
 
 # Latent numbers of a finger from a partly seen ridge field: a factor model.
 #
 # A field x (channels on a grid, D numbers) of a finger is taken as x = mean + loading z + noise, with K latent numbers
-# z
-# of the finger (standard normal over fingers) and noise of each number that differs between impressions (deformation,
-# what is left of the alignment). Where nothing was seen, the noise is infinite. The posterior mean of z is what a code
-# keeps: it does not depend on which part was seen, but for being less certain.
+# z of the finger (standard normal over fingers) and noise of each number that differs between impressions
+# (deformation, what is left of the alignment). Where nothing was seen, the noise is infinite. The posterior mean of z
+# is what a code keeps: it does not depend on which part was seen, but for being less certain.
 #
 # Source: Rubin and Thayer 1982, EM algorithms for ML factor analysis (the model); Prince and Elder 2007, Probabilistic
 # linear discriminant analysis for inferences about identity.
@@ -315,46 +326,44 @@ class FactorModel:
         return int(self.loading.shape[2])
 
     @cached_property
-    def weighted(self) -> FloatArray:
+    def _weighted(self) -> NDArray[np.float64]:
         """(C M, K) loading over noise."""
-        return (self.loading / self.noise[:, :, None]).reshape(-1, self.size)
-
-    @cached_property
-    def precision(self) -> FloatArray:
-        """(M, K K) what each cell adds to the precision of z."""
-        parts = np.einsum("cmi,cmj->mij", self.loading, self.loading / self.noise[:, :, None], optimize=True)
-        return np.ascontiguousarray(parts.reshape(parts.shape[0], -1), dtype=np.float32)
+        return (self.loading / self.noise[:, :, None].astype(np.float64)).reshape(-1, self.size)
 
     @cached_property
     def _upper(self) -> list[tuple[int, int, FloatArray]]:
-        """The upper triangle of `precision`, a band of rows at a time: first and last row, (M, rows columns)."""
-        cells, size = self.mean.shape[1], self.size
-        whole = self.precision.reshape(cells, size, size)
-        limits = np.linspace(0, size, 7).astype(int).tolist()
+        """What each cell adds to the precision of z, a band of rows of the upper triangle at a time.
+
+        First and last row, and an array (M, rows columns).
+        """
+        right = np.ascontiguousarray(self.loading.transpose(1, 0, 2))
+        left: FloatArray = (right / self.noise.T[:, :, None]).transpose(0, 2, 1)
+        limits = np.unique(np.linspace(0, self.size, 17).astype(int)).tolist()
         return [
-            (first, last, np.ascontiguousarray(whole[:, first:last, first:]).reshape(cells, -1))
+            (first, last, np.asarray(left[:, first:last] @ right[:, :, first:], np.float32).reshape(len(right), -1))
             for first, last in itertools.pairwise(limits)
         ]
 
-    def latent(self, channels: FloatArray, weights: FloatArray) -> FloatArray:
-        """Posterior means (N, K) of z, as :meth:`posterior` gives, in half its time."""
-        size = self.size
-        right = ((channels - self.mean) * weights[:, None, :]).reshape(len(channels), -1) @ self.weighted
-        precisions = np.empty((len(channels), size, size), dtype=np.float32)
-        for first, last, band in self._upper:
-            precisions[:, first:last, first:] = (weights @ band).reshape(-1, last - first, size - first)
-        precisions[:, np.arange(size), np.arange(size)] += 1
-        for number, precision in enumerate(precisions):  # symmetric and positive definite: Cholesky's factors
-            _, right[number], failed = scipy.linalg.lapack.sposv(
-                precision.T, right[number], lower=True, overwrite_a=True
-            )
-            require(failed == 0, "the ridge field of a probe is not finite.")
-        return np.asarray(right, dtype=np.float32)
+    def latent(self, channels: FloatArray, weights: FloatArray) -> NDArray[np.float64]:
+        """Posterior means (N, K) of z, for N fields (N, C, M) with weights (N, M).
 
-    def posterior(self, channels: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Posterior means (N, K) of z and their precisions (N, K, K), for N fields (N, C, M) with weights (N, M)."""
-        seen = ((channels - self.mean) * weights[:, None, :]).reshape(len(channels), -1)
-        size = self.size
-        precisions = (weights @ self.precision).reshape(-1, size, size) + np.eye(size, dtype=np.float32)
-        means = np.linalg.solve(precisions, (seen @ self.weighted)[:, :, None])[:, :, 0]
-        return np.asarray(means, dtype=np.float32), precisions
+        Precisions are summed and factorised in single precision, whose rounding depends on the number of threads; the
+        means are then refined until nothing of that is left (Wilkinson 1963, Rounding errors in algebraic processes).
+        """
+        size, factors = self.size, np.empty((len(channels), self.size, self.size), dtype=np.float32)
+        for first, last, band in self._upper:
+            factors[:, first:last, first:] = (weights @ band).reshape(-1, last - first, size - first)
+        factors[:, np.arange(size), np.arange(size)] += 1
+        for factor in factors:  # symmetric and positive definite: Cholesky's
+            _, failed = scipy.linalg.lapack.spotrf(factor.T, lower=True, clean=False, overwrite_a=True)
+            require(failed == 0, "the ridge field of a probe is not finite.")
+        shares = np.repeat(weights[:, None, :], len(self.mean), axis=1).reshape(len(weights), -1).astype(np.float64)
+        loading = self.loading.reshape(-1, size).astype(np.float64)
+        seen = shares * (channels - self.mean).reshape(len(channels), -1)
+        means = np.zeros((len(channels), size))
+        for _ in range(3):
+            left = (seen - shares * (means @ loading.T)) @ self._weighted - means
+            for number, factor in enumerate(factors):
+                half = scipy.linalg.blas.strsv(factor.T, left[number], lower=True)
+                means[number] += scipy.linalg.blas.strsv(factor.T, half, lower=True, trans=1)
+        return means

@@ -22,7 +22,7 @@ import hmac
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.matching.code import SCALE, code_size
+from splitknit.matching.code import SCALE, code_size, in_steps
 from splitknit.model import FloatArray
 
 BITS = 512
@@ -93,9 +93,8 @@ class RenewableCode:
 
     def probe(self, variants: FloatArray) -> tuple[NDArray[np.uint8], FloatArray]:
         """Bits (V, BITS / 8) and turned variants (V, K) of :func:`splitknit.matching.code.probe_codes`."""
-        turned = variants @ self._matrix.T.astype(np.float32)
-        fine = turned[:, : code_size()] / np.float32(self._length)
-        return np.packbits(turned > 0, axis=1), np.ascontiguousarray(fine)
+        turned = variants.astype(np.float64) @ self._matrix.T  # sums of integers times 2 ** -23: exact
+        return np.packbits(turned > 0, axis=1), in_steps(turned[:, : code_size()] / self._length)
 
 
 def _paley_hadamard(size: int) -> NDArray[np.float64]:
