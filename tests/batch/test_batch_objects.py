@@ -284,6 +284,7 @@ def test_a_bucket_that_is_not_there(bucket: Objects, people: Path, monkeypatch: 
     with pytest.raises(BadInput, match=r"'s3://nobody/store' does not exist; correct the name, or make the bucket"):
         run_batch(people, Objects("s3://nobody/store"), EA, jobs=1)
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{free_port()}")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     fsspec.get_filesystem_class("s3").clear_instance_cache()
     with pytest.raises(BadInput, match=r"check the bucket, its rights, the address") as error:
         run_batch(people, bucket / "store", EA, jobs=1)

@@ -151,7 +151,7 @@ def test_features_are_those_of_all_codes(px_per_mm: float, size: tuple[int, int]
     """Strips end with cells, and what lies beyond whole cells is left out."""
     image = np.random.default_rng(7).random(size).astype(np.float32)
     chosen = LbpSettings(normalisation="none")
-    cell = chosen.cell(px_per_mm)
+    cell = features.cell_px(px_per_mm)
     counts = _cell_counts(lbp_codes(image), cell)
     assert lbp_features(image, px_per_mm, chosen).tolist() == _histograms(counts, chosen).ravel().tolist()
 
@@ -167,8 +167,8 @@ def test_a_pixel_is_described_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_sizes_scale_with_the_image() -> None:
     settings_of = LbpSettings(radius_px=4.0)
-    assert settings_of.cell(75.7) == 64
-    assert settings_of.cell(37.85) == 32
+    assert features.cell_px(75.7) == 64
+    assert features.cell_px(37.85) == 32
     assert settings_of.radius(37.85) == pytest.approx(2.0)
     assert LbpSettings().radius(20.0) == 1.0
     image = np.random.default_rng(3).random((130, 70)).astype(np.float32)

@@ -20,7 +20,7 @@ from splitknit.model import Capture
 from splitknit.presets import preset_settings
 from splitknit.prints.rolled import _coverage_deg
 from splitknit.skin.grid import Grid
-from splitknit.skin.light import FineLight
+from splitknit.skin.light import Lighting
 
 QUICK = RolledSettings(pitch_mm=0.07, search=SearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3))
 
@@ -139,6 +139,6 @@ def test_skin_with_fewer_than_three_lights_is_not_trusted() -> None:
     grid = Grid(np.ones((50, 80), dtype=bool), np.arange(80) * 0.05, -np.arange(50) * 0.05, 0.05, (False,) * 4)
     trust = np.ones((6, 50, 80), dtype=np.float32)
     trust[2:, :, 40:] = 0.1
-    found = _lit(FineLight(np.zeros((6, 3, 50, 80), np.float32), np.ones_like(trust), trust), grid)
+    found = _lit(Lighting(np.zeros((6, 3, 50, 80), np.float32), np.ones_like(trust), trust), grid)
     assert (found[:, :25] > 0.99).all()
     assert not found[:, 55:].any()

@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.mirrors.rolled.work import _held_normals
 from splitknit.skin.grid import Grid
-from splitknit.skin.light import FineLight
+from splitknit.skin.light import Lighting
 
 SHAPE, PITCH = (24, 24), 0.05
 
@@ -23,7 +23,7 @@ def tilted(slant_deg: float, held: float, lights: np.ndarray, ridge: float = 0.2
     images = np.broadcast_to((lights @ turned)[None, :, None, None], (1, len(lights), *SHAPE)).astype(np.float32)
     vectors = np.broadcast_to(lights[:, :, None, None], (len(lights), 3, *SHAPE)).astype(np.float32)
     ones = np.ones((len(lights), *SHAPE), np.float32)
-    found = _held_normals(images, FineLight(vectors, ones, ones), smooth, grid, held)[0, 12, 12]
+    found = _held_normals(images, Lighting(vectors, ones, ones), smooth, grid, held)[0, 12, 12]
     return np.array([found @ [np.cos(slant), 0.0, -np.sin(slant)], found[1]])  # across, along
 
 

@@ -9,7 +9,7 @@ from skin_scene import ring
 from splitknit.skin.colour import SpectralFit
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.light import FineLight
+from splitknit.skin.light import Lighting
 from splitknit.skin.relief import (
     CROSSOVER_MM,
     LocalWienerSettings,
@@ -143,7 +143,7 @@ def test_share_of_the_glare_in_each_channel_is_told_by_colour():
 
 def lights(entering, trust):
     """Photometric stereo takes the vectors from the rig; here they only have to be there."""
-    return FineLight(np.zeros((entering.shape[0], 3, *SHAPE), np.float32), entering, trust)
+    return Lighting(np.zeros((entering.shape[0], 3, *SHAPE), np.float32), entering, trust)
 
 
 def test_nothing_is_lacking_where_nothing_is_trusted():

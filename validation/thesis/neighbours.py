@@ -23,7 +23,7 @@ from splitknit.batch.simulate import simulate_population
 from splitknit.evaluation.protocol import comparisons
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
-from splitknit.matching.features import REFERENCE_PX_PER_MM, LbpSettings, lbp_codes, uniform_bins
+from splitknit.matching.features import REFERENCE_PX_PER_MM, cell_px, lbp_codes, uniform_bins
 from splitknit.matching.surface import surface_images
 from splitknit.matching.thesis import ATTRIBUTES, FingerImages
 from splitknit.model import FloatArray, surface_of
@@ -49,7 +49,7 @@ def patterns_at(image: FloatArray, px_per_mm: float, radius_um: float, finer: bo
         factor = REFERENCE_PX_PER_MM / px_per_mm
         size = round(image.shape[1] * factor), round(image.shape[0] * factor)
         image, px_per_mm = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)), REFERENCE_PX_PER_MM
-    cell = LbpSettings().cell(px_per_mm)
+    cell = cell_px(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
     codes = cv2.LUT(lbp_codes(image, 1e-3 * radius_um * px_per_mm), uniform_bins())[: rows * cell, : columns * cell]
     number = np.arange(rows * cell)[:, None] // cell * columns + np.arange(columns * cell)[None, :] // cell

@@ -52,16 +52,23 @@ class Frame:
 
 def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> Frame:
     """Return the upright frame that holds the mask with a margin and has at most `longest` pixels a side."""
-    rows, columns = ends_of_rows(_in_fours(result.mask))
-    corners = np.stack([columns * 4.0 + 1.5, rows * 4.0 + 1.5, np.ones(rows.size)])
-    upright = np.linalg.inv(result.input_from_upright) @ corners
     margin = margin_mm / result.pitch_mm + 4.0
-    left, right = float(upright[0].min()) - margin, float(upright[0].max()) + margin
-    top, bottom = float(upright[1].min()) - margin, float(upright[1].max()) + margin
+    (left, top), (right, bottom) = np.add(upright_limits(result), ((-margin, -margin), (margin, margin))).tolist()
     step = max(1.0, max(right - left, bottom - top) / longest)
     size = (int((bottom - top) / step), int((right - left) / step))
     to_upright = np.array([[step, 0.0, left + (step - 1) / 2], [0.0, step, top + (step - 1) / 2], [0.0, 0.0, 1.0]])
     return Frame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
+
+
+def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
+    """Least and largest (column, row) of the upright frame in the mask, pixels, (2, 2); to about four pixels."""
+    mask = _in_fours(result.mask)
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    points = np.stack([np.concatenate([first, last]), np.concatenate([rows, rows])]) * 4.0 + 1.5
+    from_input = np.linalg.inv(result.input_from_upright)
+    upright = from_input[:2, :2] @ points + from_input[:2, 2:]
+    return np.stack([upright.min(axis=1), upright.max(axis=1)])
 
 
 def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
@@ -70,13 +77,6 @@ def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
     turn = turn / np.sqrt(abs(np.linalg.det(turn)))
     flip = np.diag([1.0, -1.0])  # rows run down, y runs up
     return np.asarray(flip @ turn @ flip)
-
-
-def ends_of_rows(mask: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the first and the last pixel of every row of a mask: what is extreme in it is among them."""
-    rows = np.flatnonzero(mask.any(axis=1))
-    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
-    return np.concatenate([rows, rows]), np.concatenate([first, last])
 
 
 def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: Frame) -> tuple[FloatArray, FloatArray]:

@@ -53,10 +53,6 @@ class LbpSettings(Checked):
         """Radius in pixels of an image."""
         return max(1.0, self.radius_px * px_per_mm / REFERENCE_PX_PER_MM)
 
-    def cell(self, px_per_mm: float) -> int:
-        """Side of a cell in pixels of an image."""
-        return max(4, round(_CELL_PX * px_per_mm / REFERENCE_PX_PER_MM))
-
 
 def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "linear") -> Codes:
     """Codes (H, W) of an image (H, W); pixels beyond the border repeat its edge.
@@ -232,7 +228,7 @@ def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | No
         If the image is not finite and two-dimensional, or smaller than a cell.
     """
     settings, image = settings or LbpSettings(), check_image(image)
-    radius, cell = settings.radius(px_per_mm), settings.cell(px_per_mm)
+    radius, cell = settings.radius(px_per_mm), cell_px(px_per_mm)
     whole = [side // cell * cell for side in image.shape]
     require(min(whole) > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
     used = image[: whole[0] + int(radius) + 2, : whole[1] + int(radius) + 2]
@@ -259,7 +255,7 @@ _CONTEXT_REACH_PX = 192.0
 """Radius of a shape context at 75.7 px/mm."""
 
 
-def _cell(px_per_mm: float) -> int:
+def cell_px(px_per_mm: float) -> int:
     """Side of a cell in pixels of an image."""
     return max(4, round(_CELL_PX * px_per_mm / REFERENCE_PX_PER_MM))
 
@@ -275,7 +271,7 @@ def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
     across = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1)
     down = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1)
     size, angle = cv2.cartToPolar(across, down)
-    cell, bins = _cell(px_per_mm), _HOG_BINS
+    cell, bins = cell_px(px_per_mm), _HOG_BINS
     height, width = image.shape[0] // cell, image.shape[1] // cell
     require(height > 0 and width > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
     cut = slice(0, height * cell), slice(0, width * cell)
@@ -326,7 +322,7 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
         cv2.resize(small, quarter, interpolation=cv2.INTER_AREA), 0.75 * _GABOR_PERIODS_PX[-1] * factor / shrink
     )
     small = small - cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
-    cell = _cell(px_per_mm)
+    cell = cell_px(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
     require(rows > 0 and columns > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
     plane = [scipy.fft.next_fast_len(side + 32) for side in small.shape]  # a border against wrapping round
@@ -373,7 +369,7 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
     Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape contexts.
     """
     image = check_image(image)
-    cell = _cell(px_per_mm)
+    cell = cell_px(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
     require(rows > 0 and columns > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
     positive = (image - blur(image, float(cell))) > 0

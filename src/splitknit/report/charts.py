@@ -53,12 +53,12 @@ def line_chart(
     parts = [_open(width, height, f"{y_label} against {x_label}")]
     for tick in _ticks(x_low, x_high, 7):
         parts.append(_rule(to_x(tick), top, to_x(tick), height - bottom))
-        parts.append(_text(to_x(tick), height - bottom + 13, f"{tick:g}", "middle"))
+        parts.append(text_at(to_x(tick), height - bottom + 13, f"{tick:g}", "middle"))
     for tick in _ticks(y_low, y_high, 5):
         parts.append(_rule(left, to_y(tick), width - right, to_y(tick)))
-        parts.append(_text(left - 5, to_y(tick) + 4, f"{tick:g}", "end"))
-    parts.append(_text((left + width - right) / 2, height - 5, x_label, "middle"))
-    parts.append(_text(4, 12, y_label, "start"))
+        parts.append(text_at(left - 5, to_y(tick) + 4, f"{tick:g}", "end"))
+    parts.append(text_at((left + width - right) / 2, height - 5, x_label, "middle"))
+    parts.append(text_at(4, 12, y_label, "start"))
     for k, line in enumerate(lines):
         stroke, dash = SERIES_COLOURS[k % len(SERIES_COLOURS)], _DASHES[k % len(_DASHES)]
         for piece in _pieces(line):
@@ -70,7 +70,7 @@ def line_chart(
     offset = float(width - right)
     for k, line in reversed(list(enumerate(lines))):
         stroke, dash = SERIES_COLOURS[k % len(SERIES_COLOURS)], _DASHES[k % len(_DASHES)]
-        parts.append(_text(offset, 12, line.label, "end"))
+        parts.append(text_at(offset, 12, line.label, "end"))
         offset -= 6.4 * len(line.label) + 8
         parts.append(
             f'<line x1="{offset - 20:.1f}" y1="8" x2="{offset:.1f}" y2="8" stroke="{stroke}" stroke-width="2" '
@@ -90,9 +90,9 @@ def bar_chart(values: Sequence[float], labels: Sequence[str], unit: str = "", *,
     for k, (value, label) in enumerate(zip(values, labels, strict=True)):
         y = k * row + 3
         length = abs(float(value)) * scale if np.isfinite(value) else 0.0
-        parts.append(_text(left - 5, y + 10, label, "end"))
+        parts.append(text_at(left - 5, y + 10, label, "end"))
         parts.append(f'<rect x="{left}" y="{y}" width="{length:.1f}" height="12" fill="{SERIES_COLOURS[0]}"/>')
-        parts.append(_text(left + length + 4, y + 10, f"{float(value):.3g} {unit}".strip(), "start"))
+        parts.append(text_at(left + length + 4, y + 10, f"{float(value):.3g} {unit}".strip(), "start"))
     return Markup("".join(parts) + "</svg>")
 
 
@@ -107,9 +107,9 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False, w
             f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
             'shape-rendering="crispEdges"/>'
         )
-    parts.append(_text(10, 25, f"{low:.3g}", "start"))
-    parts.append(_text(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
-    parts.append(_text(width - 10, 25, f"{high:.3g}", "end"))
+    parts.append(text_at(10, 25, f"{low:.3g}", "start"))
+    parts.append(text_at(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
+    parts.append(text_at(width - 10, 25, f"{high:.3g}", "end"))
     return Markup("".join(parts) + "</svg>")
 
 
@@ -152,7 +152,8 @@ def _open(width: float, height: float, title: str) -> str:
     )
 
 
-def _text(x: float, y: float, words: str, anchor: str) -> str:
+def text_at(x: float, y: float, words: str, anchor: str) -> str:
+    """A label of a chart."""
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
 
 

@@ -21,7 +21,7 @@ from splitknit.io.provenance import plain_json
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.report import render
-from splitknit.report.charts import INK, SERIES_COLOURS
+from splitknit.report.charts import INK, SERIES_COLOURS, text_at
 
 if TYPE_CHECKING:
     from splitknit.evaluation.gallery_scores import GalleryScores
@@ -259,18 +259,18 @@ def plot(
         for index, label, long in row:
             level = TOP + 18 * k
             parts.append(_segment(offset, level, offset + 22, level, COLOURS[index % 6], DASHES[index % 4], 2))
-            parts.append(_text(offset + 27, level + 4, label, "start"))
+            parts.append(text_at(offset + 27, level + 4, label, "start"))
             offset += long
     for value, words in x.marks:
         place = LEFT + wide * float(x.place(value))
         parts.append(_segment(place, top, place, height - BOTTOM, "#e2e2e2"))
-        parts.append(_text(place, height - BOTTOM + 15, words, "middle"))
+        parts.append(text_at(place, height - BOTTOM + 15, words, "middle"))
     for value, words in y.marks:
         place = top + tall * (1 - float(y.place(value)))
         parts.append(_segment(LEFT, place, WIDTH - RIGHT, place, "#e2e2e2"))
-        parts.append(_text(LEFT - 5, place + 4, words, "end"))
-    parts.append(_text(LEFT + wide / 2, height - 6, x.label, "middle"))
-    parts.append(_text(6, top - 9, y.label, "start"))
+        parts.append(text_at(LEFT - 5, place + 4, words, "end"))
+    parts.append(text_at(LEFT + wide / 2, height - 6, x.label, "middle"))
+    parts.append(text_at(6, top - 9, y.label, "start"))
     if diagonal:
         parts.append(_segment(LEFT, height - BOTTOM, WIDTH - RIGHT, top, "#999999", "3 4"))
     for k, curve in enumerate(curves):
@@ -279,7 +279,7 @@ def plot(
         place = LEFT + wide * float(x.place(upright))
         parts.append(_segment(place, top, place, height - BOTTOM, "#555555", "4 3"))
         near = place > LEFT + 0.8 * wide
-        parts.append(_text(place + (-4 if near else 4), top + 11, "EER", "end" if near else "start"))
+        parts.append(text_at(place + (-4 if near else 4), top + 11, "EER", "end" if near else "start"))
     return Markup("".join(parts) + "</svg>")
 
 
@@ -348,10 +348,6 @@ def _whole_marks(longest: int) -> list[int]:
 
 def _written(points: Values) -> str:
     return " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
-
-
-def _text(x: float, y: float, words: str, anchor: str) -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
 
 
 def _segment(  # noqa: PLR0917 - two points, then what paints them

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri, ends_of_rows
+from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri, upright_limits
 from splitknit.model import Band, Capture, PixelArray, Reconstruction
 
 _NO_LEGEND = Markup("")
@@ -123,12 +123,9 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
 
 def _axis(result: Reconstruction) -> NDArray[np.float64]:
     """Two points (column, row) of the input: tip end and base end of the upright frame's middle line in the mask."""
-    rows, columns = ends_of_rows(result.mask[::4, ::4])
-    points = np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
-    upright = np.linalg.inv(result.input_from_upright) @ points
-    middle = (float(upright[0].min()) + float(upright[0].max())) / 2
-    ends = np.array([[middle, middle], [float(upright[1].min()), float(upright[1].max())], [1.0, 1.0]])
-    return np.asarray((result.input_from_upright @ ends)[:2].T)
+    ends = upright_limits(result)
+    ends[:, 0] = ends[:, 0].mean()
+    return np.asarray(ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2])
 
 
 def _draw(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.float_tiff import write_height_tiff
-from splitknit.io.pictures import data_uri, ends_of_rows, upright_frame
+from splitknit.io.pictures import data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
@@ -210,10 +210,7 @@ def plain(value: Any) -> Any:  # noqa: PLR0911
 
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
     """The most important facts."""
-    upright = np.linalg.inv(result.input_from_upright)
-    rows, columns = ends_of_rows(result.mask[::4, ::4])
-    points = upright @ np.stack([columns * 4.0, rows * 4.0, np.ones(rows.size)])
-    width, length = (np.ptp(points[0]) * result.pitch_mm, np.ptp(points[1]) * result.pitch_mm)
+    width, length = np.ptp(upright_limits(result), axis=0) * result.pitch_mm
     height = result.height_mm[bounding_box(result.mask)]
     depth = float(np.nanmax(height) - np.nanmin(height))
     relief = figures.facing_relief_mm(result)

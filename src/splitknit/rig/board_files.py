@@ -214,7 +214,7 @@ def kicad_board(board: Board, version: str) -> str:
         '  (paper "A4")',
         f"  (layers\n{layers}\n  )",
         f"  (setup (pad_to_mask_clearance {_MASK_MM:g}))",
-        *(f"  (net {number} {_quoted(name)})" for name, number in nets.items()),
+        *(f"  (net {number} {quoted(name)})" for name, number in nets.items()),
     ]
     for placed in board.parts:
         part, (x, y) = placed.part, placed.at_mm
@@ -222,15 +222,15 @@ def kicad_board(board: Board, version: str) -> str:
         middle = f"(at {_mm((left + right) / 2)} {_mm((top + bottom) / 2)})"
         font = "(effects (font (size 1 1) (thickness 0.15)))"
         lines += [
-            f'  (footprint {_quoted("splitknit:" + part.footprint.partition(":")[2])} (layer "F.Cu") '
+            f'  (footprint {quoted("splitknit:" + part.footprint.partition(":")[2])} (layer "F.Cu") '
             f"(tstamp {_stamp(part.ref)}) (at {_mm(x)} {_mm(y)})",
-            f'    (fp_text reference {_quoted(part.ref)} {middle} (layer "F.SilkS") {font})',
-            f'    (fp_text value {_quoted(part.value)} {middle} (layer "F.Fab") {font})',
+            f'    (fp_text reference {quoted(part.ref)} {middle} (layer "F.SilkS") {font})',
+            f'    (fp_text value {quoted(part.value)} {middle} (layer "F.Fab") {font})',
             f"    (fp_rect (start {_mm(left)} {_mm(top)}) (end {_mm(right)} {_mm(bottom)}) "
             '(stroke (width 0.15) (type solid)) (fill none) (layer "F.SilkS"))',
         ]
         for pad in placed.pads:
-            net = f" (net {nets[pad.net]} {_quoted(pad.net)})" if pad.net else ""
+            net = f" (net {nets[pad.net]} {quoted(pad.net)})" if pad.net else ""
             lines.append(
                 f'    (pad "{pad.pin}" thru_hole circle (at {_mm(pad.at_mm[0] - x)} {_mm(pad.at_mm[1] - y)}) '
                 f'(size {pad.size_mm:g} {pad.size_mm:g}) (drill {pad.drill_mm:g}) (layers "*.Cu" "*.Mask"){net})'
@@ -277,7 +277,8 @@ def _stamp(name: str) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"splitknit:board:{name}"))
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """Text in KiCad's files."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 

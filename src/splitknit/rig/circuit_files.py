@@ -20,7 +20,7 @@ from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
 from splitknit.rig.board import lay_out
-from splitknit.rig.board_files import gerber_zip, kicad_board, wiring_svg
+from splitknit.rig.board_files import gerber_zip, kicad_board, quoted, wiring_svg
 from splitknit.rig.circuit import Channel, Circuit, CircuitSettings, Component, Node, Stage, design_stage
 from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led_order, resistor
 from splitknit.rig.safety import check_hazards, rig_hazards
@@ -202,16 +202,16 @@ def _kicad_netlist(circuit: Circuit, version: str) -> str:
     for part in circuit.components:
         stamp = uuid.uuid5(uuid.NAMESPACE_URL, f"splitknit:circuit:{part.ref}")
         lines += [
-            f"    (comp (ref {_quoted(part.ref)})",
-            f"      (value {_quoted(part.value)})",
-            f"      (footprint {_quoted(part.footprint)})",
-            f'      (libsource (lib {_quoted(part.library)}) (part {_quoted(part.symbol)}) (description ""))',
-            f"      (tstamps {_quoted(str(stamp))}))",
+            f"    (comp (ref {quoted(part.ref)})",
+            f"      (value {quoted(part.value)})",
+            f"      (footprint {quoted(part.footprint)})",
+            f'      (libsource (lib {quoted(part.library)}) (part {quoted(part.symbol)}) (description ""))',
+            f"      (tstamps {quoted(str(stamp))}))",
         ]
     lines.append("  )")
     lines.append("  (nets")
     for code, (name, nodes) in enumerate(circuit.nets.items(), start=1):
-        lines.append(f"    (net (code {_quoted(str(code))}) (name {_quoted(name)})")
+        lines.append(f"    (net (code {quoted(str(code))}) (name {quoted(name)})")
         lines += [f"      {_node(node)}" for node in nodes]
         lines[-1] += ")"
     lines[-1] += "))"
@@ -219,12 +219,8 @@ def _kicad_netlist(circuit: Circuit, version: str) -> str:
 
 
 def _node(node: Node) -> str:
-    function = f" (pinfunction {_quoted(node.function)})" if node.function else ""
-    return f'(node (ref {_quoted(node.ref)}) (pin {_quoted(node.pin)}){function} (pintype "passive"))'
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    function = f" (pinfunction {quoted(node.function)})" if node.function else ""
+    return f'(node (ref {quoted(node.ref)}) (pin {quoted(node.pin)}){function} (pintype "passive"))'
 
 
 @dataclass(frozen=True, slots=True)

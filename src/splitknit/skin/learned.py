@@ -18,7 +18,7 @@ from splitknit.photometric.near_light import pseudo_normals
 from splitknit.skin.coarse import lacking_coarse, slopes_inside
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.light import FineLight, lighting, predict, reached_by_all, slant_of, trust_of
+from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, slant_of, trust_of
 from splitknit.skin.relief import ReliefEstimate
 from splitknit.skin.turns import Turns, between
 
@@ -52,7 +52,7 @@ class Features:
 
 
 def features(
-    band: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLight, found: FloatArray | None = None
+    band: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting, found: FloatArray | None = None
 ) -> Features:
     """Rig-independent description of the white band's light on a smooth surface.
 
@@ -231,7 +231,7 @@ def relief_by_network(  # noqa: PLR0917
     white: BandImages,
     grid: Grid,
     smooth_mm: FloatArray,
-    light: FineLight,
+    light: Lighting,
     network: Network,
     found: FloatArray | None = None,
     ways: Sequence[int] = (0,),
@@ -284,7 +284,7 @@ def relief_by_network(  # noqa: PLR0917
     )
 
 
-def glare_of(found: ReliefEstimate, rig: Rig, light: FineLight) -> FloatArray:
+def glare_of(found: ReliefEstimate, rig: Rig, light: Lighting) -> FloatArray:
     """(L, h, w) light that the surface mirrors in each white image, as the network drew it."""
     assert found.drawn is not None
     assert found.level is not None

@@ -18,7 +18,7 @@ from splitknit.skin.grid import Grid, smooth_step
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lighting:
-    """Lights of one band on the current surface."""
+    """Lights of one band on the current surface, on the coarse or on the fine grid."""
 
     vectors: FloatArray
     """(L, 3, h, w) direction towards the light times its irradiance."""
@@ -26,18 +26,6 @@ class Lighting:
     """(L, h, w) light that enters the skin, over normal incidence (Fresnel)."""
     trust: FloatArray
     """(L, h, w) in [0, 1]: zero where the light only grazes the surface or does not reach it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FineLight:
-    """The white lights on the fine grid, as far as they vary with the surface's slant."""
-
-    vectors: FloatArray
-    """(L, 3, h, w) direction towards the light times its irradiance."""
-    entering: FloatArray
-    """(L, h, w) light that enters the skin, over normal incidence."""
-    trust: FloatArray
-    """(L, h, w) in [0, 1]."""
 
 
 def lighting(rig: Rig, grid: Grid, height_mm: FloatArray, normals: FloatArray) -> Lighting:
@@ -62,7 +50,7 @@ def predict(light: Lighting, grid: Grid, normals: FloatArray, transfers: Sequenc
     return np.stack([grid.inverse(spectrum * transfer) * grid.mask for transfer in transfers])
 
 
-def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid: Grid) -> FineLight:
+def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid: Grid) -> Lighting:
     """Lights on a smooth surface (h, w) of the coarse grid, enlarged to the fine one."""
     normals = normals_from_gradients(*height_gradients(height_mm, low.pitch_mm))
     light = lighting(rig, low, height_mm, normals)
@@ -80,7 +68,7 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
         return large.reshape(*fields.shape[:-2], *grid.shape)
 
     seen = np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask
-    return FineLight(enlarge(light.vectors), np.maximum(enlarge(light.entering), np.float32(0.2)), seen)
+    return Lighting(enlarge(light.vectors), np.maximum(enlarge(light.entering), np.float32(0.2)), seen)
 
 
 def slant_of(surface_mm: FloatArray, pitch_mm: float) -> FloatArray:

@@ -19,7 +19,7 @@ from splitknit.settings import Checked, Limits
 from splitknit.skin.colour import SpectralFit, cross_spectra, fit_spectra, unmixing_weights
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.grid import BandImages, Grid, smooth_step
-from splitknit.skin.light import FineLight, slant_of, trust_of
+from splitknit.skin.light import Lighting, slant_of, trust_of
 
 # Removing noise of a known spectrum from the relief, patch by patch.
 #
@@ -177,7 +177,7 @@ def measure(  # noqa: PLR0917
     band: BandImages,
     grid: Grid,
     surface_mm: FloatArray,
-    light: FineLight,
+    light: Lighting,
     skin: Mapping[str, Diffusion],
     brightness: Mapping[str, float],
 ) -> Measured:

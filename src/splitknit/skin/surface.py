@@ -19,7 +19,7 @@ from splitknit.skin.coarse import CoarsePrior, CoarseStep, compare, integrate, s
 from splitknit.skin.diffusion import Diffusion, SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine
 from splitknit.skin.learned import Network, ridge_tensor, slopes_by_network
-from splitknit.skin.light import FineLight, fine_lighting
+from splitknit.skin.light import Lighting, fine_lighting
 from splitknit.skin.relief import LocalWienerSettings, ReliefEstimate
 
 # The shape on the coarse grid, as it is refined from all bands.
@@ -122,7 +122,7 @@ class CoarseShape:
         """(H, W) the same on the fine grid, continued beyond the mask."""
         return refine(self._lifted(), self.low.mask, self.factor, self.fine.shape)
 
-    def light(self) -> FineLight:
+    def light(self) -> Lighting:
         """The white lights on the shape without what ridges leave on the coarse grid."""
         height = refine(self._lifted(), self.low.mask, 1, self.low.shape)
         smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / self.low.pitch_mm), dtype=np.float32)
@@ -167,7 +167,7 @@ def relief_by_colour(  # noqa: PLR0917
     white: BandImages,
     grid: Grid,
     smooth_mm: FloatArray,
-    light: FineLight,
+    light: Lighting,
     optics: Mapping[str, Diffusion],
     other: Mapping[str, Diffusion],
     brightness: Mapping[str, float],

@@ -35,7 +35,7 @@ from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
 from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, azimuth_waves, features
-from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
+from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit.skin.surface import first_shape
 from splitknit.training.scenes import (
     Range,
@@ -174,7 +174,7 @@ def _sample_of(
 
 
 def _assembled(
-    white: BandImages, grid: Grid, surface_mm: FloatArray, light: FineLight, truth: TruthOnGrid
+    white: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting, truth: TruthOnGrid
 ) -> NDArray[np.float16]:
     """The sample (41, h, w) of one finger on one smooth surface."""
     seen = features(white, grid, surface_mm, light)
@@ -195,7 +195,7 @@ def _assembled(
     return np.concatenate(parts).astype(np.float16)
 
 
-def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: float) -> FineLight:
+def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: float) -> Lighting:
     """Lights on a smooth surface of the fine grid, by way of the coarse one as in a reconstruction."""
     factor = max(1, round(coarse_pitch_mm / grid.pitch_mm))
     low = coarsen(grid, factor)

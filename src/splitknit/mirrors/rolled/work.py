@@ -33,7 +33,7 @@ from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine
 from splitknit.skin.images import shipped_networks
 from splitknit.skin.learned import can_learn, relief_by_network
-from splitknit.skin.light import FineLight, fine_lighting, slant_of, trust_of
+from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
 """Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
@@ -183,7 +183,7 @@ def _ridges(  # noqa: PLR0917
     return relief, np.full(grid.shape, np.float32(UNKNOWN_MM)), trust, "shapelets"
 
 
-def _lit(light: FineLight, grid: Grid) -> FloatArray:
+def _lit(light: Lighting, grid: Grid) -> FloatArray:
     """(h, w) in [0, 1]: zero where fewer than three exposures light the skin, which determine no slope."""
     enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
     wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
@@ -215,7 +215,7 @@ def _blocks(mask: BoolArray, binning: int) -> BoolArray:
 
 
 def _held_normals(  # noqa: PLR0917
-    stack: FloatArray, light: FineLight, smooth_mm: FloatArray, grid: Grid, prior: float, chunk: int = 64
+    stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float, chunk: int = 64
 ) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
 
