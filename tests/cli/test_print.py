@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -130,6 +132,20 @@ def test_same_input_same_bytes(result: Path, tmp_path: Path, capsys) -> None:
     for path in (tmp_path / "a").iterdir():
         if path.name != "report.json":
             assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+@pytest.mark.slow
+def test_the_threads_of_blas_change_nothing(result: Path, tmp_path: Path) -> None:
+    """Its kernels without AVX-512, which most processors run, round sums by how threads share them."""
+    for threads in "12":
+        out = tmp_path / threads
+        subprocess.run(
+            [sys.executable, "-m", "splitknit.cli.main", "print", result, "--method", "unroll", "--out", out],
+            env={**os.environ, "OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": threads},
+            check=True,
+        )
+    for name in ("print.png", "enhanced.png"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes(), name
 
 
 def test_the_photograph(twin_folder: Path, tmp_path: Path, capsys) -> None:

@@ -29,6 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code."""
     program = arguments is None
     if program:
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # on most processors its threads round sums otherwise
         _on_interrupt(_leave)
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, io.TextIOWrapper):  # None where it is closed
