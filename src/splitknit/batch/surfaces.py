@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import refusing, require
-from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
 from splitknit.model import BoolArray, FloatArray, Surface
 
 _HEAD = struct.Struct("<4sII4IId9dII")
@@ -33,10 +33,9 @@ _DAMAGED = "a stored surface is damaged; remove its chunk and run the same again
 def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
     """Payload of a surface whose knitted height (H, W) is `height_mm`."""
     mask = surface.mask
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    require(rows.size > 0, "the mask of a surface is empty.")
+    require(bool(mask.any()), "the mask of a surface is empty.")
     require(mask.size <= _MAX_PIXELS, f"a surface of {mask.size} pixels is too large to be kept; reduce the images.")
-    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    box = bounding_box(mask)
     height, shape = height_mm[mask], surface.shape_mm[mask]
     follow = np.array_equal(_normals(height_mm, mask, surface.pitch_mm), surface.normals)
     head = _HEAD.pack(

@@ -11,6 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.integration.frankot_chellappa import WORKERS
 from splitknit.integration.gradient_field import check_gradients, zero_mean, zero_mean_by_component
 from splitknit.model import BoolArray, FloatArray
@@ -368,7 +369,7 @@ def poisson(
     if trust is None and bool(inside.all()):
         right, down = _predicted_differences(slope_x, slope_y, inside, None, chosen.quadrature)
         return zero_mean(_solve_rectangle(_difference_adjoint(right, down)), inside)
-    window = _bounding_box(inside)
+    window = bounding_box(inside)
     height = _solve_masked(
         slope_x[window], slope_y[window], inside[window], None if trust is None else trust[window], chosen
     )
@@ -386,11 +387,6 @@ def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:
         "weights must lie between 0 and 1 inside the mask.",
     )
     return np.maximum(trust, np.float32(_WEIGHT_FLOOR))
-
-
-def _bounding_box(mask: BoolArray) -> tuple[slice, slice]:
-    left, top, width, height = cv2.boundingRect(mask.view(np.uint8))
-    return slice(top, top + height), slice(left, left + width)
 
 
 def _solve_rectangle(right_side: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.matching.minutiae_record import Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import RidgeBand
 from splitknit.model import BoolArray, FloatArray
@@ -95,9 +96,7 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     settings = settings or TemplateSettings()
     if not bool(band.valid.any()) or band.area_mm2 < settings.least_area_mm2:
         return _failed_template(band.pitch_mm)
-    rows = np.flatnonzero(band.valid.any(axis=1))
-    columns = np.flatnonzero(band.valid.any(axis=0))
-    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    box = bounding_box(band.valid)
     value, valid = band.value[box], np.ascontiguousarray(band.valid[box])
     require(
         max(valid.shape) <= _LARGEST_SIDE,

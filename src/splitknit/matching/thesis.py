@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.imaging.geometry import warp
+from splitknit.imaging.geometry import bounding_box, warp
 from splitknit.matching.features import (
     LbpSettings,
     gabor_features,
@@ -247,8 +247,7 @@ def finger_images(  # noqa: PLR0917
                 x, y = cleaned[prefix + "normal_x"], cleaned[prefix + "normal_y"]
                 cleaned[prefix + "normal_x"] = (turn[0, 0] * x - turn[0, 1] * y).astype(np.float32)
                 cleaned[prefix + "normal_y"] = (-turn[1, 0] * x + turn[1, 1] * y).astype(np.float32)
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+    box = bounding_box(mask)
     inside = mask[box]
     return FingerImages(
         {name: np.where(inside, channel[box], np.float32(0.0)) for name, channel in cleaned.items()},

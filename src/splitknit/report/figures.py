@@ -215,9 +215,8 @@ def view_pictures(views: Views, finger: bool = True) -> list[Picture]:
 def print_picture(prints: NDArray[np.uint8]) -> Picture:
     """Show the print, cut to the finger."""
     dark = prints < 250
-    rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
-    if rows.size:
-        prints = prints[max(0, rows[0] - 8) : rows[-1] + 9, max(0, columns[0] - 8) : columns[-1] + 9]
+    if bool(dark.any()):
+        prints = prints[bounding_box(dark, 8)]
     return captioned(
         "Print",
         prints,
