@@ -1,4 +1,4 @@
-"""The networks that ship, on a scene that fractions nothing with what they were trained on."""
+"""The networks that ship, on a scene that shares nothing with their training data."""
 
 from __future__ import annotations
 

@@ -105,8 +105,7 @@ def _hash(folder: Path) -> str:
 
 # Which captures are compared, in blocks: a block of one session with a block of a later one.
 #
-# Where a block ends depends on the plan of the population and on the matcher alone, never on what is there already,
-# so
+# Where a block ends depends on the plan of the population and on the matcher alone, never on what is there already, so
 # that two runs, however they were interrupted, do the same chunks.
 
 

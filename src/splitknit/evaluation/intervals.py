@@ -19,11 +19,9 @@ from splitknit.settings import Checked, Limits
 # Scores as cells in falling order, so that a replicate of the bootstrap is a weight for each cell and no sorting.
 #
 # Rates depend on scores through their order alone. Up to a limit every distinct score is a cell and replicates are
-# exact.
-# Beyond it, cells are cut at chosen scores: each chosen one is a cell, and so is what lies between two. GAR at FAR
-# stays
-# exact between two chosen scores as long as only impostors lie there; all genuine scores are chosen if they are few
-# enough. Point estimates never come from cells.
+# exact. Beyond it, cells are cut at chosen scores: each chosen one is a cell, and so is what lies between two. GAR at
+# FAR stays exact between two chosen scores as long as only impostors lie there; all genuine scores are chosen if they
+# are few enough. Point estimates never come from cells.
 
 
 CELLS = 60_000
@@ -94,8 +92,7 @@ def _moments(cell: NDArray[np.int64], values: NDArray[np.float64], count: int) -
 # A bootstrap repeats what was seen. Where only some fingers (subjects, comparisons) were ever rejected, it knows too
 # little of those that are, and nothing where none was. The limit is then that of Clopper and Pearson for as many
 # independent trials as there are fingers, as if all comparisons of a finger failed together: cautious, and where
-# nothing
-# failed the rule of three.
+# nothing failed the rule of three.
 
 
 FEW = 5
@@ -421,8 +418,7 @@ def _dot(a: Row, b: Row) -> float:
 #
 # ``finger``, ``subject``: fingers (or subjects) are drawn with replacement, and a comparison counts as often as the
 # product of how often its finger, or each of its two fingers, was drawn: w_a for a genuine pair of finger a, w_a w_b
-# for
-# an impostor pair of a and b. (Two fingers of one subject, drawn by subject, count w_s: they come along together.)
+# for an impostor pair of a and b. (Two fingers of one subject, drawn by subject, count w_s: they come along together.)
 # Impostor scores that share either finger thus rise and fall together. Copies of one finger in a replicate are not
 # compared with each other: there is no score for it.
 #

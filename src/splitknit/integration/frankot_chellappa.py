@@ -15,8 +15,7 @@ from splitknit.model import FloatArray
 
 # Least-squares integration in the frequency domain, with one radial transfer function.
 #
-# The height whose gradient is nearest to (p, q) has the spectrum Z = -i (w_x P + w_y Q) / |w|^2 (Frankot and
-# Chellappa
+# The height whose gradient is nearest to (p, q) has the spectrum Z = -i (w_x P + w_y Q) / |w|^2 (Frankot and Chellappa
 # 1988, eq. 21). A filter of the height is one more factor, T(|w|). Two rectangles are offered:
 #
 # * ``zero``: the gradient field continued by zeros, periodic beyond that;

@@ -20,16 +20,12 @@ from splitknit.settings import Checked, Limits
 # Geometric multigrid for the graph Laplacian of a masked, weighted pixel grid.
 #
 # A pixel of a coarse grid stands for 2 x 2 finer ones and belongs to the surface if one of them does. The weight of a
-# coarse edge is half the sum of the fine edges that it replaces, which keeps the Dirichlet energy of a smooth
-# surface.
-# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask, and
-# residuals
-# to the coarser grid by its exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi
-# steps.
+# coarse edge is half the sum of the fine edges that it replaces, which keeps the Dirichlet energy of a smooth surface.
+# Heights are carried to the finer grid by bilinear interpolation that ignores what lies outside the mask, and residuals
+# to the coarser grid by its exact adjoint; the smoother is a Chebyshev polynomial of degree two in damped Jacobi steps.
 # One V-cycle is therefore a symmetric operator, as the conjugate gradients around it need.
 #
-# Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral),
-# a
+# Where parts of the surface lie closer to each other than a coarse pixel and are not joined there (a comb, a spiral), a
 # coarser grid would weld them together: such a grid is solved directly instead, once it is small enough.
 #
 # Source: U. Trottenberg, C. Oosterlee and A. Schueller, "Multigrid", Academic Press 2001, chapters 2 and 5
@@ -39,8 +35,7 @@ from splitknit.settings import Checked, Limits
 # Differences between neighbouring pixels, their adjoint, and the difference that a gradient field predicts.
 #
 # Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
-# j]`
-# joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
+# j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
 
 
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])

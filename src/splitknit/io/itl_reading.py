@@ -23,8 +23,7 @@ from splitknit.io.png import png_header
 
 # Transactions of ANSI/NIST-ITL with prints: Type-1, a minimal Type-2, and a Type-14 for every print.
 #
-# They are written and parsed by the package `nistitl` (extra ``records``), in the traditional encoding, as version
-# 0502
+# They are written and parsed by the package `nistitl` (extra ``records``), in the traditional encoding, as version 0502
 # (ANSI/NIST-ITL 1-2011, update 2015). Equal input gives equal bytes: date and control number are given, not made up.
 #
 # Source: ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.

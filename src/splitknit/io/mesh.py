@@ -152,8 +152,7 @@ def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Itera
 
 # Binary glTF 2.0 (``.glb``) of a surface.
 #
-# glTF's unit is the metre. The buffer holds millimetres, exactly as the result does, and the node that places the
-# mesh
+# glTF's unit is the metre. The buffer holds millimetres, exactly as the result does, and the node that places the mesh
 # scales it by 0.001, so that every program shows the finger at its true size.
 #
 # Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4

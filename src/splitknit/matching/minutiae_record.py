@@ -215,8 +215,7 @@ def unpack_minutiae(data: bytes) -> Minutiae:
 
 # Minutiae of one finger in space, as matchers take them, and the bytes in which they are kept.
 #
-# The bytes, little-endian: ``SKM3``, version and number of minutiae (uint16 each), CRC-32 of all that follows
-# (uint32);
+# The bytes, little-endian: ``SKM3``, version and number of minutiae (uint16 each), CRC-32 of all that follows (uint32);
 # for each minutia x, y, z in mm, theta and phi in radians (float32 each), type and quality (a byte each). A finger
 # without any minutiae is zero bytes.
 

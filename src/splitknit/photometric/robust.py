@@ -16,12 +16,9 @@ from splitknit.settings import Checked, Limits
 
 # Which lights to trust at a pixel: shadows are left out, highlights lose weight.
 #
-# A light counts as shadowed where its image is darker than a part of what the brightest light gives; the rest is
-# fitted
-# by least squares, and each residual, relative to the albedo, sets a new weight (iteratively reweighted least
-# squares,
-# Cauchy weights). Glare and interreflection only ever add light, and shadow has been left out already: a residual
-# below
+# A light counts as shadowed where its image is darker than a part of what the brightest light gives; the rest is fitted
+# by least squares, and each residual, relative to the albedo, sets a new weight (iteratively reweighted least squares,
+# Cauchy weights). Glare and interreflection only ever add light, and shadow has been left out already: a residual below
 # the fit is mostly the fit's own tilt towards a highlight and is forgiven more.
 
 

@@ -46,7 +46,7 @@ def sinusoid(
 ) -> PhaseSeparation:
     """Separate direct from global light under the pattern 1/2 + 1/2 sin(phase + phases_rad[n]) in image n.
 
-    Minimum squares over the images at each pixel: L = A + B sin(phase + shift), direct = 2 B / (1 - dark), direct plus
+    Least squares over the images at each pixel: L = A + B sin(phase + shift), direct = 2 B / (1 - dark), direct plus
     global = 2 A / (1 + dark). Three images determine A, B and the phase; more lower the noise. All channels share one
     phase.
 

@@ -1,6 +1,6 @@
 """Glare: light that the skin's surface mirrors, as a rough dielectric boundary does.
 
-It has the colour of the light and not of the skin, and it moves with the light: two handles to take hold of it.
+It has the colour of the light, not of the skin, and it moves with the light; both properties separate it.
 """
 
 from __future__ import annotations

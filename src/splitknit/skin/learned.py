@@ -22,8 +22,7 @@ from splitknit.skin.light import Lighting, lighting, predict, reached_by_all, sl
 from splitknit.skin.relief import ReliefEstimate
 from splitknit.skin.turns import Turns, between
 
-# What the network of the relief sees: the white band's light in a form that no particular rig, finger or exposure
-# has.
+# Input of the relief network: the white band's light, described independently of rig, finger and exposure.
 #
 # Every pixel's images are taken apart by what the light's azimuth does to them. What does not depend on it is the
 # brightness; what turns once is the slope, as photometric stereo finds it; what turns twice or three times no matt
@@ -63,7 +62,7 @@ def features(
     surface_mm : (h, w) the smooth shape, finite
     light : of `band.rig` on that surface
     found : (C, h, w, 3) brightness times normal of ``band.stack / light.entering``, optional
-        Minimum squares over the lights where it is not given.
+        By least squares over the lights where it is not given.
     """
     if found is None:
         seen_by = band.rig, surface_mm, grid.mask, light.trust
@@ -208,9 +207,9 @@ GAIN_UNCERTAINTY = (0.2, 0.15)
 """Standard deviation of the common factor of all heights with less and with more than that, on simulated skin whose
 brightness of heights (a factor of seven) and boundary vary as nobody knows skin's; it is part of the deviation."""
 SLANT_DEG, SLANT_ERROR = (0, 15, 30, 45, 60, 70), (0.74, 0.84, 1.1, 1.12, 1.02, 2.3)
-"""Error of the relief over what the network states, by slant: heights are told best where the skin faces lights and
-camera. Ten fingers of our simulator have 0.7 to 0.9 up to 60 degrees, 2.3 beyond; two path-traced ones 0.6 to 0.8 below
-15 degrees and 0.8 to 1.5 above (``validation/path_traced/score.py``)."""
+"""Error of the relief over what the network states, by slant: the error is smallest where the skin faces lights
+and camera. Ten fingers of our simulator have 0.7 to 0.9 up to 60 degrees, 2.3 beyond; two path-traced ones 0.6 to 0.8
+below 15 degrees and 0.8 to 1.5 above (``validation/path_traced/score.py``)."""
 MOST_MISSING = 0.25
 """Of the relief's power that is believed to be missing in the network's estimate."""
 MOST_UNEVEN = 10.0
@@ -341,9 +340,8 @@ def ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> F
 # What the network of the shape sees: how images and prediction differ on the coarse grid, all bands together.
 #
 # The finished comparison leaves errors of one kind: where the finger turns away, towards its tip and its outline,
-# ridges
-# that nobody resolves, light that is lost at the rim and glare at grazing angles bend the shape. They show in what all
-# bands have in common, which a network that has seen many fingers reads.
+# ridges that nobody resolves, light that is lost at the rim and glare at grazing angles bend the shape. They show in
+# what all bands have in common, which a network that has seen many fingers reads.
 
 RIDGES_MM = 0.6
 """Standard deviation of the Gaussian mean of the ridges' slopes."""

@@ -23,8 +23,7 @@ from splitknit.skin.light import Lighting, slant_of, trust_of
 
 # Removing noise of a known spectrum from the relief, patch by patch.
 #
-# Ridges are a local wave: in a small window nearly all their power lies in a few frequencies, while noise fills all
-# of
+# Ridges are a local wave: in a small window nearly all their power lies in a few frequencies, while noise fills all of
 # them. Each window's own spectrum, less the noise's, says what to keep (an empirical Wiener filter); the gain never
 # exceeds one, so that nothing is drawn that was not measured.
 
