@@ -75,7 +75,10 @@ def check_capture(
     """
     check_target(out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None)
     taken = (out.expanduser() / marker).exists()
-    require(overwrite or not taken, f"'{out}' exists and is {words}; name another folder, or give --overwrite.")
+    require(
+        overwrite or not taken,
+        f"'{out}' exists and is not empty: it is {words}; name another folder, or give --overwrite.",
+    )
 
 
 def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
