@@ -65,6 +65,11 @@ def photographs(folder: Path) -> Iterator[Step]:
     yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "line 1")
     (mine / "lights.txt").write_text(LIGHTS)
     images = "--images photos --lights photos/lights.txt --material skin"
+    for command in (f"import {images} --px-per-mm 22.7", "simulate --seed 4"):
+        yield Step(f"{command} --out finger", 2, "--overwrite")  # photographs are not replaced by mistake
+    (mine / "white_9.png").symlink_to(folder / "finger" / "mask.png")
+    yield Step(f"reconstruct {images} --out wrong", 2, "white_9.png")
+    (mine / "white_9.png").unlink()
     yield Step(f"reconstruct {images} --out pixels", says="scale", makes="pixels/report.html")
     yield Step("print pixels --out wrong", 2, "--px-per-mm")  # no scale, no print
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out photos", 2, "photos")  # nothing of the user's is replaced
