@@ -7,10 +7,12 @@ line prints it and exits with code 2.
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:  # numpy takes longer to import than all the rest of `splitknit --help`
@@ -18,6 +20,7 @@ if TYPE_CHECKING:  # numpy takes longer to import than all the rest of `splitkni
     from numpy.typing import NDArray
 
 T = TypeVar("T")
+J = TypeVar("J")
 
 
 class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about the input, not about our code
@@ -109,9 +112,66 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
         raise BadInput(f"{name} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
 
 
-def open_at_once(path: str, flags: int) -> int:
-    """Opener for files: a pipe without a writer would block otherwise."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+def open_at_once(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
+    """Opener for files: through no link (:func:`given_folders`), and at once where a pipe has no writer."""
+    refuse_links(path)
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), mode)
+
+
+_GIVEN: set[str] = set()
+
+
+@contextlib.contextmanager
+def given_folders(paths: Iterable[str | os.PathLike[str]]) -> Iterator[None]:
+    """In the block, nothing inside these folders is read or written through a symbolic link.
+
+    A folder may come from anyone, and its links lead anywhere. What the user named may itself be a link, also where it
+    lies in another of the folders. Every reader (:func:`open_file`) and writer (:mod:`splitknit.io.atomic`) asks
+    :func:`refuse_links`, in worker processes too (:func:`with_given_folders`).
+    """
+    earlier = set(_GIVEN)
+    for path in map(Path, paths):
+        with contextlib.suppress(OSError, ValueError, RuntimeError):  # refused where it is used
+            own = path.expanduser()
+            _GIVEN.update(str(one) for one in (path.absolute(), own.absolute(), own.resolve()))
+    try:
+        yield
+    finally:
+        _GIVEN.clear()
+        _GIVEN.update(earlier)
+
+
+def with_given_folders(work: Callable[[J], T]) -> Callable[[J], T]:
+    """Return `work` for another process, where the same folders are given as here."""
+    return functools.partial(_in_given_folders, tuple(_GIVEN), work)
+
+
+def _in_given_folders(given: tuple[str, ...], work: Callable[[J], T], job: J) -> T:
+    with given_folders(given):
+        return work(job)
+
+
+def refuse_links(path: str | os.PathLike[str]) -> None:
+    """Refuse a path that leads through a link inside a given folder, the nearest above it that was named.
+
+    Raises
+    ------
+    BadInput
+        Naming the link.
+    """
+    whole = Path(path).absolute() if _GIVEN else None
+    if whole is None or str(whole) in _GIVEN:
+        return
+    inside = [whole]
+    for parent in whole.parents:
+        if str(parent) in _GIVEN:
+            link = next((part for part in reversed(inside) if part.is_symlink()), None)
+            require(
+                link is None,
+                f"'{link}' is a link inside a folder, which is not followed; put the file or folder itself there.",
+            )
+            return
+        inside.append(parent)
 
 
 def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:

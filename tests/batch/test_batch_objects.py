@@ -97,6 +97,32 @@ def test_objects_give_the_tables_of_folders(memory: Objects, people: Path, tmp_p
         run_batch(memory / "nobody", memory / "store", RIDGE, jobs=1)
 
 
+@pytest.mark.parametrize("name", ["{}", "{}/../../../../../../{}", "../../../../../escaped", "..\\..\\escaped", "a\0b"])
+def test_a_key_names_no_file_outside(memory: Objects, name: str, monkeypatch: Any, tmp_path: Path) -> None:
+    """Whoever may write into the bucket overwrote any file of the user: keys are names of files."""
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    outside = tmp_path / "escaped"
+    outside.write_text("mine")
+    capture = read_population(memory / "people").captures[0].name
+    key = f"/bucket/people/{capture}/{name.format(outside, outside)}"
+    fsspec.filesystem("memory").store[key] = fsspec.implementations.memory.MemoryFile(path=key, data=b"theirs")
+    with pytest.raises(BadInput, match="the name of an object"):
+        run_batch(memory / "people", memory / "store", EA, jobs=1)
+    assert outside.read_text() == "mine"
+    assert sorted(os.listdir(tmp_path)) == ["escaped", "temporary"]  # noqa: PTH208
+
+
+def test_a_store_names_no_capture_outside(memory: Objects, people: Path, tmp_path: Path) -> None:
+    for population in (memory / "people", people):
+        for name in (str(tmp_path), "../people", "S01/../../x"):
+            with (
+                pytest.raises(BadInput, match="the name of a capture leaves"),
+                captures_at_hand(population, [name]) as there,
+            ):
+                next(there)
+
+
 def test_an_object_appears_whole_or_not_at_all(memory: Objects) -> None:
     with contextlib.suppress(KeyboardInterrupt), whole_file(memory / "half") as stream:
         stream.write(b"half of it")

@@ -85,12 +85,62 @@ def test_a_lost_chunk_alone_is_made_again_and_leftovers_go(people: Path, store: 
     before = chunks(store)
     lost = Store(store).files("features", "ea")[1]
     lost.unlink()
-    leftover = lost.with_name(f".{lost.name}.0123.tmp")
-    leftover.write_bytes(b"half")
+    leftover = lost.with_name(".splitknit-0123456789ab.tmp")
+    leftover.mkdir()
+    (leftover / "new").write_bytes(b"half")
+    (leftover / "mark.json").write_text(
+        json.dumps({"format": "splitknit-temporary", "version": 1, "target": lost.name})
+    )
+    mine = lost.with_name(f".{lost.name}.0123.tmp")
+    mine.write_bytes(b"mine")
     facts = run_batch(people, store, EA, jobs=1)
     assert facts["reconstructed"] == 2
     assert chunks(store) == before
     assert not leftover.exists()
+    assert mine.read_bytes() == b"mine"
+
+
+def test_nothing_is_written_or_read_through_a_link(people: Path, store: Path, tmp_path: Path) -> None:
+    """A store or a population that came from someone else may hold links: to files of the user, or of the system."""
+    ridge, away = replace(EA, matchers=("ridge",)), tmp_path / "away"
+    away.mkdir()
+    for name in ("ea_ridge.csv", ".0.tmp"):
+        (away / name).write_text("mine")
+    (store / "csv").mkdir()
+    for link, target in (
+        ("csv/ea_ridge.csv", away / "ea_ridge.csv"),
+        ("csv", away),
+        (".lock", away / "lock"),
+        ("timings", away),
+        ("scores", away),
+    ):
+        place = store / link
+        kept = store.with_name("kept")
+        place.rename(kept) if place.exists() else None
+        place.symlink_to(target)
+        if link == "timings":
+            Store(store).files("features", "ea")[0].unlink()
+        with pytest.raises(BadInput, match=r"is a link inside a folder|is not a score file"):
+            run_batch(people, store, ridge, jobs=2)
+        place.unlink()
+        kept.rename(place) if kept.exists() else None
+    assert {path.name: path.read_text() for path in away.iterdir()} == {"ea_ridge.csv": "mine", ".0.tmp": "mine"}
+    linked = tmp_path / "people"
+    shutil.copytree(people, linked)
+    photo = linked / "S01" / "session_1" / "right_index" / "white_0.png"
+    photo.symlink_to(photo.rename(photo.with_name("photo.png")))  # the link leads to the folder itself
+    facts = run_batch(linked, tmp_path / "new", EA, jobs=2)
+    assert len(facts["failures"]) == 1 and "white_0.png' is a link inside a folder" in facts["failures"][0]
+
+
+def test_a_score_file_of_the_user_is_not_replaced(people: Path, store: Path, tmp_path: Path) -> None:
+    ridge, file = replace(EA, matchers=("ridge",)), tmp_path / "scores" / "ea_ridge.csv"
+    for _ in range(2):  # our own is replaced
+        assert run_batch(people, store, ridge, jobs=1, csv=file.parent)["csv"] == [str(file)]
+    file.write_text("label,score\n1,0.9\n")
+    with pytest.raises(BadInput, match="exists and is not a score file of a batch; name another"):
+        run_batch(people, store, ridge, jobs=1, csv=file.parent)
+    assert file.read_text() == "label,score\n1,0.9\n"
 
 
 def test_a_growing_population_is_taken_as_it_comes(people: Path, store: Path, tmp_path: Path) -> None:

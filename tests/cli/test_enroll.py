@@ -365,6 +365,28 @@ def test_a_damaged_export_is_not_imported(whole: Path, tmp_path: Path, capsys, *
     assert not (tmp_path / "new.skg").exists()
 
 
+@pytest.mark.parametrize("name", ["templates/0001.skt", "images/0001.png", "images", "gallery.csv"])
+def test_an_export_with_a_link_is_not_imported(whole: Path, tmp_path: Path, capsys, *, name: str) -> None:
+    """An image that was a link to a file of the system came back by ``gallery export --images``."""
+    out, away = tmp_path / "out", tmp_path / "away"
+    facts_of(capsys, "gallery", "export", whole, "--out", out)
+    away.mkdir()
+    (away / "0001.png").write_bytes(b"a file of the user")
+    if name.startswith("images"):
+        table = (out / "gallery.csv").read_text()
+        (out / "gallery.csv").write_text(re.sub(",,\n", ",thumbnail,images/0001.png\n", table, count=1))
+        (out / "images").mkdir() if name != "images" else (out / "images").symlink_to(away)
+    if name != "images":
+        if (out / name).is_file():
+            (out / name).rename(away / "0001.png")
+        (out / name).symlink_to(away / "0001.png")
+    (tmp_path / "link").symlink_to(out)  # what is named may be one
+    assert "is a link inside a folder" in refusal_of(
+        capsys, "gallery", "import", tmp_path / "new.skg", tmp_path / "link"
+    )
+    assert not (tmp_path / "new.skg").exists()
+
+
 def test_damage_is_found_and_taken_out(gallery: Path, capsys) -> None:
     assert "is sound: all 6" in words_of(capsys, "gallery", "check", gallery)
     import sqlite3

@@ -213,6 +213,14 @@ def test_codes_in_shards_under_a_key_that_is_renewed(gallery: Path, probe: Path,
         [one[name] for name in named] for one in plain["candidates"]
     ]
     # nothing changed: nothing is written; renewed: everything is another
+    own = tmp_path / "mine.skc"
+    next(shards.iterdir()).rename(own)
+    (shards / "codes-000000.skc").symlink_to(own)  # in a folder that came from someone else
+    content = own.read_bytes()
+    for words in (("index", file), ("index", file, "--renew")):
+        assert "is a link inside a folder" in refusal_of(capsys, "gallery", *words, *with_key)
+    assert own.read_bytes() == content
+    own.replace(shards / "codes-000000.skc")
     before = {one.name: one.read_bytes() for one in shards.iterdir()}
     assert facts_of(capsys, "gallery", "index", file, *with_key)["shards"]["kept"] == 1
     assert "wrote 1 shard" in words_of(capsys, "gallery", "index", file, *with_key, "--renew")

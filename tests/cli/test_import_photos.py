@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,58 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def result(photos: Path) -> Path:
     assert main(["reconstruct", "--images", str(photos), "--preset", "ea", "--out", str(photos / "result")]) == 0
     return photos / "result"
+
+
+@pytest.fixture
+def captured(tmp_path: Path) -> Path:
+    """What ``splitknit capture`` leaves: 14 LEDs, ambient images, the session."""
+    taken = tmp_path / "real"
+    small = ("--scale", "0.1", "--set", "pose.insertion_mm=[26.0, 26.0]")
+    assert main(["capture", "--device", "twin", "--out", str(taken), *small]) == 0
+    return taken
+
+
+def test_no_verb_replaces_a_capture_unless_asked(photos: Path, captured: Path, capsys) -> None:
+    before = {path.name: path.read_bytes() for path in captured.iterdir()}
+    assert {"session.json", "nir_0.png", "ambient_white.png"} <= before.keys()
+    verbs = (["import", "--images", str(photos)], ["simulate", "--scale", "0.08"], ["simulate", "--bench"])
+    for words in verbs:
+        assert main([*words, "--out", str(captured)]) == 2
+        err = capsys.readouterr().err
+        assert "give --overwrite" in err or "--bench" in words, err
+        assert {path.name: path.read_bytes() for path in captured.iterdir()} == before
+    (captured / "notes.txt").write_text("mine")
+    assert main([*verbs[0], "--out", str(captured), "--overwrite"]) == 2  # not with the user's own files in it
+    (captured / "notes.txt").unlink()
+    for words in verbs[:2]:
+        assert main([*words, "--out", str(captured), "--overwrite"]) == 0
+        assert not (captured / "session.json").exists()
+    assert main([*verbs[1], "--out", str(captured)]) == 2  # nor a simulated one
+    for words in (["import", "a.png"], ["simulate", "population"]):
+        assert main([*words, "--out", str(captured), "--overwrite"]) == 2
+        assert "--overwrite" in capsys.readouterr().err
+
+
+def test_photographs_and_captures_are_not_read_through_links(photos: Path, captured: Path, capsys) -> None:
+    folder = captured.parent / "received"
+    shutil.copytree(photos, folder, ignore=shutil.ignore_patterns("result*"))
+    words = ["import", "--images", str(folder), "--out", str(captured.parent / "out")]
+    for name in ("1.png", "mask.png", "lights.txt"):
+        away = captured.parent / name
+        (folder / name).rename(away)
+        (folder / name).symlink_to(away)
+        assert main(words) == 2
+        assert f"{name}' is a link inside a folder" in capsys.readouterr().err
+        (folder / name).unlink()
+        away.rename(folder / name)
+    for name in ("capture.json", "rig.json", "white_0.png"):
+        (captured / name).rename(captured / f"own_{name}")
+        (captured / name).symlink_to(captured / f"own_{name}")  # even to a file of the folder
+        assert main(["reconstruct", str(captured), "--out", str(captured.parent / "out")]) == 2
+        assert f"{name}' is a link inside a folder" in capsys.readouterr().err
+        (captured / f"own_{name}").replace(captured / name)
+    (captured.parent / "link").symlink_to(folder)
+    assert main(["import", "--images", str(captured.parent / "link"), "--out", str(captured.parent / "out")]) == 0
 
 
 def test_one_command_makes_a_surface_in_pixels(result: Path) -> None:

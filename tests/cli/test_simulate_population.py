@@ -113,12 +113,37 @@ def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(population: P
     for folder in found:
         assert digests(folder) == digests(population / folder.relative_to(out))
     (out / "S01" / "session_1").mkdir(parents=True, exist_ok=True)
-    (out / "S01" / "session_1" / ".left_thumb.0123456789ab.tmp").mkdir()  # what a killed worker leaves
+    left = out / "S01" / "session_1" / ".splitknit-0123456789ab.tmp"  # what a killed worker leaves
+    (left / "new").mkdir(parents=True)
+    (left / "mark.json").write_text('{"format": "splitknit-temporary", "version": 1, "target": "left_thumb"}')
+    mine = left.with_name(".left_thumb.0123456789ab.tmp")  # and what it does not
+    mine.mkdir()
     stamps = {folder: (folder / "capture.json").stat().st_mtime_ns for folder in found}
     assert main(words(out, "--workers", "1")) == 0
     assert digests(out) == digests(population)
-    assert not list(out.rglob("*.tmp"))
+    assert list(out.rglob("*.tmp")) == [mine]
     assert all((folder / "capture.json").stat().st_mtime_ns == stamp for folder, stamp in stamps.items())
+
+
+def test_a_table_that_is_not_ours_and_links_are_not_written(population: Path, tmp_path: Path, capsys: Captured):
+    out, mine = tmp_path / "people", tmp_path / "mine.csv"
+    shutil.copytree(population, out)
+    mine.write_text("my own")
+    table = out / "population.csv"
+    table.write_text("my own")
+    assert "is not the table of a population" in refused(capsys, *words(out))
+    assert table.read_text() == "my own"
+    table.unlink()
+    table.symlink_to(mine)
+    assert "is not the table of a population" in refused(capsys, *words(out))
+    table.unlink()
+    (out / "S02" / "session_2").rename(tmp_path / "away")
+    (out / "S02" / "session_2").symlink_to(tmp_path / "away")
+    shutil.rmtree(tmp_path / "away" / "left_thumb")
+    for workers in ("1", "2"):
+        assert "session_2' is a link inside a folder" in refused(capsys, *words(out, "--workers", workers))
+    assert [path.name for path in (tmp_path / "away").iterdir()] == ["right_index"]
+    assert mine.read_text() == "my own"
 
 
 def list_of_processes(out: Path) -> list[str]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import signal
 import stat
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, given_folders, read_bytes
 from splitknit.io.atomic import GROUP_READABLE, atomic_file, atomic_folder
 
 
@@ -30,7 +31,7 @@ def test_a_folder_appears_whole_and_parents_are_made(tmp_path: Path) -> None:
         (folder / "sub").mkdir()
         (folder / "sub" / "two").write_text("2")
         assert not out.exists()
-        assert folder.parent == out.parent
+        assert folder.parent.parent == out.parent  # renamed on one disk
     assert (out / "sub" / "two").read_text() == "2"
     assert os.listdir(out.parent) == ["result"]  # noqa: PTH208
 
@@ -55,7 +56,7 @@ def test_a_failing_rename_brings_the_earlier_result_back(tmp_path: Path, monkeyp
     rename = Path.rename
 
     def broken(self: Path, target: Path) -> Path:
-        if self.name.endswith(".tmp") and target.name == "result" and (self / "new").exists():
+        if self.name == "new" and target.name == "result":
             raise OSError(28, "No space left on device")
         return rename(self, target)
 
@@ -212,7 +213,7 @@ if where == "file":
         os.kill(os.getpid(), signal.SIGKILL)
 rename = Path.rename
 def stopped(self, target):
-    if where == "swap" and self.name.endswith(".tmp"):
+    if where == "swap" and self.name == "new":
         os.kill(os.getpid(), signal.SIGKILL)
     return rename(self, target)
 Path.rename = stopped
@@ -223,21 +224,95 @@ with atomic_folder(out) as folder:
 """
 
 
+def unmarked(parent: Path) -> list[Path]:
+    """Hidden files and folders of a user, some of them called as ours are, and backups of results of ours."""
+    names = (".kept.tmp", ".photos.202611221145.old", ".photo.0123456789ab.tmp", ".splitknit-0123456789ab.tmp")
+    folders = (".photos.202611221146.old", ".splitknit-0123456789ac.tmp", ".splitknit-0123456789ad.tmp",
+               ".splitknit-0123456789ae.tmp")  # fmt: skip
+    for name in names:
+        (parent / name).write_text("mine")
+    for name in folders:
+        (parent / name).mkdir()
+        (parent / name / "mine").write_text("mine")
+        (parent / name / ".splitknit").write_text('{"format": "splitknit-folder", "files": ["mine"]}')
+    mark = '{"format": "splitknit-temporary", "version": 1, "target": "../x"}'
+    (parent / folders[2] / "mark.json").write_text(mark)
+    (parent / folders[3] / "mark.json").write_text('{"format": "other", "target": "x"}')
+    return [parent / name for name in (*names, *folders)]
+
+
+def test_what_a_mark_names_stays_beside_it_and_a_new_result_is_kept(tmp_path: Path) -> None:
+    """A received folder may hold marks: they lead nowhere; what took the place of an old result is not replaced."""
+    for name, target in (("0123456789ab", "../away"), ("0123456789ac", "taken")):
+        left = tmp_path / "received" / f".splitknit-{name}.tmp"
+        for part in ("new", "old"):
+            (left / part).mkdir(parents=True)
+        (left / "old" / "result").write_text("old")
+        (left / "mark.json").write_text(json.dumps({"format": "splitknit-temporary", "target": target}))
+    (tmp_path / "received" / "taken").write_text("mine")
+    with atomic_file(tmp_path / "received" / "file"):
+        pass
+    assert sorted(os.listdir(tmp_path)) == ["received"]  # noqa: PTH208
+    assert (tmp_path / "received" / "taken").read_text() == "mine"
+    assert len(list(tmp_path.rglob("old/result"))) == 2
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+@pytest.mark.parametrize("given", ["", ".splitknit-0123456789ab.tmp"])
+def test_nothing_of_another_owner_is_removed(tmp_path: Path, given: str) -> None:
+    folder = tmp_path / "shared"
+    left = folder / ".splitknit-0123456789ab.tmp"
+    left.mkdir(parents=True)
+    (left / "mark.json").write_text('{"format": "splitknit-temporary", "target": "x"}')
+    os.chown(folder / given, 12345, 12345)
+    with atomic_file(folder / "file"):
+        pass
+    assert left.is_dir()
+
+
+def test_nothing_is_written_through_a_link_inside_a_given_folder(tmp_path: Path) -> None:
+    mine, given = tmp_path / "mine", tmp_path / "given"
+    mine.mkdir()
+    (mine / "file").write_text("mine")
+    given.mkdir()
+    (given / "file").symlink_to(mine / "file")
+    (given / "folder").symlink_to(mine)
+    (tmp_path / "link").symlink_to(given)
+    for named in (given, tmp_path / "link"):
+        with given_folders([named]):
+            for name in ("file", "folder/file", "folder/new/file"):
+                with pytest.raises(BadInput, match="is a link inside a folder"), atomic_file(named / name):
+                    pass
+                with pytest.raises(BadInput, match="is a link inside a folder"), atomic_folder(named / name):
+                    pass
+                with pytest.raises(BadInput, match="is a link inside a folder"):
+                    read_bytes(named / name, 100)
+            with atomic_file(named / "below" / "own") as stream:
+                stream.write(b"own")
+            assert read_bytes(named / "below" / "own", 100) == b"own"
+        assert read_bytes(named / "file", 100) == b"mine"  # named by nobody
+    with given_folders([given, given / "file"]):  # the link itself is named
+        assert read_bytes(given / "file", 100) == b"mine"
+    assert {path.name: path.read_text() for path in mine.iterdir()} == {"file": "mine"}
+
+
 @pytest.mark.parametrize("where", ["file", "folder", "swap"])
 def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: str) -> None:
     fill(tmp_path / "kept", one="1")
-    mine = [tmp_path / name for name in (".kept.tmp", ".photo.0123456789ab.tmpx", "x.0123456789ab.tmp")]
-    for path in mine:
-        path.write_text("mine")
+    mine = unmarked(tmp_path)
     out = tmp_path / ("file" if where == "file" else "kept")
     run = subprocess.run([sys.executable, "-c", KILLED, str(out), where], check=False)
     assert run.returncode == -signal.SIGKILL
     left = [path for path in tmp_path.iterdir() if path not in {*mine, tmp_path / "kept"}]
-    assert len(left) == (2 if where == "swap" else 1)
+    assert len(left) == 1
     again = "from splitknit.io.atomic import atomic_file; import sys; atomic_file(sys.argv[1]).__enter__()"
+    there = set(tmp_path.iterdir())
     with atomic_folder(tmp_path / "at_work"):  # another program at work is left alone
-        before = {path for path in tmp_path.iterdir() if path.name.startswith(".at_work")}
+        before = set(tmp_path.iterdir()) - there
+        assert len(before) == 1
         subprocess.run([sys.executable, "-c", again, str(tmp_path / "other")], check=True)
         assert before <= set(tmp_path.iterdir())
     assert {path.name for path in tmp_path.iterdir()} == {"kept", "at_work", *(path.name for path in mine)}
     assert visible(tmp_path / "kept") == {"one": "1"}
+    for path in mine:
+        assert path.is_file() or (path / "mine").read_text() == "mine"

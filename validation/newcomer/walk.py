@@ -65,6 +65,12 @@ def photographs(folder: Path) -> Iterator[Step]:
     yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "line 1")
     (mine / "lights.txt").write_text(LIGHTS)
     images = "--images photos --lights photos/lights.txt --material skin"
+    for command in (f"import {images} --px-per-mm 22.7", "simulate --seed 4"):
+        yield Step(f"{command} --out finger", 2, "--overwrite")  # photographs are not replaced by mistake
+    (mine / "white_6.png").replace(mine / "seventh")
+    (mine / "white_6.png").symlink_to(mine / "seventh")
+    yield Step(f"reconstruct {images} --out wrong", 2, "white_6.png' is a link")
+    (mine / "seventh").replace(mine / "white_6.png")
     yield Step(f"reconstruct {images} --out pixels", says="scale", makes="pixels/report.html")
     yield Step("print pixels --out wrong", 2, "--px-per-mm")  # no scale, no print
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out photos", 2, "photos")  # nothing of the user's is replaced

@@ -47,12 +47,13 @@ from splitknit.batch.solids import (
     extract_solids,
     write_minutiae,
 )
-from splitknit.batch.store import Store, check_target, open_store, sweep
-from splitknit.errors import BadInput, require
+from splitknit.batch.store import Store, check_target, open_store
+from splitknit.errors import BadInput, given_folders, open_at_once, require
 from splitknit.evaluation.protocol import Comparisons
 from splitknit.evaluation.scores import Ids, Scores, ids_of
-from splitknit.io.atomic import hold, private_modes
+from splitknit.io.atomic import hold, private_modes, sweep
 from splitknit.io.capture import read_capture
+from splitknit.io.targets import check_file
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.surface import MatchingSettings
@@ -60,6 +61,7 @@ from splitknit.model import Progress
 from splitknit.presets import PipelineSettings
 
 _KINDS = ("finger", "subject", "session")
+_CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
 
 
 def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
@@ -206,18 +208,23 @@ def run_batch(
             not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
             f"'{one}' is known to this process alone; take --jobs 1 and no cluster, or another place.",
         )
-    there = read_population(people)
+    tables = _tables(settings, folder / "csv" if csv is None else csv)
     with contextlib.ExitStack() as stack:
+        stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
+        for table in tables.values():
+            if isinstance(table, Path):
+                check_file(table, "a score file of a batch", lambda data: data.startswith(_CSV_BEGINS))
+        there = read_population(people)
         client = None if cluster is None else stack.enter_context(connected(cluster))
         check_target(folder)
         if isinstance(folder, Path):
             folder = folder.resolve()
             stack.enter_context(alone(folder))
+            sweep(folder)
+            stack.callback(sweep, folder)  # of a worker that an interrupt ended
         run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
-        sweep(folder)
-        stack.callback(sweep, folder)  # an interrupt may come between a file's making and its first byte
         facts = _reconstruct(run) | {"scores": _match(run)}
-        written = _export(run, folder / "csv" if csv is None else csv)
+        written = _export(run, tables)
     return (
         {"out": str(out)}
         | facts
@@ -276,15 +283,18 @@ def _match(run: _Run) -> list[dict[str, Any]]:
     return facts
 
 
-def _export(run: _Run, folder: Location) -> list[str]:
-    files = []
-    for case in run.settings.cases:
-        for name in run.settings.matchers:
-            run.progress(f"{case.name}: {name}, CSV", 1.0)
-            file = folder / f"{case.name}_{name}.csv"
-            write_csv(file, run.store.scores(case.name, name))
-            files.append(str(file))
-    return files
+def _tables(settings: BatchSettings, folder: Location) -> dict[tuple[str, str], Location]:
+    """Score files by case and matcher."""
+    return {
+        (case.name, name): folder / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
+    }
+
+
+def _export(run: _Run, tables: Mapping[tuple[str, str], Location]) -> list[str]:
+    for (case, name), file in tables.items():
+        run.progress(f"{case}: {name}, CSV", 1.0)
+        write_csv(file, run.store.scores(case, name))
+    return [str(file) for file in tables.values()]
 
 
 # One run at a time writes a store.
@@ -302,7 +312,7 @@ def alone(store: Path) -> Iterator[None]:
         If another run holds it, or the folder cannot be written.
     """
     try:
-        stream = os.fdopen(os.open(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
+        stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")
     except OSError as error:
         raise BadInput(f"cannot write into '{store}': {error.strerror or error}; choose another place.") from error
     with stream:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from splitknit.batch.chunks import load
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, require, with_given_folders
 from splitknit.networks.unet import running, use_device
 
 Task = TypeVar("Task")
@@ -127,6 +127,7 @@ def run_tasks(
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     if not tasks:
         return iter(())
+    work = with_given_folders(work)
     if client is not None:
         return _on_cluster(work, tasks, client, device)
     return _here(work, tasks, device) if jobs == 1 or len(tasks) == 1 else _in_processes(work, tasks, jobs, device)

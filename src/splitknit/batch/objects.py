@@ -19,6 +19,7 @@ from typing import IO, Any, BinaryIO
 
 from splitknit.errors import BadInput, open_file, read_bytes, require
 from splitknit.io.atomic import atomic_file
+from splitknit.io.fields import inside
 
 MEMORY = "memory"
 SCHEMES = ("s3", "gs", "az", MEMORY)
@@ -248,9 +249,11 @@ def captures_at_hand(population: Location, names: Sequence[str]) -> Iterator[Ite
     Raises
     ------
     BadInput
-        If objects cannot be read: that is no failure of the capture.
+        If objects cannot be read, or the name of one leads out of its capture: that is no failure of the capture.
     """
     if isinstance(population, Path):
+        for name in names:
+            inside(population, name, f"'{population}'", "the name of a capture")
         yield iter([population] * len(names))
         return
     with tempfile.TemporaryDirectory(prefix="splitknit-") as folder, ThreadPoolExecutor(1) as ahead:
@@ -270,7 +273,7 @@ def captures_at_hand(population: Location, names: Sequence[str]) -> Iterator[Ite
 
 def _copy(population: Objects, name: str, root: Path) -> None:
     """Copy a capture's objects to where they lie below `root`; of what is not read, the name alone."""
-    source, target = population / name, root / name
+    source, target = population / name, inside(root, name, f"'{population}'", "the name of a capture")
     target.mkdir(parents=True)
     sizes = {file: size for file, size in _sizes(source, deep=True).items() if file not in _UNREAD}
     require(
@@ -281,9 +284,9 @@ def _copy(population: Objects, name: str, root: Path) -> None:
     with _refusing(source, "read"):
         fs, path = _of(source)
         for file, size in sizes.items():
-            require(".." not in file.split("/"), f"'{source}' holds an object that no file can be called after.")
-            (target / file).parent.mkdir(parents=True, exist_ok=True)
-            (target / file).write_bytes(_read(source / file, fs, f"{path}/{file}", 0, size))
+            local = inside(target, file, f"'{source}'", "the name of an object")
+            local.parent.mkdir(parents=True, exist_ok=True)
+            local.write_bytes(_read(source / file, fs, f"{path}/{file}", 0, size))
 
 
 def _of(place: Objects) -> tuple[Any, str]:

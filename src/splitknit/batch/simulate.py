@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,10 +20,11 @@ from typing import Any
 from splitknit.batch.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment, plan_enrolment
 from splitknit.errors import refusing, require
-from splitknit.io.atomic import atomic_file, atomic_folder, hold
+from splitknit.io.atomic import atomic_file, atomic_folder, hold, sweep
 from splitknit.io.capture import write_capture
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
+from splitknit.io.targets import check_file
 from splitknit.model import Progress, no_progress
 from splitknit.settings import differing
 from splitknit.simulator.population.prints import RealPrint, RealPrints, choose_prints
@@ -71,6 +71,7 @@ def simulate_population(
     """
     started = time.perf_counter()
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
+    check_file(out / TABLE_FILE, "the table of a population", lambda data: data.startswith(b"folder,"))
     earlier = _earlier(out)
     plan = plan_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers).plan
     real = RealPrints()
@@ -92,7 +93,7 @@ def simulate_population(
         with atomic_file(out / POPULATION_FILE) as stream:
             stream.write(json_text(document).encode("ascii"))
     with _alone(out / POPULATION_FILE):
-        _sweep(enrolment)
+        sweep(out)
         waiting = enrolment.waiting()
         before = enrolment.plan.total - len(waiting)
         progress("simulating", 0.0)
@@ -211,12 +212,6 @@ def _alone(file: Path) -> Iterator[None]:
     with file.open("rb") as stream:
         hold(stream, f"another run is simulating into '{file.parent}'; wait for it, or stop it.")
         yield
-
-
-def _sweep(enrolment: Enrolment) -> None:
-    """Remove what killed runs left half-written."""
-    for leftover in enrolment.folder.glob("S*/session_*/.*.tmp"):
-        shutil.rmtree(leftover, ignore_errors=True)
 
 
 def _write_table(enrolment: Enrolment) -> None:

@@ -14,7 +14,6 @@ from splitknit.batch.population import Population
 from splitknit.batch.reading import images_of, places_of
 from splitknit.batch.scores import score_schema
 from splitknit.batch.settings import BatchSettings
-from splitknit.batch.solids import SOLIDS
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.atomic import make_folder
 from splitknit.io.fields import MAX_JSON_BYTES, as_number, parse_json
@@ -201,15 +200,6 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
     with whole_file(file) as stream:
         stream.write(json_text(document).encode("ascii"))
     return store
-
-
-def sweep(folder: Location) -> None:
-    """Remove what killed runs left half-written; the caller holds the store's lock. Objects are never half-written."""
-    if not isinstance(folder, Path):
-        return
-    for kind in ("features", "minutiae", "voted", *SOLIDS, "scores", "timings", "csv"):
-        for leftover in (folder / kind).glob("**/.*.tmp"):
-            leftover.unlink(missing_ok=True)
 
 
 def check_target(folder: Location) -> None:

@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from typing import TypeVar
 
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, with_given_folders
 from splitknit.steps import one_heap
 
 Job = TypeVar("Job")
@@ -41,7 +41,7 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
         return
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
-    rest = iter(jobs)
+    rest, work = iter(jobs), with_given_folders(work)
     running: dict[Future[Done], Job] = {}
     try:
         while True:

@@ -16,11 +16,11 @@ from typing import Any
 from splitknit.capture.enrolment import Enrolment, Place
 from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
-from splitknit.errors import BadInput, Refused, require
+from splitknit.errors import BadInput, Refused
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.io.provenance import json_text, provenance
-from splitknit.io.targets import check_target
+from splitknit.io.targets import check_capture
 from splitknit.model import Progress, Rig, no_progress
 
 MARKER = "session.json"
@@ -57,21 +57,6 @@ class CaptureOptions:
     watch_focus: WatchFocus | None = None
 
 
-def check_out(out: Path, options: CaptureOptions) -> None:
-    """Refuse a folder that must not be replaced, before any device is opened.
-
-    Raises
-    ------
-    BadInput
-        If it holds anything, and is not an earlier capture that may be overwritten.
-    """
-    if options.overwrite:
-        check_target(out, MARKER, "an earlier capture")
-    else:
-        empty = not out.exists() or (out.is_dir() and not any(out.iterdir()))
-        require(empty, f"'{out}' exists and is not empty; name another folder, or give --overwrite.")
-
-
 def capture_to_folder(
     devices: Opened,
     out: Path,
@@ -87,7 +72,7 @@ def capture_to_folder(
     BadInput
         If the finger must be captured again, with the verdict: nothing is written then unless `options.keep`.
     """
-    check_out(out, options)
+    check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
         session = run_session(
             devices.camera,

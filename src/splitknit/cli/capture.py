@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.cli.verb import Outcome, Progress, add_settings, natural, new_verb, scale
+from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, scale
 
 if TYPE_CHECKING:
     from splitknit.capture.enrolment import Place
@@ -39,7 +39,7 @@ def add_capture(verbs: Any) -> None:
         "board or sphere there",
     )
     verb.add_argument("--keep", action="store_true", help="write a capture even if it must be taken again")
-    verb.add_argument("--overwrite", action="store_true", help="replace an earlier capture in DIR")
+    add_overwrite(verb)
     who = verb.add_argument_group("who (ids only, never names)")
     who.add_argument("--subject", default=None, metavar="ID", help="such as S01: letters, digits, - and _")
     who.add_argument("--finger", default=None, metavar="NAME", help="right_thumb ... right_little, left_thumb ...")
@@ -113,10 +113,11 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _run_one(options: argparse.Namespace, how: CaptureOptions, settings: DeviceSettings, rig: Rig | None) -> Outcome:
-    from splitknit.capture.folder import capture_to_folder, check_out  # noqa: PLC0415
+    from splitknit.capture.folder import capture_to_folder  # noqa: PLC0415
+    from splitknit.io.targets import check_capture  # noqa: PLC0415
     from splitknit.rig.devices import opened_pi, opened_twin  # noqa: PLC0415
 
-    check_out(options.out, how)
+    check_capture(options.out, overwrite=options.overwrite)  # before any device is opened
     session = options.session or 1
     subject: dict[str, Any] = {"id": options.subject or "anonymous", "session": session}
     if options.target is not None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.cli.verb import Outcome, Progress, add_input_ppi, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_overwrite, new_verb
 from splitknit.errors import naming, require
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def add_import(verbs: Any) -> None:
     verb = new_verb(verbs, "import", what, _run)
     add_photo_options(verb, required=False)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    add_overwrite(verb)
     group = verb.add_argument_group("prints of other systems")
     group.add_argument(
         "files",
@@ -173,9 +174,8 @@ def _import_prints(options: argparse.Namespace) -> Outcome:
     from splitknit.gallery.records import Exporting, import_records  # noqa: PLC0415
 
     check_photo_options(options)
-    needless = [
-        name for name in ("tip_direction", "light_frame", "px_per_mm", "ridge_period") if getattr(options, name)
-    ]
+    of_photographs = ("tip_direction", "light_frame", "px_per_mm", "ridge_period", "overwrite")
+    needless = [name for name in of_photographs if getattr(options, name)]
     require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} goes with --images.")
     settings = Exporting(input_ppi=options.input_ppi)
     with Progress(options) as progress:
@@ -186,15 +186,15 @@ def _import_prints(options: argparse.Namespace) -> Outcome:
 def _import_photos(options: argparse.Namespace) -> Outcome:
     """Write a capture folder."""
     from splitknit.io.capture import write_capture  # noqa: PLC0415
-    from splitknit.io.targets import check_target  # noqa: PLC0415
+    from splitknit.io.targets import check_capture  # noqa: PLC0415
 
     check_photo_options(options)
-    check_target(options.out, "capture.json", "an earlier capture", keep=options.images)
+    check_capture(options.out, overwrite=options.overwrite, keep=options.images)
     with Progress(options) as progress:
         progress.update("reading", 0.1)
         capture, notes = capture_of_photographs(options)
         progress.update("writing", 0.7)
-        write_capture(capture, options.out, overwrite=True)
+        write_capture(capture, options.out, overwrite=options.overwrite)
     band, camera = capture.bands["white"], capture.rig.camera
     count, rows, columns, channels = band.pixels.shape
     facts: dict[str, Any] = {

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, add_settings, natural, new_verb, scale
+from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, scale
 from splitknit.errors import BadInput, require
 
 
@@ -28,6 +28,7 @@ def add_simulate(verbs: Any) -> None:
         help="one capture (finger, the default), or many people's fingers in several sessions",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="capture folder to write")
+    add_overwrite(verb)
     verb.add_argument("--seed", type=natural, default=0, help="which finger, or which population (default: 0)")
     verb.add_argument(
         "--bench",
@@ -122,6 +123,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             impression=options.impression,
             print_file=options.print_file,
             changes=changes,
+            overwrite=options.overwrite,
             progress=progress.update,
         )
     rows, columns = facts["image_size"]
@@ -163,7 +165,12 @@ def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outco
     photos = override(BenchPhotos(), changes)
     with Progress(options) as progress:
         facts = bench_to_folder(
-            options.out, seed=options.seed, scale=options.scale or 0.5, photos=photos, progress=progress.update
+            options.out,
+            seed=options.seed,
+            scale=options.scale or 0.5,
+            photos=photos,
+            overwrite=options.overwrite,
+            progress=progress.update,
         )
     out = options.out
     lines = [
@@ -216,7 +223,9 @@ def _run_population(options: argparse.Namespace) -> Outcome:
 
     names = ("pattern", "rig", "motion", "condition", "severity", "mirrors")
     unused = [name for name in names if getattr(options, name) is not None]
-    unused += [name.replace("_", "-") for name in ("bench", "no_nir", "impression") if getattr(options, name)]
+    unused += [
+        name.replace("_", "-") for name in ("bench", "no_nir", "impression", "overwrite") if getattr(options, name)
+    ]
     unused += ["print"] if options.print_file is not None else []
     require(not unused, f"--{unused[0] if unused else ''} does not go with a population.")
     changes = read_changes(options.settings, options.assignments)

@@ -97,12 +97,15 @@ def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace
 
 def run_verb(options: argparse.Namespace) -> Outcome:
     """Run the chosen verb, its workers included, with the permissions for new files that were asked for."""
-    from splitknit.io.atomic import GROUP_READABLE  # noqa: PLC0415 - `--help` needs none of it
+    from splitknit.errors import given_folders  # noqa: PLC0415 - `--help` needs none of it
+    from splitknit.io.atomic import GROUP_READABLE  # noqa: PLC0415
 
+    named = [one for value in vars(options).values() for one in (value if isinstance(value, list) else [value])]
     earlier = os.environ.get(GROUP_READABLE, "")
     os.environ[GROUP_READABLE] = "1" if options.group_readable else earlier
     try:
-        outcome: Outcome = options.run(options)
+        with given_folders(one for one in named if isinstance(one, Path)):
+            outcome: Outcome = options.run(options)
         return outcome
     finally:
         os.environ[GROUP_READABLE] = earlier
@@ -146,6 +149,11 @@ def add_device(verb: argparse.ArgumentParser) -> None:
         help="where networks run: cpu (the default, always the same bytes), cuda (other last digits; needs "
         "onnxruntime-gpu), or auto, cuda where there is one",
     )
+
+
+def add_overwrite(verb: argparse.ArgumentParser) -> None:
+    """Add ``--overwrite``."""
+    verb.add_argument("--overwrite", action="store_true", help="replace an earlier capture in DIR")
 
 
 def add_input_ppi(verb: Any) -> None:

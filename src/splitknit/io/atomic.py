@@ -1,8 +1,9 @@
 """Files and folders that appear whole or not at all.
 
-Everything is written under a temporary name beside the target and renamed at the end, so that an exception, an
-interrupt or a full disk leaves neither a half-written result nor a damaged earlier one. What a killed program left
-beside a target is removed by the next one that writes into the same folder.
+Everything is written into a temporary folder beside the target and renamed at the end, so that an exception, an
+interrupt or a full disk leaves neither a half-written result nor a damaged earlier one. The temporary folder holds a
+mark of ours, what is made (``new``) and, for the moment of the exchange, what it replaces (``old``). What a killed
+program left beside a target is removed by the next one that writes into the same folder: only what carries the mark.
 
 Fingerprints are personal data: whatever is written is readable by its owner alone (files 0600, folders 0700), or by
 the group too (0640, 0750) where the environment variable :data:`GROUP_READABLE` is 1, which worker processes inherit.
@@ -17,24 +18,23 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, BinaryIO, TypeVar
+from typing import IO, Any, BinaryIO
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, read_bytes, refuse_links, require
 
 MANIFEST = ".splitknit"
 """File in every folder we write that lists what we wrote there: only that may be replaced."""
 GROUP_READABLE = "SPLITKNIT_GROUP_READABLE"
 _STRAY = frozenset({MANIFEST, ".DS_Store", "Thumbs.db", "desktop.ini"})
-_LEFT_OVER = re.compile(r"\.(?P<target>.{1,100})\.[0-9a-f]{12}\.(?P<ending>tmp|old)", re.DOTALL)
-_LONGEST_NAME = 100
-Held = TypeVar("Held", int, int | None)
-"""A descriptor that holds a lock; None of a folder on Windows."""
+_TEMPORARY = re.compile(r"\.splitknit-[0-9a-f]{12}\.tmp")
+_MARK, _MARK_FORMAT = "mark.json", "splitknit-temporary"
+"""File in a temporary folder that names the target: what has none is not ours, whatever it is called."""
 _WINDOWS = os.name == "nt"
 """Has no locks of this kind, opens no folders, and renames no open files."""
 _AT_WORK: set[Path] = set()
-"""Temporary folders that this process is filling."""
+"""Folders that this process is filling."""
 
 
 @contextlib.contextmanager
@@ -49,26 +49,24 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     Raises
     ------
     BadInput
-        If `out` is a file, holds files not written here, exists while `overwrite` is false, or cannot be written.
+        If `out` is a file, holds files not written here, exists while `overwrite` is false, lies behind a link inside a
+        folder that the user named, or cannot be written.
     """
     target = _resolved(out)
     if target in _AT_WORK:
         yield target
         return
     _check_replaceable(target, overwrite)
-    with _parents(target), _refuse_os_errors(target):
-        _sweep(target.parent)
-        temporary, lock = _new_sibling(target, _make_folder)
+    with _parents(target), _refuse_os_errors(target), _temporary(target) as new:
         try:
-            _AT_WORK.add(temporary)
-            yield temporary
-            _write_manifest(temporary)
-            _make_private(temporary)
-            _swap(temporary, target, overwrite)
+            new.mkdir(0o700)
+            _AT_WORK.add(new)
+            yield new
+            _write_manifest(new)
+            _make_private(new)
+            _swap(new, target, overwrite)
         finally:
-            _AT_WORK.discard(temporary)
-            shutil.rmtree(temporary, ignore_errors=True)
-            _release(lock)
+            _AT_WORK.discard(new)
 
 
 @contextlib.contextmanager
@@ -80,29 +78,24 @@ def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iter
     Raises
     ------
     BadInput
-        If `path` is a folder or a device, exists while `overwrite` is false, or cannot be written.
+        If `path` is a folder or a device, exists while `overwrite` is false, is or lies behind a link inside a folder
+        that the user named, or cannot be written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):
         require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
         # the renaming would take the place of /dev/null, where one may do that
         require(target.is_file() or not target.exists(), f"'{target}' is a device or a pipe; name a file to write.")
-    with _parents(target), _refuse_os_errors(target):
-        _sweep(target.parent)
-        temporary, descriptor = _new_sibling(target, _make_file)
-        try:
-            with os.fdopen(descriptor, "wb") as stream:
-                yield stream
-                stream.flush()
-                temporary.chmod(private_modes()[0])
-                if _WINDOWS:  # where no open file is renamed
-                    stream.close()
-                if overwrite:
-                    temporary.replace(target)
-                else:
-                    _place(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with _parents(target), _refuse_os_errors(target), _temporary(target) as new, new.open("xb") as stream:
+        yield stream
+        stream.flush()
+        new.chmod(private_modes()[0])
+        if _WINDOWS:  # where no open file is renamed
+            stream.close()
+        if overwrite:
+            new.replace(target)
+        else:
+            _place(new, target)
 
 
 def _place(temporary: Path, target: Path) -> None:
@@ -145,43 +138,57 @@ def _make_private(folder: Path) -> None:
 
 def _resolved(path: str | os.PathLike[str]) -> Path:
     try:
+        refuse_links(path)
         return Path(path).expanduser().resolve()
+    except BadInput:
+        raise
     except (OSError, ValueError, RuntimeError) as error:
         raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
 
 
-def _sibling(target: Path, ending: str = "tmp") -> Path:
+@contextlib.contextmanager
+def _temporary(target: Path) -> Iterator[Path]:
+    """Yield the path, in a marked and locked temporary folder beside `target`, where it is to be made.
+
+    The folder is locked before it is marked: what has a mark and no lock was left by a program that is no more.
+    """
     import secrets  # noqa: PLC0415 - who only reads needs none of it
 
-    return target.with_name(f".{target.name[:_LONGEST_NAME]}.{secrets.token_hex(6)}.{ending}")
+    _sweep_once(target.parent)
+    folder = target.with_name(f".splitknit-{secrets.token_hex(6)}.tmp")
+    folder.mkdir(0o700)
+    lock: int | None = None
+    try:
+        lock = _hold_folder(folder)
+        _lock(lock, wait=True)
+        mark = {"format": _MARK_FORMAT, "version": 1, "target": target.name}
+        (folder / _MARK).write_text(json.dumps(mark), encoding="ascii")
+        yield folder / "new"
+    finally:
+        with contextlib.suppress(OSError):
+            _discard(folder)
+        _release(lock)
 
 
-def _new_sibling(target: Path, make: Callable[[Path], Held]) -> tuple[Path, Held]:
-    """Make a temporary file or folder beside `target`; return its path and the descriptor that holds its lock.
+def _discard(folder: Path) -> None:
+    """Remove a temporary folder, its mark last: what a kill leaves of it is still known as ours.
 
-    Between its making and its locking :func:`_sweep` of another program may take it for a leftover: then once more.
+    Not where an exchange was cut short and what was to be replaced still lies in it.
     """
-    while True:
-        path = _sibling(target)
-        with contextlib.suppress(FileNotFoundError):
-            descriptor = make(path)
-            _lock(descriptor, wait=True)
-            if path.exists():
-                return path, descriptor
-            _release(descriptor)
-
-
-def _make_file(path: Path) -> int:
-    return os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0), 0o600)
-
-
-def _make_folder(path: Path) -> int | None:
-    path.mkdir(0o700)
-    return _hold_folder(path)
+    new, old = folder / "new", folder / "old"
+    if os.path.lexists(new) and os.path.lexists(old):
+        return
+    for part in (new, old):
+        if part.is_dir() and not part.is_symlink():
+            shutil.rmtree(part)
+        else:
+            part.unlink(missing_ok=True)
+    (folder / _MARK).unlink(missing_ok=True)
+    folder.rmdir()
 
 
 def _hold_folder(path: Path) -> int | None:
-    return None if _WINDOWS else os.open(path, os.O_RDONLY)
+    return None if _WINDOWS else os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
 
 
 def _release(descriptor: int | None) -> None:
@@ -220,35 +227,63 @@ def _lock(descriptor: int | None, *, wait: bool) -> bool:
     return True
 
 
-@functools.lru_cache(maxsize=4096)  # once a folder and process: some folders get thousands of files
-def _sweep(parent: Path) -> None:
-    """Remove what killed programs left in a folder; an earlier result whose replacement was cut short is put back."""
+def sweep(folder: Path) -> None:
+    """Remove what killed programs left in a folder and in those below it; see :func:`_sweep_one`."""
+    for parent, _, _ in os.walk(folder, followlinks=False):
+        _sweep_folder(Path(parent))
+
+
+def _sweep_folder(parent: Path) -> None:
     with contextlib.suppress(OSError):
-        for name in os.listdir(parent):  # noqa: PTH208 - names are all that is looked at in a large folder
-            found = _LEFT_OVER.fullmatch(name)
-            if found is not None:
+        names = [name for name in os.listdir(parent) if _TEMPORARY.fullmatch(name)]  # noqa: PTH208 - names are enough
+        if names and _is_own(parent.stat()):
+            for name in names:
                 with contextlib.suppress(OSError):
-                    _sweep_one(parent / name, parent / found["target"], found["ending"])
+                    _sweep_one(parent / name)
 
 
-def _sweep_one(left: Path, target: Path, ending: str) -> None:
-    status = left.lstat()
-    own = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-    if not own or not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+_sweep_once = functools.lru_cache(maxsize=4096)(_sweep_folder)
+"""Once a folder and process: some folders get thousands of files."""
+
+
+def _sweep_one(left: Path) -> None:
+    """Remove a temporary folder of this user that has our mark and whose program is no more.
+
+    An earlier result whose replacement was cut short is put back, unless something else took its place.
+    """
+    if not _is_own(left.lstat()):
         return
-    descriptor = os.open(left, os.O_RDONLY)
+    lock = _hold_folder(left)
     try:
-        if not _lock(descriptor, wait=False):
+        if not _lock(lock, wait=False):
             return  # its program is still at work
-        if ending == "old" and not target.exists():
-            if len(target.name) < _LONGEST_NAME:  # else it was cut
-                left.rename(target)
-        elif left.is_dir():
-            shutil.rmtree(left)
-        else:
-            left.unlink()
+        name = _marked_target(left)
+        if name is None:
+            return
+        new, old, target = left / "new", left / "old", left.with_name(name)
+        if os.path.lexists(new) and os.path.lexists(old) and not os.path.lexists(target):
+            old.rename(target)
+        _discard(left)
     finally:
-        os.close(descriptor)
+        _release(lock)
+
+
+def _is_own(status: os.stat_result) -> bool:
+    return stat.S_ISDIR(status.st_mode) and (not hasattr(os, "getuid") or status.st_uid == os.getuid())
+
+
+def _marked_target(folder: Path) -> str | None:
+    """Name of the target that a temporary folder's mark states; None where it is not one of ours."""
+    mark = folder / _MARK
+    if mark.is_symlink() or not set(os.listdir(folder)) <= {_MARK, "new", "old"}:  # noqa: PTH208
+        return None
+    try:
+        document = json.loads(read_bytes(mark, 1 << 16))
+        known, name = document["format"] == _MARK_FORMAT, document["target"]
+        plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    return name if known and plain else None
 
 
 @contextlib.contextmanager
@@ -315,21 +350,15 @@ def _read_manifest(folder: Path) -> frozenset[str]:
         return frozenset()
 
 
-def _swap(temporary: Path, target: Path, overwrite: bool) -> None:
-    """Put `temporary` in the place of `target`; if that fails, `target` is as before."""
+def _swap(new: Path, target: Path, overwrite: bool) -> None:
+    """Put `new` in the place of `target`; if that fails, `target` is as before."""
     _check_replaceable(target, overwrite)  # it may have changed while we worked
-    if not target.exists():
-        temporary.rename(target)
-        return
-    old, lock = _sibling(target, "old"), _hold_folder(target)
+    old = new.with_name("old")
     try:
-        _lock(lock, wait=False)  # it fails where another program replaces `target` as well, or has it swept
-        target.rename(old)
-        try:
-            temporary.rename(target)
-        except BaseException:
+        if target.exists():
+            target.rename(old)
+        new.rename(target)
+    except BaseException:
+        if os.path.lexists(old) and not os.path.lexists(target):
             old.rename(target)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
-    finally:
-        _release(lock)
+        raise

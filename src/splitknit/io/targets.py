@@ -7,13 +7,15 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, open_file, require
+from splitknit.io.capture_file import CAPTURE_FORMAT
 from splitknit.io.fields import read_json
 from splitknit.io.png import SIGNATURE
 from splitknit.io.rig import RIG_FORMAT
 from splitknit.io.tiff import SIGNATURES
 
-_MAX_BYTES = 1_000_000_000
+_HEAD_BYTES = 16_000_000
+"""By which the kind of a file is known."""
 
 
 def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None, form: str | None = None) -> None:
@@ -48,6 +50,37 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
         raise BadInput(f"'{out}' cannot be written ({error.strerror}); name another folder.") from error
 
 
+def check_capture(
+    out: Path,
+    *,
+    overwrite: bool,
+    marker: str = "capture.json",
+    words: str = "an earlier capture",
+    keep: Path | None = None,
+) -> None:
+    """Refuse a folder for photographs that holds anything, or, with `overwrite`, anything but photographs of ours.
+
+    Every verb that writes photographs asks this, before it works: they cannot be made again as a result can.
+
+    Parameters
+    ----------
+    out : folder to write
+    overwrite : replace an earlier one of the kind
+    marker, words, keep : as for :func:`check_target`
+
+    Raises
+    ------
+    BadInput
+        If `out` must not be replaced, or cannot be looked into.
+    """
+    check_target(out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None)
+    taken = (out.expanduser() / marker).exists()
+    require(
+        overwrite or not taken,
+        f"'{out}' exists and is not empty: it is {words}; name another folder, or give --overwrite.",
+    )
+
+
 def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
     """Refuse to replace a file that is not of this kind; called before the work, so that none is done in vain.
 
@@ -55,7 +88,7 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
     ----------
     out : file to write; nothing is checked where it is None
     words : for the kind, such as "a template"
-    is_own : whether a file of these bytes is of the kind; an empty file is of every kind
+    is_own : whether a file that begins with these bytes is of the kind; an empty file is of every kind
     form : the field "format" of a JSON file of the kind, instead
 
     Raises
@@ -68,7 +101,8 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
     require(not out.is_dir(), f"'{out}' is a folder; name {words} to write.")
     known = False
     with contextlib.suppress(BadInput):
-        data = read_bytes(out, _MAX_BYTES)
+        with open_file(out, 1 << 50) as (stream, _):
+            data = stream.read(_HEAD_BYTES)
         known = not data or (_format_of(out) == form if is_own is None else is_own(data))
     require(known, f"'{out}' exists and is not {words}; name another file.")
 

@@ -230,7 +230,7 @@ FORMAT = "splitknit-rig-sweep"
 STUDY_FILE = "sweep.json"
 CANDIDATES = "candidates"
 OWN_FILES = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
-_STRAY = re.compile(r"(.*/)?(\.[^/]*\.tmp|\.DS_Store|Thumbs\.db|desktop\.ini)")
+_STRAY = re.compile(r"(.*/)?(\.splitknit-[^/]*\.tmp/.*|\.DS_Store|Thumbs\.db|desktop\.ini)")
 """What a killed run or a file manager leaves behind."""
 
 

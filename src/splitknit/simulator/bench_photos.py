@@ -16,7 +16,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
 from splitknit.io.rig import write_rig
-from splitknit.io.targets import check_target
+from splitknit.io.targets import check_capture
 from splitknit.model import Band, Capture, Progress, Rig, no_progress, nominal_rig
 from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
 from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
@@ -64,6 +64,7 @@ def bench_to_folder(
     seed: int,
     scale: float = 0.5,
     photos: BenchPhotos | None = None,
+    overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Photograph everything that calibrates the rig that person `seed` built.
@@ -78,10 +79,10 @@ def bench_to_folder(
         If `out` holds something else, or numbers are out of range.
     """
     photos = photos or BenchPhotos()
-    check_target(out, MARKER, "an earlier simulated bench")
+    check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
     rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
     count = photos.boards + photos.nails + 3
-    with atomic_folder(out) as target:
+    with atomic_folder(out, overwrite=overwrite) as target:
         write_rig(rig, target / MARKER)
         write_rig(drawn, target / "rig_drawn.json")
         # one scene after another: each keeps arrays of the picture's size

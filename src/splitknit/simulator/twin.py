@@ -17,7 +17,7 @@ from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.io.images import read_image
 from splitknit.io.rig import read_rig
-from splitknit.io.targets import check_target
+from splitknit.io.targets import check_capture
 from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Progress, Rig, default_rig, no_progress
 from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
@@ -62,11 +62,12 @@ def simulate_to_folder(
     impression: int = 0,
     print_file: Path | None = None,
     changes: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Simulate a capture and write its folder with the truth; return what was made.
 
-    `print_file`: a print of 500 pixels an inch, whose ridges the finger has.
+    `print_file`: a print of 500 pixels an inch, whose ridges the finger has; `overwrite`: replace an earlier capture.
     """
     started = time.perf_counter()
     settings = twin_settings(scale, changes)
@@ -79,8 +80,8 @@ def simulate_to_folder(
     if print_file is not None:
         require(pattern is None, "a print has a pattern of its own; leave out the pattern.")
         finger = replace(draw_finger(seed), pattern="print", printed=master_of_print_file(print_file, seed))
-    check_target(out, "truth.npz", "an earlier simulated capture")
-    with atomic_folder(out) as target:
+    check_capture(out, overwrite=overwrite)
+    with atomic_folder(out, overwrite=overwrite) as target:
         progress("simulating", 0.0)
         capture, truth = simulate_capture(seed, pattern, settings, impression=impression, finger=finger)
         progress("writing", 0.8)
