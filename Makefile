@@ -47,7 +47,7 @@ install: $(VENV)/.ready
 # a folder, which has no hash; then it is there, and pip only adds what it needs.
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splitknit needs Python 3.11 or later: make PYTHON=python3.11 ...")'
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -f $(BIN)/python; exit 1; }  # half of it is there where Debian lacks python3-venv
 	$(call pinned,pip) > $(VENV)/pip.txt
 	$(BIN)/python -m pip install --quiet --require-hashes -r $(VENV)/pip.txt
 	$(BIN)/python -m pip install --quiet --no-deps -e .
