@@ -57,6 +57,16 @@ def test_the_site_lists_every_page() -> None:
     assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in pages)
 
 
+def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
+    """The plugin `offline` would fetch its Worker for pages on the disk; the one of `docs/assets` replaces it."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert "\n  - offline\n" in text and "\n  font: false\n" in text
+    named = re.findall(r"^extra\w*: .*?\[(.*?)\]", text, flags=re.MULTILINE)
+    assert any("iframe-worker" in name for name in named)
+    for name in named:
+        assert "http" not in (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
 def test_settings_page_is_current() -> None:
     script = ROOT / "tools" / "make_settings_page.py"
     done = subprocess.run([sys.executable, str(script), "--check"], check=False)
@@ -177,7 +187,8 @@ def work_through(page: Path, folder: Path) -> list[str]:
                 command = ["bash", "-euc", text] if language == "sh" else [sys.executable, "-c", text]
                 done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
                 output = done.stdout + done.stderr
-                assert done.returncode == 0, f"{page.name}:\n{text}\n{output}"
+                if done.returncode != 0:
+                    return [*missing, f"{text}\n  ends with {done.returncode}\n{output}"]
             promised = text.splitlines() if not language else re.findall(r"print\(.*\)  # (.*)", text)
             left = iter(VARIES.sub("", output).splitlines())
             for line in promised:
@@ -204,10 +215,11 @@ def test_a_promise_that_is_not_kept_is_found(tmp_path: Path) -> None:
         "<!-- file a/b.txt -->\n```\n1\n```\n```sh\necho one; echo two in 3.1 s; echo three\n```\n"
         "```\none\ntwo in 9 s\n...ree\n```\n```\nthree\none\n```\n<!-- by hand -->\n```sh\nfalse\n```\n"
         "```python\nprint(1 + 1)  # 3\n```\n## Next\n<!-- needs no_such_module -->\n```sh\nfalse\n```\n"
+        "## Last\n```sh\nexit 3\n```\n```\nnever\n```\n"
     )
     (tmp_path / "work" / "a").mkdir(parents=True)
     missing = work_through(page, tmp_path / "work")
-    assert [line.splitlines()[0] for line in missing] == ["one", "3"]
+    assert [line.splitlines()[0] for line in missing] == ["one", "3", "exit 3"]
     assert (tmp_path / "work" / "a" / "b.txt").read_text() == "1\n"
 
 
