@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import inspect
 import itertools
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -53,6 +55,16 @@ def test_the_site_lists_every_page() -> None:
     listed = re.findall(r"(\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
     pages = [*ROOT.glob("docs/**/*.md"), *(page.with_suffix(".md") for page in ROOT.glob("docs/**/*.ipynb"))]
     assert sorted(listed) == sorted(page.relative_to(ROOT / "docs").as_posix() for page in pages)
+
+
+def test_the_site_fetches_nothing_and_its_search_works_from_the_disk() -> None:
+    """The plugin `offline` would fetch its Worker for pages on the disk; the one of `docs/assets` replaces it."""
+    text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert "\n  - offline\n" in text and "\n  font: false\n" in text
+    named = re.findall(r"^extra\w*: .*?\[(.*?)\]", text, flags=re.MULTILINE)
+    assert any("iframe-worker" in name for name in named)
+    for name in named:
+        assert "http" not in (ROOT / "docs" / name).read_text(encoding="utf-8")
 
 
 def test_settings_page_is_current() -> None:
@@ -128,6 +140,120 @@ def test_commands_on_the_pages_are_understood(page: Path, capsys: pytest.Capture
 def test_commands_are_found_on_a_page() -> None:
     page = "```sh\n.venv/bin/splitknit match a \\\n  b  # alike?\nsplitknit rig cad [--below]\n```\n`splitknit demo`"
     assert commands_of(page) == [["match", "a", "b"]]
+
+
+FENCE = re.compile(r"(?:<!-- ([^\n]+?) -->\n)?^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
+"""A fenced block: the mark above it, its language, its text."""
+VARIES = re.compile(r"\d+(?:\.\d+)? (?=m?s\b)")
+"""Times differ from machine to machine."""
+MAKE = """#!/bin/sh
+test "$1" = install || exec .venv/bin/splitknit "$1" --out "$1"
+"""
+"""What `make` does on the pages, without making an environment: extras are those of the environment at hand."""
+
+
+def work_through(page: Path, folder: Path) -> list[str]:
+    """Do in `folder` what a page says, from top to bottom; return the lines that it promises and that did not come.
+
+    `sh` blocks run, but for those marked `by hand`; `python` blocks and those without language are files where a mark
+    names one (`file NAME`). Else a `python` block runs and prints what its last comment says, and a block without
+    language has lines of the output of the commands above it: all that are quoted, in their order, `...` for what is
+    left out. `needs NAME` skips the rest of the section where `shared/data/NAME` or the module is not at hand.
+    """
+    programs = folder / ".venv" / "bin"
+    programs.mkdir(parents=True)
+    for name, text in (
+        ("make", MAKE),
+        ("splitknit", f'#!/bin/sh\nexec {sys.executable} -m splitknit "$@"\n'),
+        ("python", f'#!/bin/sh\nexec {sys.executable} "$@"\n'),
+    ):
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    environment = {**os.environ, "PATH": f"{programs}:{os.environ['PATH']}", "MPLBACKEND": "agg"}
+    data = Path(os.environ.get("SPLITKNIT_DATA", ROOT.parent / "shared" / "data"))
+    output, missing = "", []
+    for section in re.split(r"^(?=## )", page.read_text(encoding="utf-8"), flags=re.MULTILINE):
+        for mark, language, text in FENCE.findall(section):
+            kind, _, name = mark.partition(" ")
+            if kind == "needs":
+                if not ((data / name).is_dir() or importlib.util.find_spec(name)):
+                    break
+                if (data / name).is_dir():
+                    (folder / name).symlink_to(data / name)
+            elif kind == "file":
+                (folder / name).write_text(text)
+                continue
+            if language in ("sh", "python") and mark != "by hand":
+                command = ["bash", "-euc", text] if language == "sh" else [sys.executable, "-c", text]
+                done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+                output = done.stdout + done.stderr
+                if done.returncode != 0:
+                    return [*missing, f"{text}\n  ends with {done.returncode}\n{output}"]
+            promised = text.splitlines() if not language else re.findall(r"print\(.*\)  # (.*)", text)
+            left = iter(VARIES.sub("", output).splitlines())
+            for line in promised:
+                words = [re.escape(part) for part in VARIES.sub("", line).split("...")]
+                if not any(re.fullmatch(".*".join(words), came) for came in left):
+                    missing.append(f"{line}\n  is not in (from there on)\n{output}")
+                    break
+    return missing
+
+
+@pytest.mark.experiment
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted(ROOT.glob("docs/guide/tutorial-*.md"))], ids=lambda page: page.stem
+)
+def test_what_the_page_promises_comes(page: Path, tmp_path: Path) -> None:
+    missing = work_through(page, tmp_path)
+    assert missing == [], "\n".join(missing)
+
+
+def test_a_promise_that_is_not_kept_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "<!-- file a/b.txt -->\n```\n1\n```\n```sh\necho one; echo two in 3.1 s; echo three\n```\n"
+        "```\none\ntwo in 9 s\n...ree\n```\n```\nthree\none\n```\n<!-- by hand -->\n```sh\nfalse\n```\n"
+        "```python\nprint(1 + 1)  # 3\n```\n## Next\n<!-- needs no_such_module -->\n```sh\nfalse\n```\n"
+        "## Last\n```sh\nexit 3\n```\n```\nnever\n```\n"
+    )
+    (tmp_path / "work" / "a").mkdir(parents=True)
+    missing = work_through(page, tmp_path / "work")
+    assert [line.splitlines()[0] for line in missing] == ["one", "3", "exit 3"]
+    assert (tmp_path / "work" / "a" / "b.txt").read_text() == "1\n"
+
+
+def test_the_figures_of_the_readme_are_those_of_the_experiments() -> None:
+    """Figures with intervals stand on a page of the experiments, those of any other row together on a line there."""
+    pages = "\n".join(page.read_text(encoding="utf-8") for page in ROOT.glob("docs/experiments/*.md"))
+    pages, lines = pages.replace("100.0", "100"), pages.splitlines()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Results so far")[2].partition("\n## ")[0]
+    rows = [line for line in readme.splitlines() if re.match(r"\|.*\d\.\d", line)]
+    assert len(rows) > 20
+    for row in rows:
+        figures = re.findall(r"[\d.]+ \[[\d., ]+\]", row.replace("100.0", "100"))
+        assert [figure for figure in figures if figure not in pages] == []
+        numbers = [number.strip("|, ") for number in re.findall(r"[|,] [\d.]+(?=[ ,])", row)]
+        assert figures or any(set(numbers) <= set(re.findall(r"[\d.]+", line)) for line in lines), row
+
+
+def test_the_sums_of_the_rigs_checklist_are_right() -> None:
+    text = (ROOT / "docs" / "guide" / "rig-checklist.md").read_text(encoding="utf-8")
+    order, prints = text.partition("## Order")[2].partition("## Solder")[0].split("## Print")
+    prices = [(int(low), int(high)) for low, high in re.findall(r"\| (\d+) to (\d+) \|$", order, flags=re.MULTILINE)]
+    low, high = (sum(column) for column in zip(*prices[:-1], strict=True))  # without the mirrors
+    assert f"| **{low} to {high}** |" in order and f"parts | {low} to {high} EUR" in text
+    build = (ROOT / "docs" / "guide" / "rig-build.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([\w ]+).* \| (\d+) \| ([\d.]+) \| ([\d.]+) \|$", prints, flags=re.MULTILINE)
+    assert len(rows) == 6
+    for part, volume, *hours in rows:
+        mass = re.search(rf"^\| {part.strip()} \|.*? x [^|]*\| ([\d.]+) \|", build, flags=re.MULTILINE)
+        assert mass is not None and abs(float(mass[1]) / 1.24 - float(volume)) < 0.7, part
+        for hour, rate in zip(hours, (5, 12), strict=True):
+            assert abs(float(volume) / rate / 3.6 - float(hour)) < 0.1, part
+    total = re.findall(r"\*\*([\d.]+)\*\*", prints)
+    for column, value in enumerate(total, start=1):
+        assert abs(sum(float(row[column]) for row in rows) - float(value)) < 1.1, total
 
 
 def test_captures_by_hand_are_read(tmp_path: Path) -> None:

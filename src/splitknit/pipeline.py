@@ -71,8 +71,8 @@ DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 USUAL_PERIOD_MM = 0.45
 NO_NIR = (
-    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and glare bend "
-    "it."
+    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
+    "reflection bend it."
 )
 FRAME_SIDE = 300
 """Images of at least so many pixels a side are enough to see in which frame the lights were measured."""

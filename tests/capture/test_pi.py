@@ -238,6 +238,21 @@ def test_missing_libraries_are_named(monkeypatch):
         _open_lights(default_rig())
 
 
+@pytest.mark.parametrize(
+    "error",
+    [
+        "ValueError('numpy.dtype size changed, may indicate binary incompatibility')",
+        "ImportError('numpy.core.multiarray failed to import')",
+    ],
+)
+def test_a_picamera2_compiled_for_numpy_1_says_so(monkeypatch, tmp_path: Path, error: str):
+    (tmp_path / "picamera2.py").write_text(f"raise {error}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "picamera2", raising=False)
+    with pytest.raises(BadInput, match=r"compiled for numpy 1 .* numpy 2.*Trixie"):
+        _open_camera()
+
+
 def test_a_computer_without_gpio_lines_says_so(monkeypatch):
     monkeypatch.setattr(gpiozero.Device, "pin_factory", None)
 

@@ -459,11 +459,17 @@ def _open_lights(rig: Rig) -> PiLightBank:
 
 
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
-    """Open and start the camera. Raises BadInput if picamera2 is missing or there is no camera."""
+    """Open and start the camera. Raises BadInput if picamera2 cannot be imported or there is no camera."""
     try:
         import picamera2  # type: ignore[import-not-found]  # noqa: PLC0415 - only a Pi has it
-    except ImportError as error:
-        raise BadInput(f"picamera2, which drives the camera, is not installed; {INSTALL}.") from error
+    except (ImportError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        if "numpy" in reason:  # what was compiled for numpy 1 raises either of them
+            raise BadInput(
+                "picamera2, which drives the camera, uses packages that were compiled for numpy 1 and cannot run with "
+                f"numpy {np.__version__}; take Raspberry Pi OS Trixie or later (Bookworm: docs/guide/capture.md)."
+            ) from error
+        raise BadInput(f"picamera2, which drives the camera, cannot be imported ({reason}); {INSTALL}.") from error
     maker: Any = picamera2.Picamera2
     return PiCamera(maker, settings)
 

@@ -26,7 +26,10 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
     try:
         import matplotlib  # noqa: PLC0415, F401 - before anything is drawn
     except ImportError as error:
-        raise BadInput("plot() needs matplotlib: pip install 'splitknit[plot]'.") from error
+        raise BadInput(
+            "plot() needs matplotlib, which is not installed: in the environment of splitknit, "
+            "python -m pip install 'splitknit[plot]', or in its folder, make install EXTRAS=plot."
+        ) from error
     printed = result.scale_known and is_finger(result)
     has = PANELS if printed else PANELS[:-1]
     for panel in panels:
