@@ -31,7 +31,10 @@ def add_gallery_verbs(verbs: Any) -> None:
     )
     imported.add_argument("folder", type=Path, metavar="FOLDER", help="what 'splitknit gallery export' wrote")
     imported.add_argument("--replace", action="store_true", help="let captures take the place of others")
-    _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
+    checked = _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
+    checked.add_argument(
+        "--shards", type=Path, default=None, metavar="DIR", help="compare the codes here with the gallery's as well"
+    )
     _kind(kinds, "repair", "take out rows that cannot be opened, and accept the others as they are", _repair)
     indexed = _kind(
         kinds, "index", "make the codes that a search through very many fingers needs, where they are missing", _index
@@ -138,8 +141,9 @@ def _import(options: argparse.Namespace, key: Any) -> Outcome:
 def _check(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.gallery.manage import check_gallery  # noqa: PLC0415
 
-    facts = check_gallery(options.gallery, key=key)
-    return facts, [f"{facts['gallery']} is sound: all {facts['captures']} captures can be opened."]
+    facts = check_gallery(options.gallery, key=key, shards=options.shards)
+    shards = "" if options.shards is None else f", and {options.shards} holds their codes"
+    return facts, [f"{facts['gallery']} is sound: all {facts['captures']} captures can be opened{shards}."]
 
 
 def _repair(options: argparse.Namespace, key: Any) -> Outcome:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
 from splitknit.gallery import KEY_VARIABLE, NEW_KEY_VARIABLE
@@ -21,7 +22,7 @@ from splitknit.gallery.entry import Entry, NewCapture, check_person, session_ord
 from splitknit.gallery.file import describe
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
-from splitknit.gallery.shards import write_shards
+from splitknit.gallery.shards import Shards, write_shards
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.provenance import json_text
@@ -142,14 +143,19 @@ def index_gallery(
             made += len(codes)
         facts = {"gallery": str(gallery), "coded": made, "code_version": CODE_VERSION, "shards": None}
         if shards is not None:
-            kept = dict(sorted(opened.codes(CODE_VERSION).items()))
-            table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(-1, code_size())
-            facts["shards"] = write_shards(shards, np.array(list(kept), dtype=np.int64), table, key, renew=renew)
+            facts["shards"] = write_shards(shards, *_codes(opened), key, renew=renew)
     return facts
 
 
-def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
-    """Open everything.
+def _codes(opened: Gallery) -> tuple[NDArray[np.int64], NDArray[np.int8]]:
+    """Rows that have a code, ascending, and the codes."""
+    kept = dict(sorted(opened.codes(CODE_VERSION).items()))
+    table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(-1, code_size())
+    return np.array(list(kept), dtype=np.int64), table
+
+
+def check_gallery(gallery: Path, *, key: Key | None = None, shards: Path | None = None) -> dict[str, Any]:
+    """Open everything, and compare every byte of its shards, where they are named, with what its codes give.
 
     Raises
     ------
@@ -158,6 +164,11 @@ def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
     """
     with Gallery.open(gallery, key) as opened:
         problems = opened.problems()
+        if shards is not None and not problems:
+            try:
+                Shards(shards, key).require_same(*_codes(opened))
+            except BadInput as error:
+                problems.append((None, str(error)))
         facts = {
             "gallery": str(gallery),
             "captures": len(opened),
@@ -171,7 +182,8 @@ def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
         whole = [what.rstrip(".") for row, what in problems if row is None]
         if whole:
             where = f"rows {shown}; {whole[0]}" if rows else whole[0]
-        raise Refused(f"the gallery '{gallery}' is damaged in {len(problems)} places ({where}).", facts)
+        places = f"{len(problems)} {'place' if len(problems) == 1 else 'places'}"
+        raise Refused(f"the gallery '{gallery}' is damaged in {places} ({where}).", facts)
     return facts
 
 

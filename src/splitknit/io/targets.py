@@ -55,7 +55,7 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
     ----------
     out : file to write; nothing is checked where it is None
     words : for the kind, such as "a template"
-    is_own : whether a file of these bytes is of the kind; an empty file is of every kind
+    is_own : whether a file of these bytes is of the kind
     form : the field "format" of a JSON file of the kind, instead
 
     Raises
@@ -69,7 +69,7 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
     known = False
     with contextlib.suppress(BadInput):
         data = read_bytes(out, _MAX_BYTES)
-        known = not data or (_format_of(out) == form if is_own is None else is_own(data))
+        known = _format_of(out) == form if is_own is None else is_own(data)
     require(known, f"'{out}' exists and is not {words}; name another file.")
 
 
