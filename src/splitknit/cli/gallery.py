@@ -26,6 +26,9 @@ def add_gallery_verbs(verbs: Any) -> None:
     exported = _kind(kinds, "export", "write all of it, not encrypted, into a folder of templates and a table", _export)
     exported.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     exported.add_argument("--images", action="store_true", help="write kept images as well")
+    exported.add_argument(
+        "--person", default=None, metavar="NAME", help="all that is kept of this person, images and codes included"
+    )
     imported = _kind(
         kinds, "import", "put an exported folder into a gallery, which is made where there is none", _import
     )
@@ -124,7 +127,7 @@ def _remove(options: argparse.Namespace, key: Any) -> Outcome:
 def _export(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.gallery.manage import export_gallery  # noqa: PLC0415
 
-    facts = export_gallery(options.gallery, options.out, key=key, images=options.images)
+    facts = export_gallery(options.gallery, options.out, key=key, images=options.images, person=options.person)
     lines = [f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."]
     lines.append("Please note: they are personal data, and they are not encrypted there.")
     return facts, lines

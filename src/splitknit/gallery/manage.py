@@ -231,8 +231,12 @@ _MAX_TABLE_BYTES = 50_000_000
 """A quarter of a million captures."""
 
 
-def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: bool = False) -> dict[str, Any]:
+def export_gallery(
+    gallery: Path, out: Path, *, key: Key | None = None, images: bool = False, person: str | None = None
+) -> dict[str, Any]:
     """Write all of a gallery, **not encrypted**, into a folder that only its owner may read; return facts.
+
+    Of a `person`, where one is named, everything that is kept: images and search codes (hexadecimal) as well.
 
     Raises
     ------
@@ -241,9 +245,12 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
     """
     check_target(out, TABLE_FILE, "an earlier export of a gallery")
     with Gallery.open(gallery, key) as opened:
-        rows = opened.entries()
-        templates = opened.templates()
-        kept = opened.images() if images else {}
+        rows = opened.entries(None if person is None else check_person(person))
+        require(person is None or len(rows) > 0, f"'{gallery}' holds nothing of person '{person}'.")
+        numbers = [one.row for one in rows]
+        templates = opened.templates(numbers)
+        kept = opened.images(numbers) if images or person is not None else {}
+        codes = {} if person is None else opened.codes(CODE_VERSION)
         about = {
             "format": _FORMAT,
             "version": _VERSION,
@@ -252,7 +259,7 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
         }
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(_COLUMNS)
+    table.writerow(_COLUMNS if person is None else (*_COLUMNS, "code"))
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         for number, one in enumerate((one for one in rows if one.row in templates), start=1):
@@ -262,7 +269,8 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
             if one.row in kept:
                 image = f"images/{number:04d}.{_SUFFIX[one.entry.images]}"
                 _write(folder / image, kept[one.row])
-            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image])
+            code = () if person is None else (codes.get(one.row, b"").hex(),)
+            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image, *code])
         _write(folder / TABLE_FILE, text.getvalue().encode("utf-8"))
         _write(folder / FACTS_FILE, json_text(about).encode("ascii"))
     return {"gallery": str(gallery), "out": str(out), "captures": len(rows), "images": len(kept)}
