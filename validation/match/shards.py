@@ -320,7 +320,7 @@ def known(work: Path, fields: int, draws: int) -> dict[str, Any]:
     rng = np.random.default_rng(FIELDS)
     noise = rng.normal(0, 0.5, inside.shape).astype(np.float32) * np.sqrt(code_model().noise)
     own, again, others = (unit(seen(part, rng)) for part in (inside, inside + noise, complete[KNOWN_AMONG:]))
-    fine = unit(RenewableCode(KEY.secret).stored(np.rint(own * SCALE).astype(np.int8))[1])
+    fine = unit(RenewableCode(KEY.secret).stored(np.clip(np.rint(own * SCALE), -127, 127).astype(np.int8))[1])
     (values_c, axes_c), (values_f, axes_f) = (np.linalg.eigh(np.cov(part.T)) for part in (others, fine))
     apart = np.log(values_f)[:, None] - np.log(values_c)[None]
     weight = np.exp(-(apart**2) / (2 * ALIKE**2)) / np.sqrt(np.outer(values_f, values_c))

@@ -193,8 +193,7 @@ def _finger(folder: Path, files: Sequence[str], names: Collection[str]) -> Itera
 def _erase_folder(folder: Path, own: Collection[str]) -> None:
     for name in (*own, MANIFEST):
         wipe(_inside(folder, name))
-    session, person = folder.parents[:2]
-    emptied = [folder, session, person] if _in_place(folder) else [folder]
+    emptied = [folder, folder.parent, folder.parent.parent] if _in_place(folder) else [folder]
     for one in (*sorted({(folder / name).parent for name in own} - {folder}, reverse=True), *emptied):
         with contextlib.suppress(OSError):  # something else is in it
             one.rmdir()
