@@ -87,6 +87,17 @@ def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
     assert "intersection over union" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("content", [b"", b"SKTMPL\r\n and then my notes"])
+def test_a_file_that_is_no_template_is_not_replaced(results: Path, tmp_path: Path, capsys, content: bytes) -> None:
+    (tmp_path / "notes.txt").write_bytes(content)
+    assert main(["match", str(results / "a"), "--template", str(tmp_path / "notes.txt")]) == 2
+    assert "exists and is not a template" in capsys.readouterr().err
+    assert (tmp_path / "notes.txt").read_bytes() == content
+    (tmp_path / "failed.skt").touch()  # a failure to acquire
+    for _ in range(2):
+        facts_of(capsys, results / "a", "--template", tmp_path / "failed.skt")
+
+
 def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys) -> None:
     (tmp_path / "none.skt").write_bytes(b"")
     found = facts_of(capsys, tmp_path / "none.skt", results / "a")

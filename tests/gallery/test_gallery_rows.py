@@ -102,6 +102,7 @@ ATTACKS = {
     ),
     "a row taken away": (gone, ROOT),
     "a template taken away": (statement("DELETE FROM template WHERE id = 4"), ROW),
+    "a code taken away": (statement("UPDATE finger SET code = NULL WHERE id = 2"), ROW),
     "an image taken away": (statement("DELETE FROM images"), ROW),
     "another version of a code": (statement("UPDATE finger SET code_version = 2 WHERE id = 2"), ROOT),
     "a code that is said to be missing": (statement("UPDATE finger SET code_version = NULL WHERE id = 2"), ROOT),

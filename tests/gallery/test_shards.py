@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import builtins
+import hashlib
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.gallery.key import Key
-from splitknit.gallery.shards import RESCORED, Shards, merged, rescored_count, scan_shard, write_shards
+from splitknit.gallery.key import Key, code_secret
+from splitknit.gallery.shards import RESCORED, Shards, _seal, merged, rescored_count, scan_shard, write_shards
 from splitknit.matching.code import ProbeSettings, code_of, code_size, probe_codes
 from splitknit.matching.renewable import BITS, RenewableCode
 from splitknit.matching.template import Template
@@ -194,6 +197,86 @@ def test_damaged_files_are_refused_before_they_are_mapped(folder: Path, tmp_path
         Shards(out, KEY)
 
 
+HEADER = 4096
+
+
+def flipped(file: Path, place: int) -> None:
+    data = bytearray(file.read_bytes())
+    data[place] ^= 1
+    file.write_bytes(data)
+
+
+def exchanged(folder: Path) -> None:
+    """Another shard's rows and codes in the place of the first's."""
+    (folder / "codes-000000.skc").write_bytes((folder / "codes-000001.skc").read_bytes())
+
+
+def unsealed(folder: Path) -> None:
+    """A row number is changed, and the list is made anew, but for the key."""
+    flipped(folder / "codes-000000.skc", HEADER)
+    document = json.loads((folder / "shards.json").read_text())
+    document["shards"]["codes-000000.skc"] = hashlib.sha256((folder / "codes-000000.skc").read_bytes()).hexdigest()
+    header = json.loads((folder / "codes-000000.skc").read_bytes()[:HEADER])
+    document["seal"] = _seal(document["shards"], code_secret(None, bytes.fromhex(header["salt"])))
+    (folder / "shards.json").write_text(json.dumps(document))
+
+
+TAMPERED: dict[str, Callable[[Path], object]] = {
+    "a row number": lambda folder: flipped(folder / "codes-000000.skc", HEADER),
+    "a bit": lambda folder: flipped(folder / "codes-000001.skc", HEADER + 9 * 1429),
+    "a number": lambda folder: flipped(folder / "codes-000002.skc", -1),
+    "one taken away": lambda folder: (folder / "codes-000001.skc").unlink(),
+    "one added": lambda folder: shutil.copy(folder / "codes-000000.skc", folder / "codes-000009.skc"),
+    "one exchanged": exchanged,
+    "no list": lambda folder: (folder / "shards.json").unlink(),
+    "a damaged list": lambda folder: (folder / "shards.json").write_text('{"shards": []}'),
+    "a list without the key": unsealed,
+}
+
+
+@pytest.mark.parametrize("what", TAMPERED)
+def test_what_something_else_changed_is_found_and_made_anew(
+    folder: Path, codes: np.ndarray, tmp_path: Path, what: str
+) -> None:
+    """One changed row number made a match "no match"."""
+    out = Path(shutil.copytree(folder, tmp_path / "codes"))
+    before = contents(out)
+    assert Shards(out, KEY).search(finger(2), 5).rows[0] == 7 * MINE
+    TAMPERED[what](out)
+    with pytest.raises(BadInput, match=r"are not those that were last written .* gallery index"):
+        Shards(out, KEY).search(finger(2), 5)
+    write_shards(out, 7 * np.arange(COUNT), codes, KEY, rows_a_shard=10_000)
+    assert contents(out) == before
+    assert Shards(out, KEY).search(finger(2), 5).rows[0] == 7 * MINE
+
+
+def test_a_change_under_an_open_folder_and_in_a_worker_is_found(folder: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(folder, tmp_path / "codes"))
+    shards = Shards(out, KEY)
+    shards.search(finger(2), 5)
+    flipped(out / "codes-000000.skc", HEADER)
+    with pytest.raises(BadInput, match="are not those that were last written"):
+        shards.search(finger(2), 5)
+    with pytest.raises(BadInput, match="are not those that were last written"):
+        scan_shard(out / "codes-000000.skc", shards.probe(finger(2)), 10)
+
+
+def test_every_byte_is_compared_with_the_gallery(folder: Path, codes: np.ndarray, tmp_path: Path) -> None:
+    """Without a key anyone can make list and digests anew; the gallery's codes remain."""
+    rows = 7 * np.arange(COUNT)
+    Shards(folder, KEY).require_same(rows, codes)
+    for other in ((rows[:-1], codes[:-1]), (rows + 1, codes), (rows, np.roll(codes, 1, axis=0))):
+        with pytest.raises(BadInput, match="does not hold the codes of the gallery"):
+            Shards(folder, KEY).require_same(*other)
+    out = tmp_path / "plain"
+    write_shards(out, rows, codes)
+    Shards(out).require_same(rows, codes)
+    unsealed(out)
+    assert 7 * MINE in Shards(out).search(finger(2), 5).rows
+    with pytest.raises(BadInput, match="does not hold the codes of the gallery"):
+        Shards(out).require_same(rows, codes)
+
+
 def test_keys_that_do_not_fit(folder: Path, codes: np.ndarray, tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="holds no shards"):
         Shards(tmp_path)
@@ -220,6 +303,9 @@ def test_codes_that_are_none(codes: np.ndarray, tmp_path: Path) -> None:
     for rows, wrong in (([1, 1], codes[:2]), ([2, 1], codes[:2]), ([1], codes[:2]), ([1], codes[:1].astype(float))):
         with pytest.raises(BadInput):
             write_shards(tmp_path / "codes", np.array(rows), wrong)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(BadInput, match="cannot be a folder of shards"):
+        write_shards(tmp_path / "file", np.arange(3), codes[:3])
     with pytest.raises(BadInput, match="no code to keep"):
         write_shards(tmp_path / "codes", np.zeros(0, np.int64), codes[:0])
     with pytest.raises(BadInput, match="k must be at least 1"):

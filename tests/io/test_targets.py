@@ -122,7 +122,8 @@ def test_an_earlier_file_of_the_same_kind_is_replaced(tmp_path: Path, capsys: py
         assert main(["calibrate", "lights", "--geometry", *CAMERA, "--out", str(rig)]) == 0
     check_file(tmp_path / "new", "a template", lambda data: False)
     (tmp_path / "empty").touch()
-    check_file(tmp_path / "empty", "a template", lambda data: False)
+    with pytest.raises(BadInput, match="exists and is not a template"):
+        check_file(tmp_path / "empty", "a template", lambda data: False)
     (tmp_path / "link").symlink_to("nowhere")
     for path in (tmp_path, tmp_path / "link"):
         with pytest.raises(BadInput, match=r"is a folder|exists and is not a template"):

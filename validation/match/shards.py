@@ -3,6 +3,7 @@
     python validation/match/shards.py recall --work FOLDER --store STORE [--fingers 10000000]
     python validation/match/shards.py prints|bits --work FOLDER --store STORE
     python validation/match/shards.py keys --work FOLDER --store STORE
+    python validation/match/shards.py known --work FOLDER
 
 write their parts of ``shards.json`` here. STORE is of ``splitknit batch``: reconstructions by ``metric``, of which the
 first session is the gallery and the later ones are probes. The number of variants whose bits are compared was chosen on
@@ -39,7 +40,17 @@ from splitknit.batch.store import Store
 from splitknit.gallery.key import Key
 from splitknit.gallery.shards import ROWS_A_SHARD, Shards, write_shards
 from splitknit.io.prints import read_print_png
-from splitknit.matching.code import SCALE, ProbeSettings, code_of, code_size, probe_codes
+from splitknit.matching.code import (
+    COLUMNS,
+    ROWS,
+    SCALE,
+    STEP_MM,
+    ProbeSettings,
+    code_model,
+    code_of,
+    code_size,
+    probe_codes,
+)
 from splitknit.matching.renewable import BITS, RenewableCode
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.template import Template, make_template, unpack
@@ -54,6 +65,8 @@ MORE = ProbeSettings(turn_deg=20.0, right_mm=4.0, down_mm=4.0)
 DESIGNED_ON = 5
 """Subjects whose true surfaces choices were made on."""
 CHUNK = 50_000
+KNOWN_AMONG, PROBED, ALIKE = 10_000, 300, 0.25
+"""Fingers in stolen shards, and of these linked; standard deviation of how far logarithms of eigenvalues are apart."""
 BINS = 30
 
 
@@ -290,6 +303,74 @@ def keys(work: Path, gallery: dict[str, Template], probes: dict[str, Template], 
     }  # fmt: skip
 
 
+def known(work: Path, fields: int, draws: int) -> dict[str, Any]:
+    """How many fingers a thief of shards links who knows the codes of k of them, and no key.
+
+    The thief estimates the orthogonal matrix: of the k pairs alone (Procrustes), or with what is known of all fingers
+    as well, as anyone can simulate a population. Its covariance and that of the stolen codes have the same eigenvalues,
+    so that only coordinates of similar eigenvalues can belong together. Then a code (the very one in the shards, or of
+    another capture) is compared with all that were stolen, of fingers that the thief does not know.
+
+    The fingers are drawn ridge fields: the first 10,000 are in the shards, the others are the thief's population.
+    Captures are seen through drawn outlines; another capture has another outline, and half the model's noise.
+    """
+    make_fields(work, FIELDS, fields)
+    complete = load_fields(work, FIELDS, fields)
+    inside = complete[:KNOWN_AMONG]
+    rng = np.random.default_rng(FIELDS)
+    noise = rng.normal(0, 0.5, inside.shape).astype(np.float32) * np.sqrt(code_model().noise)
+    own, again, others = (unit(seen(part, rng)) for part in (inside, inside + noise, complete[KNOWN_AMONG:]))
+    fine = unit(RenewableCode(KEY.secret).stored(np.clip(np.rint(own * SCALE), -127, 127).astype(np.int8))[1])
+    (values_c, axes_c), (values_f, axes_f) = (np.linalg.eigh(np.cov(part.T)) for part in (others, fine))
+    apart = np.log(values_f)[:, None] - np.log(values_c)[None]
+    weight = np.exp(-(apart**2) / (2 * ALIKE**2)) / np.sqrt(np.outer(values_f, values_c))
+    found: dict[str, Any] = {
+        "fingers": len(own),
+        "population": len(others),
+        "draws": draws,
+        "probes": PROBED,
+        "first": {},
+    }
+    for count in (3, 5, 10, 20, 30, 50, 100, 192):
+        hits: dict[str, list[float]] = {}
+        for _ in range(draws):
+            mine, probed = np.split(rng.choice(len(own), count + PROBED, replace=False), [count])
+            pairs = fine[mine].T @ own[mine]
+            left, _, right = np.linalg.svd(pairs)
+            ways = {"pairs alone": left[:, :count] @ right[:count]}
+            turned = (fine[mine] - fine.mean(axis=0)) @ axes_f, (own[mine] - others.mean(axis=0)) @ axes_c
+            left, _, right = np.linalg.svd(weight * (turned[0].T @ turned[1]))
+            ways["with a population"] = axes_f @ left @ right @ axes_c.T
+            for way, matrix in ways.items():
+                for kind, probes in (("same code", own), ("other capture", again)):
+                    products = probes[probed] @ matrix.T @ fine.T
+                    products[:, mine] = -1.0
+                    right_one = products[np.arange(PROBED), probed]
+                    hits.setdefault(f"{way}, {kind}", []).append(float((products.max(axis=1) <= right_one).mean()))
+        found["first"][str(count)] = {name: round(float(np.mean(values)), 3) for name, values in hits.items()}
+        print(count, found["first"][str(count)], flush=True)
+    return found
+
+
+def seen(fields: FloatArray, rng: np.random.Generator) -> NDArray[np.int8]:
+    """(N, K) codes of complete fields through outlines that are drawn: a round tip, and sides and an end that vary."""
+    right = np.tile(np.arange(COLUMNS) - (COLUMNS - 1) / 2, ROWS) * STEP_MM
+    down = np.repeat(1.0 + np.arange(ROWS), COLUMNS) * STEP_MM
+    found = []
+    for start in range(0, len(fields), 250):
+        part = fields[start : start + 250]
+        half, end, middle = (rng.normal(mean, sd, (len(part), 1)) for mean, sd in ((7.5, 0.7), (17, 2), (0, 1)))
+        round_tip = ((right - middle) / half) ** 2 + np.clip((6 - down) / 6, 0, None) ** 2 < 1
+        z = code_model().latent(part, (round_tip & (down < end)).astype(np.float32))
+        found.append(SCALE * z / np.linalg.norm(z, axis=1, keepdims=True))
+    return np.asarray(np.clip(np.rint(np.concatenate(found)), -127, 127), dtype=np.int8)
+
+
+def unit(codes: NDArray[np.int8]) -> NDArray[np.float64]:
+    """(N, K) of length one."""
+    return codes / norm(codes)[:, None]
+
+
 def scores(one: Any, two: Any) -> dict[str, Any]:
     """By which somebody might link files: functions of the places in the second, one for each row of the first."""
     bits, fine = (np.unpackbits(one[0], axis=1), one[1].astype(np.float64)), (np.unpackbits(two[0], axis=1), two[1])
@@ -314,9 +395,9 @@ def rank_of(values: NDArray[Any], row: int) -> int:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("recall", "prints", "keys", "bits"))
+    parser.add_argument("what", choices=("recall", "prints", "keys", "known", "bits"))
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--store", type=Path, required=True)
+    parser.add_argument("--store", type=Path, default=None, help="for all but `known`")
     parser.add_argument("--first", type=int, default=DESIGNED_ON + 1, help="subject that is reported (default: 6)")
     parser.add_argument("--fields", type=int, default=5000, help="drawn, behind the distractors")
     parser.add_argument("--fingers", type=int, default=100_000, help="distractors, at most")
@@ -325,6 +406,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     options.work.mkdir(parents=True, exist_ok=True)
+    if options.what == "known":
+        write(options.out, {"known": known(options.work, 14_000, draws=5)})
+        return
     templates = reconstructions(options.store)
     gallery, probes = split(templates)
     outlines = [one for name, one in gallery.items() if int(name[1:3]) <= DESIGNED_ON]
@@ -339,8 +423,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = bits(options.work, base, flat_prints(24), options.fingers)
     else:
         found = keys(options.work, gallery, probes, base, options.fingers, pairs=options.pairs)
-    known = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else {}
-    options.out.write_text(json.dumps(known | {options.what: found}, indent=1) + "\n", encoding="utf-8")
+    write(options.out, {options.what: found})
+
+
+def write(file: Path, found: dict[str, Any]) -> None:
+    """Put a part into the results."""
+    earlier = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    file.write_text(json.dumps(earlier | found, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(found, indent=1))
 
 

@@ -26,12 +26,18 @@ def add_gallery_verbs(verbs: Any) -> None:
     exported = _kind(kinds, "export", "write all of it, not encrypted, into a folder of templates and a table", _export)
     exported.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     exported.add_argument("--images", action="store_true", help="write kept images as well")
+    exported.add_argument(
+        "--person", default=None, metavar="NAME", help="all that is kept of this person, images and codes included"
+    )
     imported = _kind(
         kinds, "import", "put an exported folder into a gallery, which is made where there is none", _import
     )
     imported.add_argument("folder", type=Path, metavar="FOLDER", help="what 'splitknit gallery export' wrote")
     imported.add_argument("--replace", action="store_true", help="let captures take the place of others")
-    _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
+    checked = _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
+    checked.add_argument(
+        "--shards", type=Path, default=None, metavar="DIR", help="compare the codes here with the gallery's as well"
+    )
     _kind(kinds, "repair", "take out rows that cannot be opened, and accept the others as they are", _repair)
     indexed = _kind(
         kinds, "index", "make the codes that a search through very many fingers needs, where they are missing", _index
@@ -121,7 +127,7 @@ def _remove(options: argparse.Namespace, key: Any) -> Outcome:
 def _export(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.gallery.manage import export_gallery  # noqa: PLC0415
 
-    facts = export_gallery(options.gallery, options.out, key=key, images=options.images)
+    facts = export_gallery(options.gallery, options.out, key=key, images=options.images, person=options.person)
     lines = [f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."]
     lines.append("Please note: they are personal data, and they are not encrypted there.")
     return facts, lines
@@ -138,8 +144,9 @@ def _import(options: argparse.Namespace, key: Any) -> Outcome:
 def _check(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.gallery.manage import check_gallery  # noqa: PLC0415
 
-    facts = check_gallery(options.gallery, key=key)
-    return facts, [f"{facts['gallery']} is sound: all {facts['captures']} captures can be opened."]
+    facts = check_gallery(options.gallery, key=key, shards=options.shards)
+    shards = "" if options.shards is None else f", and {options.shards} holds their codes"
+    return facts, [f"{facts['gallery']} is sound: all {facts['captures']} captures can be opened{shards}."]
 
 
 def _repair(options: argparse.Namespace, key: Any) -> Outcome:

@@ -91,6 +91,7 @@ _VERBS = {
     "enroll": "enroll.add_enroll",
     "identify": "identify.add_identify",
     "gallery": "gallery.add_gallery_verbs",
+    "forget": "forget.add_forget",
     "export": "export.add_export",
     "batch": "batch.add_batch",
     "view": "view.add_view",

@@ -98,8 +98,11 @@ def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace
 def run_verb(options: argparse.Namespace) -> Outcome:
     """Run the chosen verb, its workers included, with the permissions for new files that were asked for."""
     from splitknit.errors import given_folders  # noqa: PLC0415 - `--help` needs none of it
+    from splitknit.gallery import VERB  # noqa: PLC0415
     from splitknit.io.atomic import GROUP_READABLE  # noqa: PLC0415
 
+    kind = getattr(options, "kind", None)
+    VERB.set(f"{options.verb} {kind}" if isinstance(kind, str) else options.verb)
     named = [one for value in vars(options).values() for one in (value if isinstance(value, list) else [value])]
     earlier = os.environ.get(GROUP_READABLE, "")
     os.environ[GROUP_READABLE] = "1" if options.group_readable else earlier

@@ -1,5 +1,11 @@
 """Galleries: enrolled fingers in one file, encrypted if a key is given."""
 
+from contextvars import ContextVar
+
 KEY_VARIABLE, NEW_KEY_VARIABLE = "SPLITKNIT_GALLERY_KEY", "SPLITKNIT_GALLERY_NEW_KEY"
 COUNTER = ".counter"
 """End of the name of the counter file that may lie beside a key file."""
+LOG = ".log"
+"""End of the name of the access log that may lie beside a gallery."""
+VERB = ContextVar("VERB", default="python")
+"""For which a gallery is opened, as the access log has it."""

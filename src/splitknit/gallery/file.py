@@ -11,6 +11,8 @@ it is never just unlinked: SQLite leaves it (``journal_mode=PERSIST``), and :fun
 from __future__ import annotations
 
 import contextlib
+import datetime
+import getpass
 import json
 import os
 import sqlite3
@@ -19,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.errors import BadInput, read_bytes, require, shown_path
+from splitknit.gallery import LOG, VERB
 from splitknit.io.atomic import atomic_file
 
 APPLICATION_ID = 0x534B4741
@@ -81,6 +84,7 @@ def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
         If it is none, another program's, of another version, damaged, or cannot be opened.
     """
     _look_at(path)
+    _put_down(path)
     with _told(path):
         database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=rw", uri=True, timeout=wait_s, isolation_level=None)
         try:
@@ -89,6 +93,26 @@ def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
             database.close()
             raise
     return database
+
+
+def _put_down(path: Path) -> None:
+    """Add a line to the access log, where one lies beside the gallery: who opens it when, for which verb."""
+    file = path.with_name(path.name + LOG)
+    if not os.path.lexists(file):
+        return
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    uid = os.getuid() if hasattr(os, "getuid") else None
+    line = {"time": now, "user": getpass.getuser(), "uid": uid, "verb": VERB.get(), "gallery": str(path.resolve())}
+    try:
+        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0))
+        with os.fdopen(descriptor, "ab", buffering=0) as stream:
+            if hasattr(os, "fchmod") and os.fstat(descriptor).st_mode & 0o077:
+                os.fchmod(descriptor, 0o600)
+            stream.write(json.dumps(line).encode("ascii") + b"\n")
+    except OSError as error:
+        raise BadInput(
+            f"the access log '{file}' cannot be written ({error.strerror}), and without it '{path}' is not opened."
+        ) from error
 
 
 def _look_at(path: Path) -> None:
@@ -205,16 +229,7 @@ def wipe_journal(database: sqlite3.Connection, path: Path) -> None:
         database.execute(f"PRAGMA busy_timeout = {int(wait_ms)}")
     journal = Path(f"{path.resolve()}-journal")
     try:
-        # a link in its place would lead to a file that is not a gallery's
-        descriptor = os.open(journal, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
-        with os.fdopen(descriptor, "r+b", buffering=0) as stream:
-            left = os.fstat(descriptor).st_size
-            while left > 0:
-                left -= stream.write(bytes(min(left, 1 << 20)))
-            os.fsync(descriptor)
-        journal.unlink()
-    except FileNotFoundError:
-        pass
+        wipe(journal)
     except OSError as error:
         raise BadInput(
             f"'{journal}' cannot be overwritten: {error.strerror}; it may hold what was removed: delete it once no "
@@ -222,6 +237,35 @@ def wipe_journal(database: sqlite3.Connection, path: Path) -> None:
         ) from error
     finally:
         database.execute("ROLLBACK")
+
+
+def wipe(file: Path) -> None:
+    """Overwrite a file with zeros and remove it, if it is there. Raises OSError, also of a link."""
+    with contextlib.suppress(FileNotFoundError):
+        with wiping(file):
+            pass
+        file.unlink()
+
+
+@contextlib.contextmanager
+def wiping(file: Path) -> Iterator[None]:
+    """Overwrite what a file holds with zeros when the block, which may put another in its place, ends."""
+    # a link would lead to a file that is not ours
+    descriptor = os.open(file, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(descriptor, "r+b", buffering=0) as stream:
+        yield
+        left = os.fstat(descriptor).st_size
+        while left > 0:
+            left -= stream.write(bytes(min(left, 1 << 20)))
+        os.fsync(descriptor)
+
+
+def is_gallery(file: Path) -> bool:
+    """Whether a file begins as galleries do."""
+    with contextlib.suppress(OSError), file.open("rb") as stream:
+        begin = stream.read(72)
+        return begin.startswith(_MAGIC) and begin[68:] == APPLICATION_ID.to_bytes(4, "big")
+    return False
 
 
 def read_counter(file: Path) -> dict[str, int]:

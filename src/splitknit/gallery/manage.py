@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
 from splitknit.gallery import KEY_VARIABLE, NEW_KEY_VARIABLE
@@ -21,7 +22,7 @@ from splitknit.gallery.entry import Entry, NewCapture, check_person, session_ord
 from splitknit.gallery.file import describe
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
-from splitknit.gallery.shards import write_shards
+from splitknit.gallery.shards import Shards, write_shards
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.provenance import json_text
@@ -142,14 +143,19 @@ def index_gallery(
             made += len(codes)
         facts = {"gallery": str(gallery), "coded": made, "code_version": CODE_VERSION, "shards": None}
         if shards is not None:
-            kept = dict(sorted(opened.codes(CODE_VERSION).items()))
-            table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(-1, code_size())
-            facts["shards"] = write_shards(shards, np.array(list(kept), dtype=np.int64), table, key, renew=renew)
+            facts["shards"] = write_shards(shards, *_codes(opened), key, renew=renew)
     return facts
 
 
-def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
-    """Open everything.
+def _codes(opened: Gallery) -> tuple[NDArray[np.int64], NDArray[np.int8]]:
+    """Rows that have a code, ascending, and the codes."""
+    kept = dict(sorted(opened.codes(CODE_VERSION).items()))
+    table = np.frombuffer(b"".join(kept.values()), dtype=np.int8).reshape(-1, code_size())
+    return np.array(list(kept), dtype=np.int64), table
+
+
+def check_gallery(gallery: Path, *, key: Key | None = None, shards: Path | None = None) -> dict[str, Any]:
+    """Open everything, and compare every byte of its shards, where they are named, with what its codes give.
 
     Raises
     ------
@@ -158,6 +164,11 @@ def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
     """
     with Gallery.open(gallery, key) as opened:
         problems = opened.problems()
+        if shards is not None and not problems:
+            try:
+                Shards(shards, key).require_same(*_codes(opened))
+            except BadInput as error:
+                problems.append((None, str(error)))
         facts = {
             "gallery": str(gallery),
             "captures": len(opened),
@@ -171,7 +182,8 @@ def check_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
         whole = [what.rstrip(".") for row, what in problems if row is None]
         if whole:
             where = f"rows {shown}; {whole[0]}" if rows else whole[0]
-        raise Refused(f"the gallery '{gallery}' is damaged in {len(problems)} places ({where}).", facts)
+        places = f"{len(problems)} {'place' if len(problems) == 1 else 'places'}"
+        raise Refused(f"the gallery '{gallery}' is damaged in {places} ({where}).", facts)
     return facts
 
 
@@ -219,8 +231,12 @@ _MAX_TABLE_BYTES = 50_000_000
 """A quarter of a million captures."""
 
 
-def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: bool = False) -> dict[str, Any]:
+def export_gallery(
+    gallery: Path, out: Path, *, key: Key | None = None, images: bool = False, person: str | None = None
+) -> dict[str, Any]:
     """Write all of a gallery, **not encrypted**, into a folder that only its owner may read; return facts.
+
+    Of a `person`, where one is named, everything that is kept: images and search codes (hexadecimal) as well.
 
     Raises
     ------
@@ -229,9 +245,12 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
     """
     check_target(out, TABLE_FILE, "an earlier export of a gallery")
     with Gallery.open(gallery, key) as opened:
-        rows = opened.entries()
-        templates = opened.templates()
-        kept = opened.images() if images else {}
+        rows = opened.entries(None if person is None else check_person(person))
+        require(person is None or len(rows) > 0, f"'{gallery}' holds nothing of person '{person}'.")
+        numbers = [one.row for one in rows]
+        templates = opened.templates(numbers)
+        kept = opened.images(numbers) if images or person is not None else {}
+        codes = {} if person is None else opened.codes(CODE_VERSION)
         about = {
             "format": _FORMAT,
             "version": _VERSION,
@@ -240,7 +259,7 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
         }
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(_COLUMNS)
+    table.writerow(_COLUMNS if person is None else (*_COLUMNS, "code"))
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         for number, one in enumerate((one for one in rows if one.row in templates), start=1):
@@ -250,7 +269,8 @@ def export_gallery(gallery: Path, out: Path, *, key: Key | None = None, images: 
             if one.row in kept:
                 image = f"images/{number:04d}.{_SUFFIX[one.entry.images]}"
                 _write(folder / image, kept[one.row])
-            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image])
+            code = () if person is None else (codes.get(one.row, b"").hex(),)
+            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image, *code])
         _write(folder / TABLE_FILE, text.getvalue().encode("utf-8"))
         _write(folder / FACTS_FILE, json_text(about).encode("ascii"))
     return {"gallery": str(gallery), "out": str(out), "captures": len(rows), "images": len(kept)}

@@ -212,8 +212,10 @@ class Rows:
         return {row.id: self.opened(row, content, cell) for row, cell in found if self._kept(row, content, cell)}
 
     def _kept(self, row: Row, content: str, cell: Any) -> bool:
-        """Whether a row has such a content, or lost it."""
-        return cell is not None or content == "template" or (content == "images" and self.entry(row).images != "")
+        """Whether a row has such a content, or lost it: of a code its version, of images its entry says so."""
+        if cell is not None or content == "template":
+            return True
+        return row.code_version is not None if content == "code" else self.entry(row).images != ""
 
     def _select(self, content: str | None, where: str, *values: Any) -> list[tuple[Row, Any]]:
         version = "version" if self.version > 1 else "NULL"
@@ -336,7 +338,7 @@ class Rows:
         entry = self._opened_with(box, row, "entry", row.entry)
         contents: dict[str, bytes | None] = {"entry": entry}
         for name, cell in cells.items():
-            missing = cell is None and name != "template"
+            missing = cell is None and name != "template" and (name != "code" or row.code_version is None)
             contents[name] = None if missing else self._opened_with(box, row, name, cell)
         return self._decoded(row, entry).names, contents, row.code_version
 
@@ -391,12 +393,12 @@ class Rows:
             return
         row, cells = self._cells(row_id, self.version)
         try:
-            entry = self.entry(row)
+            self.entry(row)
         except BadInput as error:
             yield str(error)  # the others are bound to it
             return
         for name, cell in cells.items():
-            if cell is None and (name == "code" or (name == "images" and entry.images == "")):
+            if not self._kept(row, name, cell):
                 continue
             try:
                 content = self.opened(row, name, cell)

@@ -6,11 +6,13 @@ to, nothing else. It is made from a gallery, brought up to date in part, and ren
 the best, and leaves the rest to the ridges.
 
 Each file is a header of 4096 bytes (JSON, padded with blanks), then row numbers (N, little-endian int64), bits
-(N, 64 bytes) and numbers (N, 192 bytes).
+(N, 64 bytes) and numbers (N, 192 bytes). ``shards.json`` lists the files and their SHA-256, under an HMAC by the key: a
+file that something else changed, exchanged or took away is found by the first search that would read it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import hmac
 import json
@@ -24,9 +26,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import open_file, refusing, require
+from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.gallery.key import SALT_BYTES, Key, code_secret
 from splitknit.io.atomic import atomic_file, make_folder
+from splitknit.io.fields import read_json
+from splitknit.io.provenance import canonical_json, json_text
 from splitknit.matching.code import CODE_VERSION, ProbeSettings, code_size, probe_codes
 from splitknit.matching.renewable import BITS, RenewableCode
 from splitknit.matching.template import Template
@@ -38,6 +42,10 @@ RESCORED = 10_000
 """Fingers whose finer numbers are compared, at most; of a smaller gallery a hundredth, but a thousand at least."""
 _FORMAT, _VERSION, _HEADER = "splitknit-code-shard", 1, 4096
 _NAME = re.compile(r"codes-[0-9]{6}\.skc")
+SEALED = "shards.json"
+"""Lists the files of a folder of shards."""
+_sound: set[tuple[Any, ...]] = set()
+"""Files that this process compared with their SHA-256, as they were then."""
 _LARGEST = 1 << 40
 _BLOCK = 4096
 _FAR = 1 << 12
@@ -53,6 +61,8 @@ class Probe:
 
     check: bytes
     """Of the key (:attr:`splitknit.matching.renewable.RenewableCode.check`)."""
+    contents: dict[str, str]
+    """SHA-256 of every shard, by the name of its file."""
     bits: NDArray[np.uint8]
     """(V', BITS / 8) the variants whose bits are compared."""
     fine: FloatArray
@@ -82,8 +92,8 @@ def write_shards(
 ) -> dict[str, Any]:
     """Make a folder of shards what a gallery holds; return facts.
 
-    Files whose rows are as they were stay as they are. The same rows, codes, key and salt give the same bytes, in
-    however many steps they were added.
+    Files whose rows are as they were stay as they are; those that are damaged, or that something else changed, are
+    written anew. The same rows, codes, key and salt give the same bytes, in however many steps they were added.
 
     Parameters
     ----------
@@ -106,8 +116,16 @@ def write_shards(
     wanted = (len(rows), code_size())
     require(codes.shape == wanted and codes.dtype == np.int8, f"codes must be int8 of the shape {wanted}.")
     require(bool((np.diff(rows) > 0).all()) and (len(rows) == 0 or rows[0] >= 0), "rows of shards must ascend from 0.")
-    make_folder(folder)
-    known = [] if renew else [_read_header(file) for file in _files(folder)]
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise BadInput(
+            f"'{folder}' cannot be a folder of shards ({error.strerror}); name a folder with --shards."
+        ) from error
+    known = []
+    for file in () if renew else _files(folder):
+        with contextlib.suppress(BadInput):  # what is damaged is written anew
+            known.append(_read_header(file))
     salts = {header["salt"] for header in known}
     require(len(salts) < 2, f"the shards in '{folder}' are of several salts; renew them.")
     salt = bytes.fromhex(salts.pop()) if salts else os.urandom(SALT_BYTES)
@@ -115,16 +133,19 @@ def write_shards(
     code = RenewableCode(secret)
     for header in known:
         _require_key(folder, header["check"], code)
-    written, kept, names = 0, 0, set()
+    written, kept, contents = 0, 0, {}
     there = {header["file"].name: header["digest"] for header in known}
+    sealed = {}
+    with contextlib.suppress(BadInput):
+        sealed = _read_sealed(folder, secret)
     starts = np.flatnonzero(np.diff(rows // rows_a_shard, prepend=-1))
     for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
         name = f"codes-{rows[start] // rows_a_shard:06d}.skc"
-        names.add(name)
         content = hashlib.sha256(np.ascontiguousarray(rows[start:end], dtype="<i8").data)
         content.update(np.ascontiguousarray(codes[start:end]).data)
         digest = hmac.digest(secret, content.digest(), "sha256").hex()
-        if there.get(name) == digest:
+        if there.get(name) == digest and sealed.get(name, "") == _sha256(folder / name):
+            contents[name] = sealed[name]
             kept += 1
             continue
         about = {
@@ -133,10 +154,14 @@ def write_shards(
             "encrypted": key is not None,
         }  # fmt: skip
         _write_shard(folder / name, about, rows[start:end], codes[start:end], code)
+        contents[name] = _sha256(folder / name)
         written += 1
     for file in _files(folder):
-        if file.name not in names:
+        if file.name not in contents:
             file.unlink()
+    if contents != sealed:
+        with atomic_file(folder / SEALED) as stream:
+            stream.write(json_text({**_SEAL, "shards": contents, "seal": _seal(contents, secret)}).encode("ascii"))
     return {"shards": str(folder), "fingers": len(rows), "written": written, "kept": kept, "keyed": key is not None}
 
 
@@ -151,6 +176,37 @@ def _write_shard(
             for place, part in zip(places, code.stored(codes[start : start + _BLOCK]), strict=True):
                 stream.seek(place + start * part.shape[1])
                 stream.write(part.data)
+
+
+_SEAL = {"format": "splitknit-code-shards", "version": 1}
+
+
+def _seal(contents: dict[str, str], secret: bytes) -> str:
+    message = b"splitknit code shards 1\0" + canonical_json(contents).encode("ascii")
+    return hmac.digest(secret, message, "sha256").hex()
+
+
+def _read_sealed(folder: Path, secret: bytes) -> dict[str, str]:
+    """SHA-256 of the shards by name; raises BadInput if there is no such list, or it was not made with the key."""
+    changed = _changed(folder)
+    require((folder / SEALED).is_file(), changed)
+    document, _ = read_json(folder / SEALED)
+    with refusing(changed):
+        contents = dict(document["shards"])
+        require(hmac.compare_digest(document["seal"], _seal(contents, secret)), changed)
+    return contents
+
+
+def _changed(folder: Path) -> str:
+    return (
+        f"the shards in '{folder}' are not those that were last written (something else changed them, or their making "
+        f"was stopped); run 'splitknit gallery index --shards {folder}' again."
+    )
+
+
+def _sha256(file: Path) -> str:
+    with open_file(file, _LARGEST) as (stream, _):
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _files(folder: Path) -> list[Path]:
@@ -202,7 +258,8 @@ class Shards:
         Raises
         ------
         BadInput
-            If there is none, one is damaged or of another version, or the key is missing, wrong or not wanted.
+            If there is none, one is missing, damaged or of another version, or the key is missing, wrong or not
+            wanted.
         """
         headers = [_read_header(file) for file in _files(folder)]
         require(
@@ -219,8 +276,11 @@ class Shards:
             f"the shards in '{folder}' were made {'with' if first['encrypted'] else 'without'} a key; "
             + ("give it." if first["encrypted"] else "leave the key out, or renew them with it."),
         )
-        self._code = RenewableCode(code_secret(key, bytes.fromhex(first["salt"])))
+        secret = code_secret(key, bytes.fromhex(first["salt"]))
+        self._code = RenewableCode(secret)
         _require_key(folder, first["check"], self._code)
+        self._contents = _read_sealed(folder, secret)
+        require(set(self._contents) == {header["file"].name for header in headers}, _changed(folder))
         self.files = tuple(Path(header["file"]) for header in headers)
         self._sizes = [int(header["rows"]) for header in headers]
 
@@ -232,7 +292,24 @@ class Shards:
         settings = settings or ProbeSettings()
         variants = probe_codes(template, settings)
         bits, fine = self._code.probe(variants)
-        return Probe(self._code.check, bits[settings.coarse()], fine)
+        return Probe(self._code.check, self._contents, bits[settings.coarse()], fine)
+
+    def require_same(self, rows: NDArray[np.int64], codes: NDArray[np.int8]) -> None:
+        """Compare every byte with what these rows and codes give; BadInput if one differs."""
+        place = 0
+        for file in self.files:
+            there = _mapped(file, self._code.check, self._contents)
+            count = len(there[0])
+            same = np.array_equal(there[0], rows[place : place + count])
+            for start in range(0, count if same else 0, _BLOCK):
+                end = min(start + _BLOCK, count)
+                expected = self._code.stored(codes[place + start : place + end])
+                same = same and all(
+                    np.array_equal(one[start:end], other) for one, other in zip(there[1:], expected, strict=True)
+                )
+            place += count
+            require(same, _behind(file))
+        require(place == len(rows), _behind(self.files[0].parent))
 
     def search(self, template: Template, k: int = 500, settings: ProbeSettings | None = None) -> Hits:
         """The `k` fingers whose codes are most similar.
@@ -256,9 +333,7 @@ class Shards:
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         probe = self.probe(template, settings)
         count = rescored_count(len(self))
-        places = [
-            (number, *_nearest(probe.bits, _mapped(file, probe)[1], count)) for number, file in enumerate(self.files)
-        ]
+        places = [(number, *_nearest(probe.bits, _of(file, probe)[1], count)) for number, file in enumerate(self.files)]
         chosen = _best(np.concatenate([distance for _, distance, _ in places]), count)
         found, start = [], 0
         for number, distance, place in places:
@@ -266,6 +341,10 @@ class Shards:
             found.append(_scored(self.files[number], probe, distance[here], place[here]))
             start += len(place)
         return merged(found, k, len(self))
+
+
+def _behind(place: Path) -> str:
+    return f"'{place}' does not hold the codes of the gallery as it is; run 'splitknit gallery index --shards' again."
 
 
 def rescored_count(fingers: int) -> int:
@@ -281,7 +360,7 @@ def scan_shard(file: Path, probe: Probe, count: int) -> Found:
     BadInput
         If the shard is damaged, or of another key than the probe.
     """
-    distance, place = _nearest(probe.bits, _mapped(file, probe)[1], count)
+    distance, place = _nearest(probe.bits, _of(file, probe)[1], count)
     return _scored(file, probe, distance, place)
 
 
@@ -297,10 +376,25 @@ def merged(found: Sequence[Found], k: int, fingers: int) -> Hits:
     return Hits(rows[order], similarity[order], variant[order])
 
 
-def _mapped(file: Path, probe: Probe) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int8]]:
+_Mapped = tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int8]]
+"""Rows, bits and numbers."""
+
+
+def _of(file: Path, probe: Probe) -> _Mapped:
+    return _mapped(file, probe.check, probe.contents)
+
+
+def _mapped(file: Path, check: bytes, contents: dict[str, str]) -> _Mapped:
+    """Of a shard whose SHA-256 is the one that is known; it is computed once a process, and again after a change."""
     header = _read_header(file)
-    require(header["check"] == probe.check.hex(), f"'{file}' is of another key than the probe; open the shards again.")
-    count, data = int(header["rows"]), np.memmap(file, np.uint8, "r")
+    require(header["check"] == check.hex(), f"'{file}' is of another key than the probe; open the shards again.")
+    with open_file(file, _LARGEST) as (stream, size):
+        status, content = os.fstat(stream.fileno()), contents.get(file.name, "")
+        state = (file, content, status.st_ino, size, status.st_mtime_ns, status.st_ctime_ns)
+        if state not in _sound:
+            require(hashlib.file_digest(stream, "sha256").hexdigest() == content, _changed(file.parent))
+            _sound.add(state)
+        count, data = int(header["rows"]), np.memmap(stream, np.uint8, "r")
     first, second = _HEADER + 8 * count, _HEADER + 8 * count + BITS // 8 * count
     return (
         np.asarray(data[_HEADER:first].view("<i8")),
@@ -310,7 +404,7 @@ def _mapped(file: Path, probe: Probe) -> tuple[NDArray[np.int64], NDArray[np.uin
 
 
 def _scored(file: Path, probe: Probe, distance: NDArray[np.int64], place: NDArray[np.int64]) -> Found:
-    rows, _, numbers = _mapped(file, probe)
+    rows, _, numbers = _of(file, probe)
     order = np.argsort(place)  # the file is read forwards
     products = probe.fine @ numbers[place[order]].T.astype(np.float32)
     variant = products.argmax(axis=0)

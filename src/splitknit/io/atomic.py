@@ -321,7 +321,7 @@ def _check_replaceable(target: Path, overwrite: bool) -> None:
     if not names:
         return
     require(overwrite, f"'{target}' exists and is not empty; remove it or name another folder.")
-    own = _read_manifest(target)
+    own = manifest_of(target)
     for name in names:
         require(
             name in own or Path(name).name in _STRAY,
@@ -340,7 +340,8 @@ def _write_manifest(folder: Path) -> None:
     (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def _read_manifest(folder: Path) -> frozenset[str]:
+def manifest_of(folder: Path) -> frozenset[str]:
+    """Names of the files that we wrote into a folder, relative to it; none where it was not written whole."""
     try:
         document = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         if document["format"] != "splitknit-folder":

@@ -88,7 +88,7 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
     ----------
     out : file to write; nothing is checked where it is None
     words : for the kind, such as "a template"
-    is_own : whether a file that begins with these bytes is of the kind; an empty file is of every kind
+    is_own : whether a file that begins with these bytes, at most 16 MB of it, is of the kind
     form : the field "format" of a JSON file of the kind, instead
 
     Raises
@@ -103,7 +103,7 @@ def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | N
     with contextlib.suppress(BadInput):
         with open_file(out, 1 << 50) as (stream, _):
             data = stream.read(_HEAD_BYTES)
-        known = not data or (_format_of(out) == form if is_own is None else is_own(data))
+        known = _format_of(out) == form if is_own is None else is_own(data)
     require(known, f"'{out}' exists and is not {words}; name another file.")
 
 

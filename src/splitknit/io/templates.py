@@ -32,6 +32,14 @@ def encode_template(payload: bytes, version: int) -> bytes:
     return _HEAD.pack(MAGIC, version, 0, len(payload), hashlib.sha256(payload).digest()) + payload
 
 
+def is_template(data: bytes) -> bool:
+    """Whether a file's content is a template, of any version."""
+    try:
+        return bool(_decode_template(data, int.from_bytes(data[8:10], "little")))
+    except BadInput:
+        return False
+
+
 def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
     """Payload of a template file's content, empty for a failure to acquire.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
-from splitknit.io.templates import MAGIC, write_template
+from splitknit.io.templates import is_template, write_template
 from splitknit.matching.fusion import can_fuse, fused_match, fused_similarity
 from splitknit.matching.inputs import Side, read_side
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, installed, minutiae_match, nfiq2
@@ -74,7 +74,8 @@ def match_files(
     if template is not None:
         from splitknit.io.targets import check_file  # noqa: PLC0415 - a comparison needs none of it
 
-        check_file(template, "a template", lambda data: data.startswith(MAGIC))
+        empty = template.suffix == ".skt"  # is a failure to acquire
+        check_file(template, "a template", lambda data: is_template(data) if data else empty)
         sources = [path.expanduser().resolve() for path in (a, b) if isinstance(path, Path)]
         require(
             template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file."

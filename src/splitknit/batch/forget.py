@@ -1,0 +1,314 @@
+"""Everything that is kept of a person: found in galleries, shards, captures, results, stores and exports, then erased.
+
+Whose something is, is read off what this program wrote there, never guessed: the entries of a gallery, the subject of a
+capture or result, its place (``NAME/session_1/right_index``), the captures of a store, the tables of exports and
+populations. Links are not followed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import html
+import io
+import json
+import os
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from splitknit.batch.chunks import SUFFIX, load, read_origin, write_chunk
+from splitknit.batch.engine import alone
+from splitknit.batch.simulate import TABLE_FILE as POPULATION_TABLE
+from splitknit.batch.store import STORE_FILE
+from splitknit.capture.enrolment import FINGERS
+from splitknit.errors import BadInput, Refused, read_bytes, require
+from splitknit.gallery.entry import check_person
+from splitknit.gallery.file import is_gallery, wipe, wiping
+from splitknit.gallery.gallery import Gallery
+from splitknit.gallery.key import Key
+from splitknit.gallery.manage import TABLE_FILE, index_gallery
+from splitknit.gallery.records import FACTS_FILE
+from splitknit.gallery.shards import SEALED
+from splitknit.io.atomic import MANIFEST, atomic_file, manifest_of
+from splitknit.io.fields import read_json
+from splitknit.io.provenance import json_text
+
+_WHO = ("person", "subject", "subject_a", "subject_b")
+"""Columns of our tables."""
+_MAX_TABLE, _MAX_TEXT = 1_000_000_000, 20_000_000
+_UNNAMED = (".skt", ".iso", ".fmr", ".fir", ".an2", ".itl", ".wsq")
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """Something about the person."""
+
+    what: str
+    """Such as "gallery"."""
+    path: Path
+    records: int
+    erase: Callable[[], object]
+
+
+def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = None, erase: bool) -> dict[str, Any]:
+    """Find all that is kept of a person below `places`, and erase it: what is removed is overwritten with zeros first.
+
+    Parameters
+    ----------
+    people : names of one person, as galleries and captures have them
+    places : galleries, and folders that are searched with all that is in them
+    key : of encrypted galleries
+    erase : False: nothing is changed
+
+    Returns
+    -------
+    Facts: ``found`` (what, path and number of records), ``shards`` made anew, ``unreached`` (with reasons),
+    ``mentions`` (files that still hold a name), ``unnamed`` (files of fingers that state no person).
+
+    Raises
+    ------
+    BadInput
+        If a place is missing, or nothing of the person is there.
+    Refused
+        If something could not be looked into or erased; the rest is erased then.
+    """
+    require(len(people) > 0 and len(places) > 0, "name a person, and the galleries and folders to look in.")
+    names = frozenset(check_person(one) for one in people)
+    for place in places:
+        require(place.exists(), f"there is no '{place}'; name galleries and folders.")
+    unreached: list[dict[str, str]] = []
+    held: list[_Held] = []
+    galleries: list[Path] = []
+    shards: list[Path] = []
+    unnamed: list[str] = []
+    for folder, files in _walked(places, unreached):
+        shards += [folder] if SEALED in files or any(name.endswith(".skc") for name in files) else []
+        galleries += [folder / name for name in files if is_gallery(folder / name)]
+        known = FACTS_FILE in files or (folder.parent / TABLE_FILE).is_file()
+        unnamed += [str(folder / name) for name in files if name.endswith(_UNNAMED) and not known]
+        for look in (_finger, _tables, _export, _store):
+            try:
+                held += look(folder, files, names)
+            except BadInput as error:
+                unreached.append({"path": str(folder), "reason": str(error)})
+    for gallery in galleries:
+        try:
+            held += _gallery(gallery, names, key)
+        except BadInput as error:
+            unreached.append({"path": str(gallery), "reason": str(error)})
+    words = ", ".join(sorted(names))
+    nothing = (
+        f"nothing of {words} was found; names are compared letter by letter ('splitknit gallery list' shows them)."
+    )
+    require(bool(held or shards or unreached), nothing)
+    facts: dict[str, Any] = {
+        "people": sorted(names),
+        "found": [{"what": one.what, "path": str(one.path), "records": one.records} for one in held],
+        "shards": [str(folder) for folder in shards],
+        "unreached": unreached,
+        "unnamed": unnamed,
+        "mentions": [],
+        "erased": erase,
+    }
+    if not erase:
+        return facts
+    for one in held:
+        try:
+            one.erase()
+        except (BadInput, OSError) as error:
+            unreached.append({"path": str(one.path), "reason": str(error)})
+    for folder in shards:
+        try:
+            _shards(folder, galleries, key)
+        except (BadInput, OSError) as error:
+            unreached.append({"path": str(folder), "reason": str(error)})
+    there = [place for place in places if place.exists()]
+    facts["mentions"] = [
+        str(folder / name) for folder, files in _walked(there, []) for name in files if _names(folder / name, names)
+    ]
+    facts["unnamed"] = [path for path in unnamed if Path(path).exists()]
+    if unreached:
+        first = f"{unreached[0]['path']}: {unreached[0]['reason'].rstrip('.')}"
+        raise Refused(
+            f"{len(unreached)} places could not be looked into or erased, the rest is (first: {first}).", facts
+        )
+    return facts
+
+
+def _walked(places: Sequence[Path], unreached: list[dict[str, str]]) -> Iterator[tuple[Path, list[str]]]:
+    """Folders and the names of their regular files; links, and what may not be read, are put down."""
+    for place in places:
+        if place.is_file():
+            yield place.parent, [place.name]
+            continue
+        failed: list[OSError] = []
+        for folder, folders, files in os.walk(place, onerror=failed.append):
+            folders.sort()
+            links = [name for name in (*folders, *files) if (Path(folder) / name).is_symlink()]
+            unreached += [{"path": str(Path(folder) / name), "reason": "a link is not followed."} for name in links]
+            yield Path(folder), sorted(name for name in files if (Path(folder) / name).is_file() and name not in links)
+        unreached += [{"path": str(error.filename), "reason": error.strerror or str(error)} for error in failed]
+
+
+def _gallery(path: Path, names: Collection[str], key: Key | None) -> Iterator[_Held]:
+    with Gallery.open(path, key) as opened:
+        rows = [one.row for one in opened.entries() if one.entry.person in names]
+
+    def erase() -> None:
+        with Gallery.open(path, key) as opened:
+            opened.remove(rows)
+
+    if rows:
+        yield _Held("gallery", path, len(rows), erase)
+
+
+def _shards(folder: Path, galleries: Sequence[Path], key: Key | None) -> None:
+    """Codes have no names, and those who were removed earlier may be among them: all are made anew, of the gallery."""
+    for file in (*folder.glob("codes-*.skc"), folder / SEALED):
+        wipe(file)
+    only = f"'{folder}' is empty now, as not one gallery was named; run 'splitknit gallery index --shards {folder}'."
+    require(len(galleries) == 1, only)
+    with contextlib.suppress(BadInput):  # nobody is left
+        index_gallery(galleries[0], key=key, shards=folder)
+
+
+def _finger(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
+    """A capture, result or print, of whom it states, or whose it is by its place."""
+    own = manifest_of(folder)
+    stated: Any = None
+    for name in ("capture.json", "report.json"):
+        if name in files:
+            document, _ = read_json(folder / name)
+            about = document.get("capture") if name == "report.json" else document
+            subject = about.get("subject") if isinstance(about, dict) else None
+            stated = subject.get("id") if isinstance(subject, dict) else stated
+    if own and (stated in names or (_in_place(folder) and folder.parent.parent.name in names)):
+        yield _Held("capture or result", folder, 1, partial(_erase_folder, folder, own))
+
+
+def _erase_folder(folder: Path, own: Collection[str]) -> None:
+    for name in (*own, MANIFEST):
+        wipe(_inside(folder, name))
+    emptied = [folder, folder.parent, folder.parent.parent] if _in_place(folder) else [folder]
+    for one in (*sorted({(folder / name).parent for name in own} - {folder}, reverse=True), *emptied):
+        with contextlib.suppress(OSError):  # something else is in it
+            one.rmdir()
+    left = sorted(one.name for one in folder.iterdir()) if folder.is_dir() else []
+    require(not left, f"'{folder}' holds what splitknit did not write there ({', '.join(left[:3])}).")
+
+
+def _in_place(folder: Path) -> bool:
+    """Whether a folder lies as in a population: ``NAME/session_1/right_index``."""
+    return folder.name in FINGERS and folder.parent.name.startswith("session_")
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file that a table names; BadInput if that leads out of the folder."""
+    file = folder / name
+    sound = file.parent.resolve().is_relative_to(folder.resolve()) and file.name not in ("", "..")
+    require(sound, f"'{folder}' names a file outside of it ({name[:60]!a}); nothing is removed there.")
+    return file
+
+
+def _tables(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
+    """Rows of tables that are ours: an export's, a population's, scores; with the files that an export's rows name."""
+    own = manifest_of(folder) | {POPULATION_TABLE if "population.json" in files else TABLE_FILE}
+    for file in (folder / name for name in files if name.endswith(".csv") and name in own):
+        yield from _table(file, names, files=file.name == TABLE_FILE)
+
+
+def _table(file: Path, names: Collection[str], *, files: bool = False) -> Iterator[_Held]:
+    text = read_bytes(file, _MAX_TABLE).decode("utf-8-sig", "replace")
+    rows = list(csv.reader(io.StringIO(text, newline="")))
+    columns = [k for k, name in enumerate(rows[0] if rows else ()) if name in _WHO]
+    gone = [row for row in rows[1:] if any(k < len(row) and row[k] in names for k in columns)]
+    holders = [rows[0].index(name) for name in ("template", "image") if files and name in rows[0]] if rows else []
+
+    def erase() -> None:
+        for name in (row[k] for row in gone for k in holders if row[k]):
+            wipe(_inside(file.parent, name))
+        kept = io.StringIO()
+        csv.writer(kept, lineterminator="\n").writerows(row for row in rows if row not in gone)
+        _rewrite(file, kept.getvalue())
+
+    if gone:
+        yield _Held("export of a gallery" if files else "table", file, len(gone), erase)
+
+
+def _rewrite(file: Path, text: str) -> None:
+    with wiping(file), atomic_file(file) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def _export(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
+    """Records of a gallery's fingers."""
+    document = read_json(folder / FACTS_FILE)[0] if FACTS_FILE in files else {}
+    rows = document.get("files", [])
+    gone = [row for row in rows if isinstance(row, dict) and row.get("person") in names]
+
+    def erase() -> None:
+        for row in gone:
+            wipe(_inside(folder, str(row["file"])))
+        _rewrite(folder / FACTS_FILE, json_text(document | {"files": [row for row in rows if row not in gone]}))
+
+    if gone:
+        yield _Held("export", folder, len(gone), erase)
+
+
+def _store(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
+    """Captures and comparisons in the chunks, times and tables of a store."""
+    if STORE_FILE not in files:
+        return
+    found: list[_Held] = []
+    for below, _, inside in os.walk(folder):
+        for file in (Path(below) / name for name in sorted(inside)):
+            if file.suffix == SUFFIX:
+                found += _chunk(file, names)
+            elif file.suffix == ".json" and file.parent.parent.name == "timings":
+                found += _times(file, names)
+            elif file.suffix == ".csv" and file.parent == folder / "csv":
+                found += _table(file, names)
+
+    def erase() -> None:
+        with alone(folder):
+            for one in found:
+                one.erase()
+
+    if found:
+        yield _Held("store", folder, sum(one.records for one in found), erase)
+
+
+def _chunk(file: Path, names: Collection[str]) -> Iterator[_Held]:
+    pq = load("pyarrow.parquet", "batch")
+    columns = [name for name in ("capture", "a", "b") if name in pq.read_schema(file).names]
+    sides = pq.read_table(file, columns=columns).to_pylist()
+    gone = [any(value.partition("/")[0] in names for value in row.values()) for row in sides]
+
+    def erase() -> None:
+        table = pq.read_table(file).filter([not one for one in gone])
+        with wiping(file):
+            write_chunk(file, table.to_pydict(), table.schema.remove_metadata(), read_origin(file))
+
+    if any(gone):
+        yield _Held("chunk", file, sum(gone), erase)
+
+
+def _times(file: Path, names: Collection[str]) -> Iterator[_Held]:
+    times, _ = read_json(file)
+    kept = {name: value for name, value in times.items() if name.partition("/")[0] not in names}
+    if len(kept) < len(times):
+        yield _Held("times", file, 0, partial(_rewrite, file, json_text(kept)))
+
+
+def _names(file: Path, names: Collection[str]) -> bool:
+    """Whether a text holds a name."""
+    try:
+        text = read_bytes(file, _MAX_TEXT).decode("utf-8")
+    except (BadInput, UnicodeDecodeError):
+        return False
+    spelled = {one for name in names for one in (name, json.dumps(name)[1:-1], html.escape(name))}
+    return any(re.search(rf"(?<!\w){re.escape(one)}(?!\w)", text) for one in spelled)
