@@ -97,7 +97,9 @@ def test_objects_give_the_tables_of_folders(memory: Objects, people: Path, tmp_p
         run_batch(memory / "nobody", memory / "store", RIDGE, jobs=1)
 
 
-@pytest.mark.parametrize("name", ["{}", "{}/../../../../../../{}", "../../../../../escaped", "..\\..\\escaped", "a\0b"])
+@pytest.mark.parametrize(
+    "name", ["{}", "{}/../../../../../../{}", "../../../../../escaped", "..\\..\\escaped", "a\0b", "C:escaped"]
+)
 def test_a_key_names_no_file_outside(memory: Objects, name: str, monkeypatch: Any, tmp_path: Path) -> None:
     """Whoever may write into the bucket overwrote any file of the user: keys are names of files."""
     (tmp_path / "temporary").mkdir()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -117,6 +118,18 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="mounted disk"), atomic_folder("/"):
         pass
     assert visible(tmp_path) == {"file": "x"}
+
+
+def test_a_file_in_a_folder_at_work_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+    with atomic_folder(tmp_path / "result") as folder:
+        for name in ("one", "sub/two"):
+            with atomic_file(folder / name) as stream:
+                stream.write(b"1")
+        with contextlib.suppress(RuntimeError), atomic_file(folder / "half") as stream:
+            stream.write(b"half")
+            raise RuntimeError
+        assert sorted(os.listdir(folder)) == ["one", "sub"]  # noqa: PTH208
+    assert (tmp_path / "result" / "sub" / "two").read_text() == "1"
 
 
 def test_a_folder_within_a_folder_at_work_appears_with_it(tmp_path: Path) -> None:

@@ -86,7 +86,9 @@ def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iter
         require(not target.is_dir(), f"'{target}' is a folder; name a file to write.")
         # the renaming would take the place of /dev/null, where one may do that
         require(target.is_file() or not target.exists(), f"'{target}' is a device or a pipe; name a file to write.")
-    with _parents(target), _refuse_os_errors(target), _temporary(target) as new, new.open("xb") as stream:
+    within = overwrite and any(folder in _AT_WORK for folder in target.parents)  # it appears with its folder
+    place = _in_place(target) if within else _temporary(target)
+    with _parents(target), _refuse_os_errors(target), place as new, new.open("wb") as stream:
         yield stream
         stream.flush()
         new.chmod(private_modes()[0])
@@ -168,6 +170,15 @@ def _temporary(target: Path) -> Iterator[Path]:
         with contextlib.suppress(OSError):
             _discard(folder)
         _release(lock)
+
+
+@contextlib.contextmanager
+def _in_place(target: Path) -> Iterator[Path]:
+    try:
+        yield target
+    except BaseException:
+        target.unlink(missing_ok=True)
+        raise
 
 
 def _discard(folder: Path) -> None:
