@@ -22,6 +22,7 @@ from typing import Any
 
 from splitknit.batch.chunks import SUFFIX, load, read_origin, write_chunk
 from splitknit.batch.engine import alone
+from splitknit.batch.simulate import POPULATION_FILE
 from splitknit.batch.simulate import TABLE_FILE as POPULATION_TABLE
 from splitknit.batch.store import STORE_FILE
 from splitknit.capture.enrolment import FINGERS
@@ -30,6 +31,7 @@ from splitknit.gallery.entry import check_person
 from splitknit.gallery.file import is_gallery, wipe, wiping
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
+from splitknit.gallery.manage import FACTS_FILE as ABOUT_FILE
 from splitknit.gallery.manage import TABLE_FILE, index_gallery
 from splitknit.gallery.records import FACTS_FILE
 from splitknit.gallery.shards import SEALED
@@ -215,10 +217,10 @@ def _inside(folder: Path, name: str) -> Path:
 
 
 def _tables(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
-    """Rows of tables that are ours: an export's, a population's, scores; with the files that an export's rows name."""
-    own = manifest_of(folder) | {POPULATION_TABLE if "population.json" in files else TABLE_FILE}
-    for file in (folder / name for name in files if name.endswith(".csv") and name in own):
-        yield from _table(file, names, files=file.name == TABLE_FILE)
+    """Rows of a population's and an export's table, with the files that the latter names."""
+    for name, beside in ((POPULATION_TABLE, POPULATION_FILE), (TABLE_FILE, ABOUT_FILE)):
+        if name in files and beside in files:
+            yield from _table(folder / name, names, files=name == TABLE_FILE)
 
 
 def _table(file: Path, names: Collection[str], *, files: bool = False) -> Iterator[_Held]:
