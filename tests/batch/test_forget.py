@@ -37,7 +37,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (store / "features" / "ea").mkdir(parents=True)
     (store / "timings" / "ea").mkdir(parents=True)
     (store / "csv").mkdir()
-    (store / "store.json").write_text("{}")
+    (store / "store.json").write_text('{"format": "splitknit-batch"}')
     schema = load("pyarrow", "batch").schema([(name, column_type(name)) for name in ("capture", "template")])
     both = {"capture": [S01, S02], "template": [b"ridges of S01", b"ridges of S02"]}
     write_chunk(store / "features" / "ea" / "00000.parquet", both, schema, {"software": "splitknit"})
@@ -66,9 +66,20 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
+def contents_of_others(folder: Path) -> dict[str, bytes]:
+    """Files of another program that have the names of ours."""
+    folder.mkdir()
+    for name in ("shards.json", "codes-000000.skc", "store.json", "gallery.json", "population.json", "export.json"):
+        (folder / name).write_text('{"files": [{"person": "S01", "file": "gallery.csv"}]}')
+    for name in ("gallery.csv", "population.csv", "scores.csv"):
+        (folder / name).write_text("person,subject\nS01,S02\n")
+    return contents(folder)
+
+
 def test_nothing_of_the_person_is_left_and_the_others_are(kept: Path, capsys) -> None:
     (kept / "mine.csv").write_text("person,phone\nS01,1234\n")
     (kept / "people" / "S01" / "notes.txt").write_text("hello")
+    mine = contents_of_others(kept / "mine")
     facts = facts_of(capsys, "forget", "--person", "S01", kept, "--yes")
     assert {one["what"] for one in facts["found"]} == {
         "gallery", "capture or result", "export of a gallery", "export", "store",
@@ -90,7 +101,8 @@ def test_nothing_of_the_person_is_left_and_the_others_are(kept: Path, capsys) ->
     assert json.loads((store / "timings" / "ea" / "00000.json").read_text()) == {S02: 2.0}
     assert "S01" not in (store / "csv" / "ea_ridge.csv").read_text()
     # what we did not write is named, not touched
-    assert facts["mentions"] == [str(kept / "mine.csv")]
+    assert contents(kept / "mine") == mine
+    assert set(facts["mentions"]) == {str(kept / "mine.csv"), *(str(kept / "mine" / name) for name in mine)}
     assert (kept / "mine.csv").read_text() == "person,phone\nS01,1234\n"
 
 
