@@ -148,6 +148,20 @@ def test_a_population_with_one_call(people_folder: Path, whole: Path, tmp_path: 
     assert facts["with_images"] == facts["failures"] == 0
 
 
+def test_a_population_of_prints(people_folder: Path, tmp_path: Path, capsys) -> None:
+    for picture in people_folder.glob("*/*/*/print.png"):
+        copy = tmp_path / "prints" / picture.parent.relative_to(people_folder).with_suffix(".png")
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(picture, copy)
+    file = tmp_path / "people.skg"
+    facts = facts_of(capsys, "enroll", file, "--population", tmp_path / "prints")
+    assert (facts["new"], facts["people"], facts["fingers"]) == (6, 2, 3)
+    assert facts_of(capsys, "enroll", file, "--population", tmp_path / "prints")["known"] == 6
+    (tmp_path / "prints" / "S01" / "session_1" / "right_index.skt").touch()
+    words = refusal_of(capsys, "enroll", file, "--population", tmp_path / "prints")
+    assert "are of one finger and session" in words
+
+
 def test_a_population_goes_on_where_it_was_stopped(people_folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
     from splitknit.batch import enrol as enrolling_population
 

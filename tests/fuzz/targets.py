@@ -54,8 +54,9 @@ from splitknit.evaluation.study import _read_exclusion_list, _read_systems
 from splitknit.gallery.entry import Entry, NewCapture, decode_entry, encode_entry
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.identify import IdentifySettings, Question, identify_file
-from splitknit.gallery.key import Key, ScryptSettings, key_of
+from splitknit.gallery.key import Key, ScryptSettings, code_secret, key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
+from splitknit.gallery.shards import Shards, _seal, write_shards
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.finger_image import encode_finger_images
 from splitknit.io.float_tiff import write_light_tiff
@@ -615,6 +616,31 @@ def _identified(folder: Path, files: Files) -> object:
     return identify_file(folder / "x.skg", folder / "x.skt", question, IdentifySettings())
 
 
+def _shards() -> list[Files]:
+    codes = np.stack([code_of(unpack(_new("x", seed).template)) for seed in range(3)])
+    with _seeded():
+        return [_folder(lambda folder: write_shards(folder, np.arange(3), codes))]
+
+
+def _searched(folder: Path, files: Files) -> object:
+    return Shards(folder).search(unpack(_new("x", 1).template), 3)
+
+
+def _shards_repaired(files: Files) -> Files:
+    """The list of what there is; without a key anyone can make it."""
+    data, listed = files.get("codes-000000.skc"), files.get("shards.json")
+    if not isinstance(data, bytes) or not isinstance(listed, bytes):
+        return files
+    try:
+        salt = bytes.fromhex(json.loads(data[:4096])["salt"])
+        document = dict(json.loads(listed))
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return files
+    contents = {"codes-000000.skc": hashlib.sha256(data).hexdigest()}
+    document |= {"shards": contents, "seal": _seal(contents, code_secret(None, salt))}
+    return files | {"shards.json": json.dumps(document).encode("ascii")}
+
+
 def _exports() -> list[Files]:
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "x.skg"
@@ -938,6 +964,7 @@ TARGETS = (
     Target("gallery_phrase", lambda: _each("x.skg", _gallery(PHRASE)), _opened(PHRASE)),
     Target("gallery_entry", lambda: _each("bytes", encode_entry(_new("Ann", 1).entry)), _of_bytes(decode_entry)),
     Target("identify", _galleries, _identified, _skt_repaired),
+    Target("shards", _shards, _searched, _shards_repaired),
     Target("gallery_import", _exports, _imported, _skt_repaired),
     Target("batch", lambda: [_store()], _batch),
     Target("batch_surface", lambda: _each("bytes", _surface()), _of_bytes(unpack_surface)),

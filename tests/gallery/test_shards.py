@@ -306,6 +306,16 @@ def test_codes_that_are_none(codes: np.ndarray, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(BadInput, match="cannot be a folder of shards"):
         write_shards(tmp_path / "file", np.arange(3), codes[:3])
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "shards.json").write_text("mine")
+    with pytest.raises(BadInput, match="is not empty and holds no shards"):
+        write_shards(tmp_path / "mine", np.arange(3), codes[:3])
+    write_shards(tmp_path / "linked", np.arange(3), codes[:3])
+    (tmp_path / "linked" / "codes-000000.skc").unlink()
+    (tmp_path / "linked" / "codes-000000.skc").symlink_to(tmp_path / "file")
+    with pytest.raises(BadInput, match="is a link, through which nothing is written"):
+        write_shards(tmp_path / "linked", np.arange(3), codes[:3])
+    assert [(tmp_path / name).read_text() for name in ("file", "mine/shards.json")] == ["mine", "mine"]
     with pytest.raises(BadInput, match="no code to keep"):
         write_shards(tmp_path / "codes", np.zeros(0, np.int64), codes[:0])
     with pytest.raises(BadInput, match="k must be at least 1"):

@@ -114,6 +114,15 @@ def prints(folder: Path) -> Iterator[Step]:
     yield Step("identify people.skg prints/2_3.png --input-ppi 500", says="P2")
     yield Step("evaluate --gallery people.skg --out rates --replicates 100", makes="rates/report.html")
     yield Step("evaluate --gallery peple.skg --out wrong", 2, "peple.skg")
+    for k, name in enumerate(names):  # the same as a folder, in one command
+        copy = folder / "many" / f"P{k // 3 + 1}" / f"session_{k % 3 + 1}" / "right_index.png"
+        copy.parent.mkdir(parents=True)
+        copy.write_bytes((folder / name).read_bytes())
+    yield Step("enroll many.skg --population many", 2, "--input-ppi")
+    yield Step("enroll many.skg --population many --input-ppi 500", makes="many.skg")
+    yield Step("forget --person P1 many.skg", 2, "--yes")
+    yield Step("forget --person P1 many.skg --yes", says="Erased")
+    yield Step("gallery list many.skg --person P1", 2, "holds nothing of person 'P1'")
 
 
 def rig(folder: Path) -> Iterator[Step]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.workers import run_jobs
+from splitknit.capture.enrolment import FINGERS
 from splitknit.errors import Refused, require
 from splitknit.gallery.enrol import (
     MINUTIAE_HASH,
@@ -33,7 +34,7 @@ _SESSION = "session_"
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A capture or result of an enrolment folder."""
+    """A capture, result, print or template of an enrolment folder."""
 
     person: str
     finger: str
@@ -50,7 +51,7 @@ def enroll_population(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Enrol ``folder/S01/session_1/right_index`` and so on; what is in the gallery already is left out.
+    """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what is in the gallery.
 
     Every finished capture is kept at once: the same call goes on where an earlier one was stopped. A capture in which
     no finger is found is kept as a failure to acquire, a template of zero bytes.
@@ -110,19 +111,22 @@ def enroll_population(
 
 
 def _found_in(folder: Path) -> list[Found]:
-    """Captures and results of an enrolment folder, by person, session and finger. Raises BadInput if there are none, or
-    a folder has a name that no finger or session has.
+    """What an enrolment folder holds, by person, session and finger. Raises BadInput if that is nothing, a folder has a
+    name that no finger or session has, or a finger of a session is there twice.
     """
     require(folder.is_dir(), f"there is no folder '{folder}'; name an enrolment or a simulated population.")
-    found = []
+    found: dict[tuple[str, str, str], Found] = {}
     for path in folder.glob(f"*/{_SESSION}*/*"):
-        if not ((path / "capture.json").is_file() or (path / "height.npz").is_file()):
+        is_file = path.is_file() and path.stem in FINGERS
+        if not (is_file or (path / "capture.json").is_file() or (path / "height.npz").is_file()):
             continue
         session = check_session(path.parent.name.removeprefix(_SESSION))
-        found.append(Found(path.parent.parent.name, known_finger(path.name), session, path))
-    expected = "captures in S01/session_1/right_index and so on are expected"
+        one = Found(path.parent.parent.name, known_finger(path.stem if is_file else path.name), session, path)
+        other = found.setdefault((one.person, one.session, one.finger), one)
+        require(other is one, f"'{other.path}' and '{path}' are of one finger and session; remove one of them.")
+    expected = "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
     require(len(found) > 0, f"'{folder}' holds nothing to enrol: {expected}.")
-    return sorted(found, key=lambda one: (one.person, session_order(one.session), one.finger))
+    return sorted(found.values(), key=lambda one: (one.person, session_order(one.session), one.finger))
 
 
 def _waiting(gallery: Gallery | None, places: Sequence[Found], *, replace: bool) -> list[Found]:

@@ -22,17 +22,19 @@ from typing import Any
 
 from splitknit.batch.chunks import SUFFIX, load, read_origin, write_chunk
 from splitknit.batch.engine import alone
+from splitknit.batch.simulate import POPULATION_FILE
 from splitknit.batch.simulate import TABLE_FILE as POPULATION_TABLE
-from splitknit.batch.store import STORE_FILE
+from splitknit.batch.store import FORMAT, STORE_FILE
 from splitknit.capture.enrolment import FINGERS
 from splitknit.errors import BadInput, Refused, read_bytes, require
 from splitknit.gallery.entry import check_person
 from splitknit.gallery.file import is_gallery, wipe, wiping
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
+from splitknit.gallery.manage import FACTS_FILE as ABOUT_FILE
 from splitknit.gallery.manage import TABLE_FILE, index_gallery
 from splitknit.gallery.records import FACTS_FILE
-from splitknit.gallery.shards import SEALED
+from splitknit.gallery.shards import files_of_shards
 from splitknit.io.atomic import MANIFEST, atomic_file, manifest_of
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text
@@ -86,7 +88,7 @@ def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = N
     shards: list[Path] = []
     unnamed: list[str] = []
     for folder, files in _walked(places, unreached):
-        shards += [folder] if SEALED in files or any(name.endswith(".skc") for name in files) else []
+        shards += [folder] if files_of_shards(folder) else []
         galleries += [folder / name for name in files if is_gallery(folder / name)]
         known = FACTS_FILE in files or (folder.parent / TABLE_FILE).is_file()
         unnamed += [str(folder / name) for name in files if name.endswith(_UNNAMED) and not known]
@@ -168,7 +170,7 @@ def _gallery(path: Path, names: Collection[str], key: Key | None) -> Iterator[_H
 
 def _shards(folder: Path, galleries: Sequence[Path], key: Key | None) -> None:
     """Codes have no names, and those who were removed earlier may be among them: all are made anew, of the gallery."""
-    for file in (*folder.glob("codes-*.skc"), folder / SEALED):
+    for file in files_of_shards(folder):
         wipe(file)
     only = f"'{folder}' is empty now, as not one gallery was named; run 'splitknit gallery index --shards {folder}'."
     require(len(galleries) == 1, only)
@@ -214,11 +216,21 @@ def _inside(folder: Path, name: str) -> Path:
     return file
 
 
+def _is(file: Path, form: str) -> bool:
+    """Whether it is a JSON file of ours, no link, of this format."""
+    with contextlib.suppress(BadInput):
+        return file.is_file() and not file.is_symlink() and read_json(file)[0].get("format") == form
+    return False
+
+
 def _tables(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
-    """Rows of tables that are ours: an export's, a population's, scores; with the files that an export's rows name."""
-    own = manifest_of(folder) | {POPULATION_TABLE if "population.json" in files else TABLE_FILE}
-    for file in (folder / name for name in files if name.endswith(".csv") and name in own):
-        yield from _table(file, names, files=file.name == TABLE_FILE)
+    """Rows of a population's and an export's table, with the files that the latter names."""
+    for name, beside, form in (
+        (POPULATION_TABLE, POPULATION_FILE, "splitknit-population"),
+        (TABLE_FILE, ABOUT_FILE, "splitknit-gallery-export"),
+    ):
+        if name in files and _is(folder / beside, form):
+            yield from _table(folder / name, names, files=name == TABLE_FILE)
 
 
 def _table(file: Path, names: Collection[str], *, files: bool = False) -> Iterator[_Held]:
@@ -246,7 +258,7 @@ def _rewrite(file: Path, text: str) -> None:
 
 def _export(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
     """Records of a gallery's fingers."""
-    document = read_json(folder / FACTS_FILE)[0] if FACTS_FILE in files else {}
+    document = read_json(folder / FACTS_FILE)[0] if _is(folder / FACTS_FILE, "splitknit-export") else {}
     rows = document.get("files", [])
     gone = [row for row in rows if isinstance(row, dict) and row.get("person") in names]
 
@@ -261,7 +273,7 @@ def _export(folder: Path, files: Sequence[str], names: Collection[str]) -> Itera
 
 def _store(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:
     """Captures and comparisons in the chunks, times and tables of a store."""
-    if STORE_FILE not in files:
+    if not _is(folder / STORE_FILE, FORMAT):
         return
     found: list[_Held] = []
     for below, _, inside in os.walk(folder):

@@ -25,7 +25,8 @@ def add_enroll(verbs: Any) -> None:
         type=Path,
         default=None,
         metavar="FOLDER",
-        help="instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index and so on; resumable",
+        help="instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png) and so on; "
+        "resumable",
     )
     verb.add_argument(
         "--workers", type=natural, default=None, metavar="N", help="processes for a population (default: 1)"

@@ -107,8 +107,8 @@ def write_shards(
     Raises
     ------
     BadInput
-        If there is no code, the codes are of another shape, the rows do not ascend, the folder holds shards under
-        another key, or it cannot be written.
+        If there is no code, the codes are of another shape, the rows do not ascend, the folder holds something else,
+        links, or shards under another key, or it cannot be written.
     """
     require(
         len(rows) > 0, f"there is no code to keep in shards; enrol fingers first (and remove '{folder}' if it is old)."
@@ -122,6 +122,10 @@ def write_shards(
         raise BadInput(
             f"'{folder}' cannot be a folder of shards ({error.strerror}); name a folder with --shards."
         ) from error
+    found = list(folder.iterdir())
+    require(not found or bool(_files(folder)), f"'{folder}' is not empty and holds no shards; name another folder.")
+    for file in (*_files(folder), folder / SEALED):
+        require(not file.is_symlink(), f"'{file}' is a link, through which nothing is written; remove it.")
     known = []
     for file in () if renew else _files(folder):
         with contextlib.suppress(BadInput):  # what is damaged is written anew
@@ -178,7 +182,16 @@ def _write_shard(
                 stream.write(part.data)
 
 
-_SEAL = {"format": "splitknit-code-shards", "version": 1}
+def files_of_shards(folder: Path) -> list[Path]:
+    """What :func:`write_shards` wrote into a folder; nothing where there is none."""
+    found = []
+    for file in (*_files(folder), folder / SEALED):
+        with contextlib.suppress(BadInput), open_file(file, _LARGEST) as (stream, _):
+            found += [file] if f'"{_FORMAT}'.encode("ascii") in stream.read(_HEADER) else []
+    return found if any(file.name != SEALED for file in found) else []
+
+
+_SEAL = {"format": f"{_FORMAT}s", "version": 1}
 
 
 def _seal(contents: dict[str, str], secret: bytes) -> str:
