@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from splitknit import steps
 from splitknit.errors import require
 from splitknit.finger.contrast import clahe
-from splitknit.finger.locate import Finger, FingerSettings, prepared_capture, reduced
+from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
@@ -32,7 +33,7 @@ from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
 from splitknit.model import UNKNOWN_SCALE, Band, Capture, FloatArray, Reconstruction, Rig
-from splitknit.photometric.frames import fit_light_frame
+from splitknit.photometric.frames import doubts_of_lights, fit_lights
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light
@@ -372,27 +373,24 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
     lit, notes = prepared_capture(capture, settings)
     steady, finger = find_steady_finger(lit, settings)
-    return steady, replace(finger, warnings=(*notes, *finger.warnings, *doubt_of_lights(steady, finger)))
+    facts, doubts = doubt_of_lights(steady, finger)
+    return steady, replace(finger, facts={**finger.facts, **facts}, warnings=(*notes, *finger.warnings, *doubts))
 
 
-def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[str, ...]:
-    """A warning where given directions of distant lights seem to be measured in another frame, by the surface."""
+def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """How well the white photographs fit their lights, and a warning where another order or frame fits better."""
     band = capture.bands["white"]
-    if band.colours or any(led.direction is None for led in capture.rig.leds):
-        return ()
-    binning = max(1, max(capture.shape) // FRAME_SIDE)
-    stack = linear_stack(band, capture.encoding, "grey", binning=binning)
-    inside = reduced(finger.wider, stack.shape[1:])
-    normals, _ = lambertian(stack, capture.rig.select(band.lights).light_vectors(), inside)
-    fit = fit_light_frame(normals, inside)
-    if fit.frame == "right-up":
-        return ()
-    across, along = fit.frame.split("-")
-    return (
-        f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
-        "right and up: only so does one convex surface have the slopes that were found. If they are, give "
-        f"--light-frame {fit.frame}, or leave out the one that was given.",
-    )
+    if band.colours:
+        return {}, ()
+    step = np.s_[:, :: (every := max(1, max(capture.shape) // FRAME_SIDE)), ::every]
+    some = replace(band, pixels=band.pixels[step], ambient=None if band.ambient is None else band.ambient[step[1:]])
+    stack = linear_stack(some, capture.encoding, "grey")
+    fit = fit_lights(stack, capture.rig.select(band.lights).light_vectors(), finger.wider[step[1:]])
+    facts = {
+        "light_residual": round(fit.residual, 4),
+        "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],
+    }
+    return facts, doubts_of_lights(fit, [Path(file).name for file in band.files])
 
 
 def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
