@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import steps
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
 from splitknit.finger.contrast import clahe
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
@@ -38,6 +38,7 @@ from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light
 from splitknit.photometric.robust import robust
+from splitknit.plausible import RELIEF, RIDGE_PERIOD, TOP, VIEW
 from splitknit.presets import (
     PRESETS,
     DirectSettings,
@@ -129,11 +130,16 @@ def reconstruct(
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     if capture.material == "skin" and not capture.rig.camera.scale_known:
         capture = _with_working_scale(capture)
+    elif capture.material == "skin":
+        scale = capture.rig.camera.px_per_mm
+        notes += VIEW.notes(max(capture.shape) / scale, f"check the scale of {scale:g} px/mm (--px-per-mm)")
     algorithm = split_and_knit if chosen.method == "thesis" else metric
     with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)
+    result = replace(result, warnings=(*notes, *result.warnings, *doubt_of_scale(capture, result)))
     if not capture.rig.camera.scale_known:
         result = _in_pixels(result)
     return replace(
@@ -183,6 +189,21 @@ def with_scale(
     camera = replace(camera, px_per_mm=px_per_mm or camera.px_per_mm, scale_known=True)
     origin = {**capture.rig.provenance, **({"scale": note} if note else {})}
     return replace(capture, rig=replace(capture.rig, camera=camera, provenance=origin)), note
+
+
+def doubt_of_scale(capture: Capture, result: Reconstruction) -> tuple[str, ...]:
+    """A note where the ridges of skin lie oddly far apart by a scale that a person stated, without a calibrated rig."""
+    camera = capture.rig.camera
+    stated = camera.scale_known and all(led.position_mm is None for led in capture.rig.leds)
+    if not stated or capture.material != "skin" or "scale" in capture.rig.provenance:
+        return ()
+    try:
+        found = ridge_period(result.normals, result.mask)
+    except BadInput:  # too coarse to show any
+        return ()
+    period_mm, (low, high) = found.period_px * result.pitch_mm, RIDGE_PERIOD.possible
+    remedy = f"check the scale of {camera.px_per_mm:g} px/mm (--px-per-mm)"
+    return RIDGE_PERIOD.notes(float(np.clip(period_mm, low, high)), remedy)
 
 
 def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -512,7 +533,13 @@ def skin_surface(images: SkinImages, settings: PipelineSettings) -> Surface:
         "separation": HOW[skin.facts["relief_by"]],
         "optics": skin.facts,
     }
-    notes = (*images.warnings, *doubts_of(skin.facts))
+    some = skin.relief_mm[images.grid.mask > 0.5]
+    relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
+    remedy = (
+        "give --material opaque for what is no living skin (a cast, a render), else check --px-per-mm, and take colour "
+        "photographs, as grey ones leave glare in the relief"
+    )
+    notes = (*images.warnings, *doubts_of(skin.facts), *RELIEF.notes(relief_um, remedy))
     return Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, notes)
 
 
