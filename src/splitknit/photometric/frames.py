@@ -186,8 +186,10 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
         normals, _ = lambertian(images, vectors[under], inside)
         turn, _ = _fit_turn(normals, inside)
         if turn is not None:
-            under = _turned_order(vectors, turn)[under]
             frame = fit_light_frame(normals, inside).frame if given else "right-up"
+            turned = _turned_order(vectors, turn)[under]
+            if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
+                under = turned
     best, _ = _residual(gram, vectors[under])
     if best < _LESS * residual:
         frame = "right-up"
@@ -212,7 +214,7 @@ def doubts_of_lights(fit: LightFit, names: Sequence[str] = ()) -> tuple[str, ...
                 f"{100 * fit.residual_in_order:.0f} % would in another order: {words}.",
             )
         return (
-            "the photographs seem to be under other lights than those they are given, each shifted along the ring: "
+            "the photographs seem to be under other lights than those they are given, shifted or reversed along the ring: "
             f"only in another order do one convex surface's slopes follow from them; {words}.",
         )
     if fit.frame != "right-up":
