@@ -18,7 +18,7 @@ from splitknit.evaluation.accuracy import compare
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image
 from splitknit.io.npz import read_npz
-from splitknit.model import Capture, Reconstruction, default_rig
+from splitknit.model import Band, Capture, Reconstruction, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS
 from splitknit.simulator.camera.sensor import SensorSettings
@@ -201,3 +201,39 @@ def test_a_strip_as_a_mask_is_refused(capture: Capture) -> None:
     mask[200:300, 240:256] = True
     with pytest.raises(BadInput, match=r"given mask is too small: it is nowhere wider than 1\.4 mm"):
         reconstruct(replace(capture, mask=mask), "ea")
+
+
+def test_grey_images_stored_as_colour_are_grey(capture: Capture) -> None:
+    grey = kinds.grey(capture, "opaque")
+    noise = np.random.default_rng(0).integers(0, 2, (*grey.bands["white"].pixels.shape[:3], 3))  # as JPEG rounds
+
+    def coloured(band: Band) -> Band:
+        pixels = np.repeat(band.pixels, 3, axis=3)
+        unit = np.iinfo(pixels.dtype).max // 255
+        pixels[..., ::2] = np.maximum(pixels[..., ::2], unit) - (unit * noise[..., ::2]).astype(pixels.dtype)
+        return replace(
+            band, pixels=pixels, ambient=None if band.ambient is None else np.repeat(band.ambient, 3, axis=2)
+        )
+
+    stored = replace(grey, bands={"white": coloured(grey.bands["white"])})
+    alone = replace(grey, bands={"white": grey.bands["white"]})
+    expected, found = quick(alone, "ea"), quick(stored, "ea")
+    np.testing.assert_array_equal(found.height_mm, expected.height_mm)
+
+
+@pytest.mark.parametrize(("material", "px_per_mm"), [("skin", 961.0), ("skin", 0.03785), ("skin", 37850.0),
+                                                     ("opaque", 961.0), ("opaque", 37850.0)])  # fmt: skip
+def test_a_wrong_scale_is_named(material: str, px_per_mm: float, capture: Capture) -> None:
+    rig = replace(capture.rig, camera=replace(capture.rig.camera, px_per_mm=px_per_mm))
+    with pytest.raises(BadInput, match=f"{px_per_mm:g} px/mm"):
+        quick(replace(capture, rig=rig, material=material), "ea")
+
+
+def test_an_odd_scale_is_noted_by_the_width_or_the_ridges(capture: Capture) -> None:
+    camera = capture.rig.camera
+    half = kinds.distant(
+        replace(capture, rig=replace(capture.rig, camera=replace(camera, px_per_mm=2.5 * camera.px_per_mm)))
+    )
+    warned = quick(half, "ea").warnings
+    assert [text for text in warned if "mm is usual: check" in text]
+    assert not [text for text in quick(kinds.distant(capture), "ea").warnings if "mm is usual" in text]

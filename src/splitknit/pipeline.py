@@ -11,15 +11,16 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import steps
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
 from splitknit.finger.contrast import clahe
-from splitknit.finger.locate import Finger, FingerSettings, prepared_capture, reduced
+from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
@@ -32,11 +33,12 @@ from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
 from splitknit.model import UNKNOWN_SCALE, Band, Capture, FloatArray, Reconstruction, Rig
-from splitknit.photometric.frames import fit_light_frame
+from splitknit.photometric.frames import doubts_of_lights, fit_lights
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light
 from splitknit.photometric.robust import robust
+from splitknit.plausible import RELIEF, RIDGE_PERIOD, TOP, VIEW
 from splitknit.presets import (
     PRESETS,
     DirectSettings,
@@ -128,11 +130,16 @@ def reconstruct(
     memory = Memory(capture) if memory is None else memory
     memory.check(capture)
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
+    notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     if capture.material == "skin" and not capture.rig.camera.scale_known:
         capture = _with_working_scale(capture)
+    elif capture.material == "skin":
+        scale = capture.rig.camera.px_per_mm
+        notes += VIEW.notes(max(capture.shape) / scale, f"check the scale of {scale:g} px/mm (--px-per-mm)")
     algorithm = split_and_knit if chosen.method == "thesis" else metric
     with steps.running(progress, memory) as seconds:
         result = algorithm(capture, chosen)
+    result = replace(result, warnings=(*notes, *result.warnings, *doubt_of_scale(capture, result)))
     if not capture.rig.camera.scale_known:
         result = _in_pixels(result)
     return replace(
@@ -182,6 +189,21 @@ def with_scale(
     camera = replace(camera, px_per_mm=px_per_mm or camera.px_per_mm, scale_known=True)
     origin = {**capture.rig.provenance, **({"scale": note} if note else {})}
     return replace(capture, rig=replace(capture.rig, camera=camera, provenance=origin)), note
+
+
+def doubt_of_scale(capture: Capture, result: Reconstruction) -> tuple[str, ...]:
+    """A note where the ridges of skin lie oddly far apart by a scale that a person stated, without a calibrated rig."""
+    camera = capture.rig.camera
+    stated = camera.scale_known and all(led.position_mm is None for led in capture.rig.leds)
+    if not stated or capture.material != "skin" or "scale" in capture.rig.provenance:
+        return ()
+    try:
+        found = ridge_period(result.normals, result.mask)
+    except BadInput:  # too coarse to show any
+        return ()
+    period_mm, (low, high) = found.period_px * result.pitch_mm, RIDGE_PERIOD.possible
+    remedy = f"check the scale of {camera.px_per_mm:g} px/mm (--px-per-mm)"
+    return RIDGE_PERIOD.notes(float(np.clip(period_mm, low, high)), remedy)
 
 
 def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -372,27 +394,24 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
     lit, notes = prepared_capture(capture, settings)
     steady, finger = find_steady_finger(lit, settings)
-    return steady, replace(finger, warnings=(*notes, *finger.warnings, *doubt_of_lights(steady, finger)))
+    facts, doubts = doubt_of_lights(steady, finger)
+    return steady, replace(finger, facts={**finger.facts, **facts}, warnings=(*notes, *finger.warnings, *doubts))
 
 
-def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[str, ...]:
-    """A warning where given directions of distant lights seem to be measured in another frame, by the surface."""
+def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """How well the white photographs fit their lights, and a warning where another order or frame fits better."""
     band = capture.bands["white"]
-    if band.colours or any(led.direction is None for led in capture.rig.leds):
-        return ()
-    binning = max(1, max(capture.shape) // FRAME_SIDE)
-    stack = linear_stack(band, capture.encoding, "grey", binning=binning)
-    inside = reduced(finger.wider, stack.shape[1:])
-    normals, _ = lambertian(stack, capture.rig.select(band.lights).light_vectors(), inside)
-    fit = fit_light_frame(normals, inside)
-    if fit.frame == "right-up":
-        return ()
-    across, along = fit.frame.split("-")
-    return (
-        f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
-        "right and up: only so does one convex surface have the slopes that were found. If they are, give "
-        f"--light-frame {fit.frame}, or leave out the one that was given.",
-    )
+    if band.colours:
+        return {}, ()
+    step = np.s_[:, :: (every := max(1, max(capture.shape) // FRAME_SIDE)), ::every]
+    some = replace(band, pixels=band.pixels[step], ambient=None if band.ambient is None else band.ambient[step[1:]])
+    stack = linear_stack(some, capture.encoding, "grey")
+    fit = fit_lights(stack, capture.rig.select(band.lights).light_vectors(), finger.wider[step[1:]])
+    facts = {
+        "light_residual": round(fit.residual, 4),
+        "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],
+    }
+    return facts, doubts_of_lights(fit, [Path(file).name for file in band.files])
 
 
 def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
@@ -514,7 +533,13 @@ def skin_surface(images: SkinImages, settings: PipelineSettings) -> Surface:
         "separation": HOW[skin.facts["relief_by"]],
         "optics": skin.facts,
     }
-    notes = (*images.warnings, *doubts_of(skin.facts))
+    some = skin.relief_mm[images.grid.mask > 0.5]
+    relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
+    remedy = (
+        "give --material opaque for what is no living skin (a cast, a render), else check --px-per-mm, and take colour "
+        "photographs, as grey ones leave glare in the relief"
+    )
+    notes = (*images.warnings, *doubts_of(skin.facts), *RELIEF.notes(relief_um, remedy))
     return Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, notes)
 
 

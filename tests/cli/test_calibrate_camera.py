@@ -277,3 +277,21 @@ def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):
     assert "spacing must be" in refused(capsys, out, "--disc", disc, "--dot-mm", "nan")
     for option, value in (("aperture", 0), ("sensor-pixel-um", "nan"), ("binning", 0.5), ("finger-depth-mm", 200)):
         assert f"--{option} must be" in refused(capsys, out, "--disc", disc, "--rig", known, f"--{option}", value)
+
+
+@pytest.mark.parametrize("square_mm", [30, 0.3])
+def test_squares_of_another_size_are_refused(photos, tmp_path, capsys, square_mm):
+    place, _ = photos
+    out = tmp_path / "rig.json"
+    message = refused(capsys, out, place / "boards", "--plane", place / "plane.png", "--square-mm", square_mm)
+    assert "only 15 to 1000 mm is possible: check the side of the board's squares (--square-mm)" in message
+
+
+def test_a_height_far_from_the_rigs_is_noted(photos, tmp_path, capsys):
+    place, rig = photos
+    known = tmp_path / "known.json"
+    write_rig(rig, known)
+    _, printed, _ = run(
+        capsys, "--plane", place / "plane.png", "--square-mm", 6, "--rig", known, "--out", tmp_path / "r.json"
+    )
+    assert "check the side of the board's squares (--square-mm)" in printed

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION, scripts_of
 from splitknit.io.plain import read_lights_txt
-from splitknit.photometric.frames import FRAMES, fit_light_frame
+from splitknit.photometric.frames import FRAMES, fit_light_frame, fit_lights
 from splitknit.photometric.lambertian import lambertian
 
 pytestmark = pytest.mark.external
@@ -45,3 +46,26 @@ def test_all_eight_frames(data_dir, name):
         given[:, :2] = given[:, :2] @ np.array(matrix, dtype=float)
         fit = fit_light_frame(lambertian(stack, given, mask)[0], mask)
         assert fit.frame == frame
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_wrong_orders_are_found_and_the_right_one_never_doubted(data_dir, name):
+    if not all((data_dir / folder).is_dir() for folder in ("diligent", "psm_spheres", "blender_finger")):
+        pytest.skip("data sets are absent")
+    stack, lights, mask = images_of(data_dir, name)
+    own = np.arange(len(stack))
+    for order in (own, own[::-1], np.roll(own, -3), np.random.default_rng(1).permutation(own)):
+        fit = fit_lights(stack[order], lights, mask)
+        assert (fit.order, fit.frame) == (tuple(order.tolist()), "right-up")
+
+
+def test_balls_in_a_gel_are_no_wrong_frame(data_dir):
+    if not (data_dir / "elastomer" / "BGA-001").is_dir():
+        pytest.skip("data set is absent")
+    with scripts_of(VALIDATION / "accuracy") as script:
+        lights = script("light_orders").lights_of_balls(data_dir)
+    folder = data_dir / "elastomer" / "BGA-001"
+    stack = np.stack([cv2.imread(str(folder / f"image{k:02d}.png"), 0)[::8, ::8] for k in range(7, 13)]) / 255.0
+    fit = fit_lights(stack, lights)
+    assert (fit.order, fit.frame) == (tuple(range(6)), "right-up")
+    assert fit.residual < 0.06

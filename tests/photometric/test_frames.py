@@ -9,7 +9,8 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.photometric.frames import FRAMES, fit_light_frame, rig_of_frame
+from splitknit.photometric.frames import FRAMES, doubts_of_lights, fit_light_frame, fit_lights, rig_of_frame
+from splitknit.photometric.lambertian import lambertian
 from splitknit.pipeline import reconstruct
 
 SHAPE = (120, 100)
@@ -81,3 +82,93 @@ def test_a_reconstruction_warns_and_names_the_frame(egg):
     assert "--light-frame right-down" in warned[0]
     mended = replace(capture, rig=rig_of_frame(rig, "right-down"))
     assert not [text for text in reconstruct(mended, "ea").warnings if "--light-frame" in text]
+
+
+def around(count: int, *, uneven: bool) -> np.ndarray:
+    """Lights around the camera: on a ring, or at several heights."""
+    angles = 2.0 * np.pi * np.arange(count) / count
+    slant = 0.45 + (0.2 * np.sin(2.3 * np.arange(count)) if uneven else 0.0)
+    return np.stack([slant * np.cos(angles), slant * np.sin(angles), np.sqrt(1.0 - slant**2) * np.ones(count)], axis=1)
+
+
+def photographs(normals: np.ndarray, lights: np.ndarray) -> np.ndarray:
+    light = np.clip(np.moveaxis(normals @ lights.T, -1, 0), 0.0, None)
+    return light + 0.01 * np.random.default_rng(4).standard_normal(light.shape)
+
+
+ORDERS = {
+    "reversed": tuple(range(11))[::-1],
+    "shifted": tuple(np.roll(range(11), -3)),
+    "two exchanged": (0, 1, 3, 2, *range(4, 11)),
+    "shuffled": (3, 9, 0, 6, 1, 10, 4, 8, 2, 7, 5),
+}
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("name", ORDERS)
+def test_a_wrong_order_is_found_and_no_frame_advised(egg, name, uneven):
+    normals, inside = egg
+    lights, order = around(11, uneven=uneven), ORDERS[name]
+    fit = fit_lights(photographs(normals, lights)[list(order)], lights, inside)
+    assert fit.order == order
+    (words,) = doubts_of_lights(fit)
+    if uneven or name in {"two exchanged", "shuffled"}:
+        assert fit.residual > 1.3 * fit.residual_in_order
+        assert "--light-frame" not in words
+    assert {"two exchanged": "exchange the lights of photograph 3 and photograph 4"}.get(name, "order") in words
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+@pytest.mark.parametrize("count", [3, 4, 5, 7, 12, 24])
+def test_the_right_order_is_never_doubted(egg, count, uneven):
+    normals, inside = egg
+    lights = around(count, uneven=uneven)
+    fit = fit_lights(photographs(normals, lights), lights, inside)
+    assert (fit.order, fit.frame) == (tuple(range(count)), "right-up")
+    assert not doubts_of_lights(fit)
+
+
+def test_unequal_brightness_is_no_other_order(egg):
+    normals, inside = egg
+    for seed in range(5):
+        gains = 1.0 + 0.15 * np.random.default_rng(seed).standard_normal(9)
+        lights = around(9, uneven=True)
+        fit = fit_lights(photographs(normals, lights) * gains[:, None, None], lights, inside)
+        assert fit.order == tuple(range(9))
+
+
+def test_photographs_of_something_else_are_doubted_and_the_worst_named(egg):
+    normals, inside = egg
+    lights = around(8, uneven=True)
+    stack = photographs(normals, lights)
+    stack[5] = np.indices(SHAPE)[0] // 6 % 2
+    fit = fit_lights(stack, lights, inside)
+    assert np.argmax(fit.residual_per_image) == 5
+    (words,) = doubts_of_lights(fit, [f"{k}.png" for k in range(8)])
+    assert "do not fit the lights" in words and "most in 5.png" in words and "--light-frame" not in words
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_field_of_balls_is_no_wrong_frame(frame):
+    rows, columns = np.indices((200, 200))
+    x, y = (columns % 40 - 19.5) / 14.0, (19.5 - rows % 40) / 14.0
+    ball = x**2 + y**2 < 0.9
+    normals = np.dstack([x * ball, y * ball, np.sqrt(np.where(ball, 1.0 - x**2 - y**2, 1.0))])
+    normals += 0.02 * np.random.default_rng(2).standard_normal(normals.shape)
+    lights = around(6, uneven=True)
+    measured, _ = lambertian(photographs(normals, lights), in_frame(lights, frame), np.ones((200, 200), bool))
+    assert fit_light_frame(measured, np.ones((200, 200), bool)).frame == "right-up"
+
+
+def test_a_report_holds_the_residual_of_every_photograph(egg):
+    normals, inside = egg
+    lights = around(6, uneven=True)
+    pixels = np.round(200.0 * np.clip(photographs(normals, lights), 0, 1) * inside).astype(np.uint8)[..., None]
+    files = tuple(f"photos/{k}.png" for k in range(6))
+    band = Band(
+        "white", pixels[[1, 0, 2, 3, 4, 5]], tuple((k,) for k in range(6)), np.ones(6), np.zeros(6), files=files
+    )
+    rig = Rig(Camera(10.0, SHAPE), tuple(Led("white", direction=tuple(v)) for v in lights))
+    result = reconstruct(Capture(rig, {"white": band}, material="opaque", mask=inside), "ea")
+    assert any("exchange the lights of 0.png and 1.png." in text for text in result.warnings)
+    assert len(result.facts["light_residual_per_image"]) == 6

@@ -81,6 +81,20 @@ def photographs(folder: Path) -> Iterator[Step]:
         "reconstruct --images photos --lights mirrored.txt --material skin --px-per-mm 22.7 --out mirrored",
         says="--light-frame",
     )
+    reverse = LIGHTS.splitlines()[::-1]
+    (folder / "reversed.txt").write_text("\n".join(reverse) + "\n")
+    yield Step(
+        "reconstruct --images photos --lights reversed.txt --preset ea --px-per-mm 22.7 --out reversed",
+        says="7 6 5 4 3 2 1 (reversed)",
+    )
+    for scale in ("961", "0.03785", "37850"):  # a slip of the decimal point
+        yield Step(f"reconstruct {images} --px-per-mm {scale} --out wrong", 2, "--px-per-mm")
+    (folder / "stored").mkdir()
+    for file in mine.glob("*.png"):  # of a grey camera, stored as colour
+        grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(folder / "stored" / file.name), cv2.merge([grey] * 3))
+    stored = "--images stored --lights photos/lights.txt --preset ea --px-per-mm 22.7"
+    yield Step(f"reconstruct {stored} --out grey", makes="grey/report.html")
     yield Step("print surface --out print", makes="print/print.png")
 
 
@@ -135,6 +149,7 @@ def rig(folder: Path) -> Iterator[Step]:
     camera += " --out rig_1.json"
     yield Step(camera.replace("bench/board", "bench/bord"), 2, "bench/bord")
     yield Step(camera.replace("9x6", "8x6") + " --square-mm 3", 2, "8")  # the board has other corners
+    yield Step(camera + " --square-mm 30", 2, "--square-mm")  # 3 mm squares
     yield Step(camera + " --square-mm 3", makes="rig_1.json")
     yield Step("calibrate lights --images bench/card --rig rig_1.json --out rig_2.json", 2)  # no nail to be seen
     yield Step("calibrate lights --images bench/nail --rig rig_1.json --out rig_2.json", makes="rig_2.json")

@@ -32,6 +32,7 @@ from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_rig_file
 from splitknit.model import Camera, PixelArray, Progress, Rig, default_rig, no_progress
+from splitknit.plausible import CAMERA_HEIGHT
 
 _SENSOR_COLUMNS = 3280
 _UNBINNED_COLUMNS = 1920
@@ -173,6 +174,11 @@ def _assembled(  # noqa: PLR0917 - what was read, in order
             poses[name] = plane_pose(places_mm, places_px, camera.matrix, camera.distortion)
         pose = mean_pose(list(poses.values()), focal) if poses else None
         height = pose.height_mm if pose is not None else old.height_mm
+        if pose is not None:
+            given = "check the side of the board's squares (--square-mm)" if job.plane else "check --dot-mm"
+            warnings += CAMERA_HEIGHT.notes(height, given)
+            if base is not None and not 0.6 < height / old.height_mm < 1.6:
+                warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
         camera = replace(camera, height_mm=height, px_per_mm=focal / height)
         pixel_um = job.sensor_pixel_um * _binning(job, size[1])
         require(0.1 <= job.sensor_pixel_um <= 100, "--sensor-pixel-um must be from 0.1 to 100 micrometres.")

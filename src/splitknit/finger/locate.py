@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.finger.led_drift import drift_words, led_drift
-from splitknit.finger.mask import MaskSettings, check_borders, finger_mask
+from splitknit.finger.mask import NO_FINGER, MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
@@ -27,6 +27,7 @@ from splitknit.finger.quality import (
 from splitknit.imaging.areas import without_mirrors
 from splitknit.imaging.band import (
     Window,
+    grey_as_grey,
     has_colour,
     linear_image,
     linear_stack,
@@ -38,12 +39,13 @@ from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
-MIN_WIDTH_MM = 2.0
-"""A mask that is nowhere as wide as this, about four ridges, is no surface to reconstruct."""
+SURVEY_SIDE = 64
+"""... with so many pixels a side, where the image has them, whatever scale was stated."""
 NO_CREASE = Crease(False, float("nan"), float("nan"), None, verdict="none is sought on an opaque thing")
 _BESIDE_MM = 3.0
 """Background around the finger that quality is measured with: so far reaches the widest filter that finds motion."""
@@ -95,6 +97,9 @@ def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Captur
     BadInput
         If coloured exposures are to be composed from white images that are grey or too few.
     """
+    bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
+    if any(band is not capture.bands[name] for name, band in bands.items()):
+        capture = replace(capture, bands=bands)
     camera = capture.rig.camera
     if settings.camera == "orthographic" and camera.model != "orthographic":
         plain = replace(camera, model="orthographic", matrix=None, distortion=None)
@@ -114,7 +119,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         If there is no finger, or it touches three borders.
     """
     px_per_mm = capture.rig.camera.px_per_mm
-    binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
+    binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(capture.shape) // SURVEY_SIDE))
     white = capture.bands["white"]
     mean, stack = linear_survey(white, capture.encoding, binning)
     grey = pick_channel(mean, "grey")
@@ -128,13 +133,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
             "the given mask is too small: not one block of pixels lies inside it; mark the whole finger.",
         )
     else:
-        image = mean if has_colour(white) else grey
-        if capture.rig.mirrors:  # the finger itself, not its mirror images
-            mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
-            image = without_mirrors(image, capture.rig.camera, mirrors, binning)
-        outline = finger_mask(image, small_px, settings.mask)
-        if skin:
-            check_borders(outline)
+        outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask)
     searched = skin and capture.tip_direction_deg is None and not capture.rig.mirrors
     finger = skin or capture.tip_direction_deg is not None
     direction = None if searched else capture.tip_direction_deg or 0.0
@@ -155,9 +154,9 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     else:
         wide = enlarged(wider & (usable | ~kept), full, binning)
         mask = enlarged(usable, full, binning) & wide
-    if skin:
-        _check_width(kept if given else usable, small_px, given)
     notes = [upright.note] if upright.note else []
+    if skin:
+        notes += _check_width(kept if given else usable, small_px, given)
     if cut and not crease.found:
         notes.append(crease.verdict)
     large = _scaled(upright, binning)
@@ -173,6 +172,27 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     return Finger(mask, wide, bounding_box(wide, round(0.5 * px_per_mm)), large, facts, quality, (*notes, *warnings))
 
 
+def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: MaskSettings) -> BoolArray:
+    """Mask of the finger itself, not of its mirror images, in the mean of the white images."""
+    camera = capture.rig.camera
+    if capture.rig.mirrors:
+        mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
+        image = without_mirrors(image, camera, mirrors, binning)
+    try:
+        outline = finger_mask(image, camera.px_per_mm / binning, settings)
+    except BadInput as error:
+        if str(error) != NO_FINGER or not camera.scale_known:
+            raise
+        rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
+        scale = (
+            f"and the scale, by whose {camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
+        )
+        raise BadInput(NO_FINGER.replace(" or give", f" {scale}, or give")) from error
+    if capture.material == "skin":
+        check_borders(outline)
+    return outline
+
+
 def _source_of_direction(capture: Capture, found: bool) -> str:
     """``given`` by the capture, ``found`` by the outline, or ``assumed``: up, or what is nearest to it."""
     if capture.tip_direction_deg is not None:
@@ -180,18 +200,20 @@ def _source_of_direction(capture: Capture, found: bool) -> str:
     return "found" if found else "assumed"
 
 
-def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> None:
-    """Refuse a mask that is nowhere wide enough to hold a surface."""
+def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, ...]:
+    """Refuse a mask that is nowhere wide enough to hold a surface, or wider than a finger; note an odd one."""
     padded = np.pad(mask[bounding_box(mask)].astype(np.uint8), 1)
     width_mm = 2.0 * float(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE).max()) / px_per_mm
+    least = FINGER_WIDTH.possible[0]
     require(
-        width_mm >= MIN_WIDTH_MM,
-        f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {MIN_WIDTH_MM:g} mm are "
+        width_mm >= least,
+        f"the given mask is too small: it is nowhere wider than {width_mm:.1f} mm, and {least:g} mm are "
         "needed; mark the whole finger, or check the rig's px_per_mm."
         if given
         else f"only a strip of {width_mm:.1f} mm of the finger is bright enough in all images; capture it again with "
         "more light, or give a mask.",
     )
+    return FINGER_WIDTH.notes(width_mm, f"check px_per_mm ({px_per_mm:.4g} in the reduced picture), or the mask")
 
 
 def _quality(  # noqa: PLR0917

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.model import BoolArray, FloatArray
+from splitknit.plausible import RIDGE_PERIOD
 
 PEOPLE = 0.08
 """Standard deviation of the ridge distance between fingers, relative: sexes, people and digits, as the simulator's
@@ -27,8 +28,6 @@ _CONCENTRATED = 0.4
 _MIN_BLOCKS, _MIN_FRACTION = 6, 0.25
 """Blocks with one wave: that many, and that part of all. On simulated fingers and a sculpted one 0.6 to 0.8 of them
 have one, on DiLiGenT's bear 0.08, on a ball none."""
-_PERIODS_MM = (0.2, 1.0)
-"""What is taken for a distance of ridges: of children's to that of the widest fingers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +108,13 @@ def scale_of_ridges(
         If `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
     """
     require(px_per_mm is None, "--px-per-mm and --ridge-period both give the scale; choose one.")
-    low, high = _PERIODS_MM
-    require(low <= period_mm <= high, f"ridges lie {low:g} to {high:g} mm apart, not {period_mm:g}.")
+    odd = RIDGE_PERIOD.notes(period_mm, "check --ridge-period")
     found = ridge_period(normals, mask)
     known = float(np.hypot(found.error_px / found.period_px, PEOPLE))
     return found.period_px / period_mm, (
         f"scale from the ridges: {found.period_px:.1f} px from one to the next (standard deviation "
         f"{found.error_px:.2f}, {found.blocks} places) are {period_mm:g} mm, so {found.period_px / period_mm:.2f} "
-        f"px/mm; people differ, so that it is known to {100 * known:.0f} %."
+        f"px/mm; people differ, so that it is known to {100 * known:.0f} %." + "".join(f" Also, {note}" for note in odd)
     )
 
 

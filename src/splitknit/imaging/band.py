@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import lru_cache
 from math import ceil
 from typing import Any
@@ -271,6 +272,23 @@ def _clip_levels(band: Band, encoding: str) -> NDArray[np.float64]:
     table = decode_table(band.pixels.dtype, encoding)
     black = np.interp(band.black_level, np.arange(table.size), table)
     return np.asarray((0.985 - black) / band.exposure)
+
+
+def grey_as_grey(band: Band) -> Band:
+    """The band in one channel where its three are equal: a grey camera's images that were stored as colour."""
+    parts = [band.pixels, *([] if band.ambient is None else [band.ambient[None]])]
+
+    def equal(pixels: PixelArray) -> bool:
+        least = pixels.min(axis=-1)
+        return bool((pixels.max(axis=-1) - least <= np.iinfo(pixels.dtype).max // 255).all())
+
+    def grey(pixels: PixelArray) -> bool:  # a coarse look first, which nearly all coloured images end at
+        return equal(pixels[:, ::16, ::16]) and all(equal(image) for image in pixels)
+
+    if not has_colour(band) or not all(grey(part) for part in parts):
+        return band
+    ambient = None if band.ambient is None else band.ambient[..., 1:2]
+    return replace(band, pixels=band.pixels[..., 1:2], ambient=ambient)
 
 
 def has_colour(band: Band) -> bool:

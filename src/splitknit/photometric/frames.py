@@ -1,15 +1,24 @@
-"""In which frame the directions of the lights were measured, by the surface that they give."""
+"""Whether photographs and lights go together: the light left unexplained, the lights' order, and their frame.
+
+A matt surface under L distant lights gives photographs of rank three: what least squares leaves of them is small if
+each photograph is given its own light. Where lights lie evenly on a ring, a cyclic shift or a reversal of their order
+explains the photographs as well, by a surface whose normals are turned or mirrored about the camera's axis; so does a
+list of directions in another frame. The true surface is integrable and convex.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, require
+from splitknit.errors import check_lights, check_mask, check_stack, require
 from splitknit.model import BoolArray, FloatArray, Led, Rig
+from splitknit.photometric.lambertian import lambertian
 
 FRAMES: dict[str, tuple[tuple[int, int], tuple[int, int]]] = {
     "right-up": ((1, 0), (0, 1)),
@@ -27,7 +36,28 @@ _BLUR = 0.02
 _STEEPEST = 1.5
 """Normals beyond this slope, often in shadow, are shortened to it and left out of the curl."""
 _WORSE = 2.0
-"""Another frame must be more integrable by this factor to be named."""
+"""Another frame must be more integrable by this factor to be named; where only there the surface is wholly convex, it
+need not be less integrable."""
+_CONVEX, _WHOLLY_CONVEX = 0.4, 0.8
+"""Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1 on objects and
+fingers, 0.07 on a field of balls."""
+HIGH_RESIDUAL = 0.2
+"""Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to 0.15 on objects and
+fingers under their own lights (docs/experiments/objects.md)."""
+_NO_RESIDUAL = 0.03
+"""Up to here no other order is looked for."""
+_FEWEST = 5
+"""Lights from which an order can be told by the residual; with five another order must be better still."""
+_BETTER, _BETTER_OF_FIVE = (0.8, 0.6), (0.4, 0.4)
+"""The residual in another order over the given one, from which the order is named: with the photographs' brightness
+free, and of the photographs that change their light. Real objects with brightness wrong by 20 % or directions by 2 deg
+stay above."""
+_LESS = 0.9
+"""An order that leaves less than this part of the residual is no mere turn of the lights."""
+_SEEDS = 300
+_LARGEST_SEARCH = 48
+"""With more lights the search starts from the given order and its shifts alone."""
+_PIXELS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +110,146 @@ def fit_light_frame(normals: Any, mask: Any) -> FrameFit:
     field = np.asarray(normals, dtype=np.float32)
     require(field.ndim == 3 and field.shape[2] == 3, "normals must have the shape (H, W, 3).")
     inside = check_mask(mask, (field.shape[0], field.shape[1]))
-    p, q, weight = _smooth_slopes(field, inside)
-    curls = {name: _curl(*_turned(p, q, name), weight) for name in FRAMES}
-    fits = {name: (curl, _falls(*_turned(p, q, name), weight)) for name, curl in curls.items()}
-    convex = [name for name, (_, falls) in fits.items() if falls]
-    best = min(convex, key=lambda name: curls[name], default="right-up")
-    ratio = curls["right-up"] / max(curls[best], 1e-12)
-    opposite = best == "left-down"  # without curl in both; only the outline distinguishes them
-    return FrameFit(best if opposite or ratio > _WORSE else "right-up", float(ratio))
+    turn, ratio = _fit_turn(field, inside)
+    if turn is None:
+        return FrameFit("right-up", ratio)
+    likeness = {name: float(np.sum(turn * np.array(matrix))) for name, matrix in FRAMES.items()}  # 2 cos(difference)
+    best = max(likeness, key=lambda name: likeness[name])
+    return FrameFit(best if likeness[best] > _SAME_TURN else "right-up", ratio)
+
+
+@dataclass(frozen=True, slots=True)
+class LightFit:
+    """How well photographs fit the lights that they are given, and which order or frame fits better."""
+
+    residual: float
+    """Root of the fraction of the photographs' squared light that least squares leaves, 0 to 1."""
+    residual_per_image: tuple[float, ...]
+    """The same of every photograph."""
+    order: tuple[int, ...]
+    """The light, from 0, that every photograph seems to be under; its own where nothing speaks against it."""
+    residual_in_order: float
+    """What would be left in that order."""
+    frame: str
+    """As :attr:`FrameFit.frame`; ``right-up`` while the residual is high or an order is clearly better."""
+
+
+def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
+    """Compare photographs with the lights that they are given, in this and in every other order and frame.
+
+    Parameters
+    ----------
+    stack : (L, H, W) float32
+        Linear light, one image a light; three at least. A few hundred pixels a side are enough.
+    lights : (L, 3)
+        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
+    mask : (H, W) bool, optional
+        The whole object; everything by default.
+
+    Returns
+    -------
+    LightFit
+
+    Raises
+    ------
+    BadInput
+        As :func:`splitknit.photometric.lambertian.lambertian`.
+
+    References
+    ----------
+    Rank three: A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21 (1997). The
+    best order is a quadratic assignment of the photographs' inner products to the lights', searched by exchanges of
+    two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
+    >>> ball, inside = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))]), x**2 + y**2 < 0.5
+    >>> angles = 2 * np.pi * np.arange(7) / 7
+    >>> lights = np.column_stack([0.4 * np.cos(angles), 0.4 * np.sin(angles), np.full(7, 0.9)])
+    >>> stack = np.clip(np.moveaxis(ball @ lights.T, -1, 0), 0, None)
+    >>> fit_lights(np.roll(stack, -2, axis=0), lights, inside).order
+    (2, 3, 4, 5, 6, 0, 1)
+    """
+    images = check_stack(stack, least=3)
+    vectors = check_lights(lights, len(images))
+    inside = check_mask(mask, (images.shape[1], images.shape[2]))
+    gram = _inner_products(images, inside)
+    residual, each = _residual(gram, vectors)
+    under = np.arange(len(vectors))  # the light of every photograph
+    if len(vectors) >= _FEWEST and residual > _NO_RESIDUAL:
+        under = _better_order(gram, vectors)
+    given = bool((under == np.arange(len(under))).all())
+    frame = "right-up"
+    if residual < HIGH_RESIDUAL or not given:
+        normals, _ = lambertian(images, vectors[under], inside)
+        turn, _ = _fit_turn(normals, inside)
+        if turn is not None:
+            frame = fit_light_frame(normals, inside).frame if given else "right-up"
+            turned = _turned_order(vectors, turn)[under]
+            if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
+                under = turned
+    best, _ = _residual(gram, vectors[under])
+    if best < _LESS * residual:
+        frame = "right-up"
+    return LightFit(residual, tuple(each.tolist()), tuple(int(k) for k in under), best, frame)
+
+
+def doubts_of_lights(fit: LightFit, names: Sequence[str] = ()) -> tuple[str, ...]:
+    """Warnings of photographs that do not fit their lights, or fit them in another order or frame; one at most.
+
+    `names` are the photographs', by default their numbers from 1.
+    """
+    names = names or [f"photograph {k + 1}" for k in range(len(fit.order))]
+    left = f"{100 * fit.residual:.0f} % of the light"
+    moved = [k for k, light in enumerate(fit.order) if light != k]
+    if moved:
+        words = _order_words(fit.order, names)
+        if fit.frame != "right-up":
+            return (f"{_frame_words(fit.frame)} Or their order is another: {words}.",)
+        if fit.residual_in_order < _LESS * fit.residual:
+            return (
+                f"the photographs seem to be under other lights than those they are given: {left} does not fit them, "
+                f"{100 * fit.residual_in_order:.0f} % would in another order: {words}.",
+            )
+        return (
+            "the photographs seem to be under other lights than those they are given, shifted or reversed along the ring: "
+            f"only in another order do one convex surface's slopes follow from them; {words}.",
+        )
+    if fit.frame != "right-up":
+        return (_frame_words(fit.frame),)
+    if fit.residual < HIGH_RESIDUAL:
+        return ()
+    usual = float(np.median(fit.residual_per_image))
+    worst = [names[k] for k in np.argsort(fit.residual_per_image)[::-1] if fit.residual_per_image[k] > 1.4 * usual][:4]
+    return (
+        f"the photographs do not fit the lights they are given: {left} is none that a matt surface reflects (1 to 15 % "
+        f"is usual){'; most in ' + ', '.join(worst) if worst else ''}. Check the order and directions of the lights, "
+        "their brightness, --encoding and --background; shine and deep shadows leave much too.",
+    )
+
+
+def _frame_words(frame: str) -> str:
+    across, along = frame.split("-")
+    return (
+        f"the directions of the lights seem to be measured with x pointing {across} and y {along} in the image, not "
+        "right and up: only so does one convex surface have the slopes that were found. If they are, give "
+        f"--light-frame {frame}, or leave out the one that was given."
+    )
+
+
+def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
+    """The lights' order, counted from 1, shortest first."""
+    count, moved = len(order), [k for k, light in enumerate(order) if light != k]
+    if len(moved) == 2:
+        return f"exchange the lights of {names[moved[0]]} and {names[moved[1]]}"
+    numbers = "give the lights in the order " + " ".join(str(light + 1) for light in order)
+    if list(order) == list(range(count))[::-1]:
+        return f"{numbers} (reversed)"
+    step = order[0]
+    shifted = all(light == (k + step) % count for k, light in enumerate(order))
+    return f"{numbers} (shifted by {min(step, count - step)})" if shifted else numbers
 
 
 def rig_of_frame(rig: Rig, frame: str) -> Rig:
@@ -111,10 +273,137 @@ def rig_of_frame(rig: Rig, frame: str) -> Rig:
     return replace(rig, leds=tuple(led(one) for one in rig.leds))
 
 
-def _turned(p: FloatArray, q: FloatArray, frame: str) -> tuple[FloatArray, FloatArray]:
-    """Slopes as they are if x and y of `frame` were taken for x right and y up."""
-    (a, b), (c, d) = FRAMES[frame]
-    return a * p + b * q, c * p + d * q
+_ON_A_LIGHT = 0.2
+"""A turned light falls on another within this fraction of the distance of the two closest lights."""
+_SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
+
+
+def _fit_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float64] | None, float]:
+    """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable surface.
+
+    None where the normals are such already, or those of no single convex surface; and the curl over that of the best.
+    Turned by an angle t, slopes have the curl cos t * curl - sin t * divergence: its least sum of squares is an
+    eigenvalue.
+    """
+    p, q, weight = (part.astype(np.float64) for part in _smooth_slopes(normals, inside))
+    dp_dx, dp_dy, dq_dx, dq_dy = (
+        sign * np.gradient(part, axis=axis) for part in (p, q) for sign, axis in ((1.0, 1), (-1.0, 0))
+    )
+
+    def convexity(divergence: NDArray[np.float64]) -> float:
+        return -float(np.sum(weight * divergence)) / max(float(np.sum(weight * np.abs(divergence))), 1e-12)
+
+    given, given_convex = float(np.sum(weight * (dp_dy - dq_dx) ** 2)), convexity(dp_dx + dq_dy)
+    fits = []
+    for mirrored in (1.0, -1.0):
+        curl, divergence = dp_dy - mirrored * dq_dx, dp_dx + mirrored * dq_dy
+        mixed = -float(np.sum(weight * curl * divergence))
+        squares = [[np.sum(weight * curl**2), mixed], [mixed, np.sum(weight * divergence**2)]]
+        values, vectors = np.linalg.eigh(np.array(squares))
+        cosine, sine = vectors[:, 0]
+        convex = convexity(cosine * divergence + sine * curl)
+        sign = 1.0 if convex > 0 else -1.0
+        turn = sign * np.array([[cosine, -mirrored * sine], [sine, mirrored * cosine]])
+        fits.append((float(values[0]), abs(convex), turn))
+    convex_ones = [fit for fit in fits if fit[1] > _CONVEX]
+    if not convex_ones:
+        return None, 1.0
+    least, convex, turn = min(convex_ones, key=lambda fit: fit[0])
+    ratio = given / max(least, 1e-12)
+    opposite = float(np.trace(turn)) < -_SAME_TURN  # no curl either; only the outline distinguishes it
+    worse = 1.0 if given_convex < _CONVEX and convex > _WHOLLY_CONVEX else _WORSE
+    return (turn if opposite or ratio > worse else None), ratio
+
+
+def _turned_order(lights: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The light that each light falls on when all are turned; each itself where they fall on none."""
+    units = lights / np.linalg.norm(lights, axis=1, keepdims=True)
+    turned = np.column_stack([np.einsum("ij,kj->ki", turn, units[:, :2]), units[:, 2]])
+    apart = np.linalg.norm(units[:, None] - units[None], axis=2) + np.where(np.eye(len(units)) > 0, np.inf, 0.0)
+    away = np.linalg.norm(turned[:, None] - units[None], axis=2)
+    nearest = np.argmin(away, axis=1)
+    fits = len(set(nearest.tolist())) == len(units) and float(away.min(axis=1).max()) < _ON_A_LIGHT * float(apart.min())
+    return np.asarray(nearest) if fits else np.arange(len(units))
+
+
+def _inner_products(images: FloatArray, inside: BoolArray) -> NDArray[np.float64]:
+    """(L, L) inner products of the photographs, over some of the mask's pixels."""
+    light = images[:, inside]
+    some = light[:, :: max(1, light.shape[1] // _PIXELS)].astype(np.float64)
+    return np.asarray(np.einsum("kn,ln->kl", some, some))
+
+
+def _unexplained(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L,) squared light of the photographs that no surface under these lights explains."""
+    rest = np.eye(len(lights)) - _explaining(lights)
+    return np.asarray(np.maximum(np.einsum("kj,kj->k", np.einsum("ki,ij->kj", rest, gram), rest), 0.0))
+
+
+def _explaining(lights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(L, L) projection of photographs onto those that a surface under these lights has."""
+    return np.asarray(np.einsum("ki,il->kl", lights, np.linalg.pinv(lights)))
+
+
+def _residual(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    left, own = _unexplained(gram, lights), np.maximum(np.diag(gram), 1e-300)
+    return float(np.sqrt(left.sum() / own.sum())), np.asarray(np.sqrt(left / own))
+
+
+def _of_free_brightness(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> float:
+    """The residual where every photograph has a brightness of its own, found by alternation."""
+    explaining, scale = _explaining(lights), np.ones(len(gram))
+    for _ in range(30):
+        scaled = gram / np.outer(scale, scale)
+        shown = np.einsum("ij,jk->ik", explaining, scaled)
+        both = np.einsum("ij,ji->i", shown, explaining)
+        scale *= np.diag(shown) / np.maximum(both, 1e-300)
+        scale = np.maximum(scale / scale.mean(), 1e-3)
+    return _residual(gram / np.outer(scale, scale), lights)[0]
+
+
+def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The light of every photograph in the order that explains them best; their own unless that is clearly worse."""
+    count = len(lights)
+    own = np.arange(count)
+    # a start says which photograph belongs to every light: the given one, shifts and reversals of it, and any
+    starts = [np.roll(line, step) for line in (own, own[::-1]) for step in range(count)]
+    explaining = _explaining(lights)
+    worth = [float(np.sum(explaining * gram[np.ix_(start, start)])) for start in starts]
+    few = count <= _LARGEST_SEARCH
+    starts = [own, *(starts[k] for k in np.argsort(worth)[::-1][:8] if few or worth[k] > worth[0])]
+    if few and (_climbed(explaining, gram, own)[0] != own).any():
+        random = np.random.default_rng(0)
+        starts += [random.permutation(count) for _ in range(_SEEDS)]
+    order = max((_climbed(explaining, gram, start) for start in starts), key=lambda found: found[1])[0]
+    there = gram[np.ix_(order, order)]
+    moved = order != own
+    before, after = _unexplained(gram, lights), _unexplained(there, lights)
+    free, own_fraction = _BETTER if count > _FEWEST else _BETTER_OF_FIVE
+    clearly = (
+        float(np.sqrt(after[moved].sum() / max(before[moved].sum(), 1e-300))) < own_fraction
+        and _of_free_brightness(there, lights) < free * _of_free_brightness(gram, lights)
+    ) if moved.any() else False  # fmt: skip
+    return np.asarray(np.argsort(order)) if clearly else own
+
+
+def _climbed(
+    explaining: NDArray[np.float64], gram: NDArray[np.float64], start: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], float]:
+    """The best order that exchanges of two photographs lead to, each the best one, and the light that it explains."""
+    order = start.copy()
+    own = np.diag(explaining)
+    while True:
+        there = gram[np.ix_(order, order)]
+        light = np.diag(there)
+        both = np.einsum("rk,sk->rs", explaining, there)
+        mixed = both + both.T - np.diag(both)[:, None] - np.diag(both)
+        mixed -= (own[:, None] - explaining) * (there - light[:, None])
+        mixed -= (explaining - own) * (light - there)
+        gain = 2.0 * mixed - (own[:, None] - own) * (light[:, None] - light)
+        first, second = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if gain[first, second] <= 1e-9 * float(np.trace(gram)):
+            return order, float(np.sum(explaining * there))
+        order[[first, second]] = order[[second, first]]
 
 
 def _smooth_slopes(normals: FloatArray, inside: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -134,15 +423,3 @@ def _smooth_slopes(normals: FloatArray, inside: BoolArray) -> tuple[FloatArray, 
     p, q = (blurred(np.asarray(slope / steep * cover, dtype=np.float32)) / mean for slope in slopes)
     believed = cv2.erode((steep <= 1.0).astype(np.float32) * cover, np.ones((2 * round(sigma) + 1,) * 2))
     return np.asarray(p, np.float32), np.asarray(q, np.float32), np.asarray(believed, dtype=np.float32)
-
-
-def _curl(p: FloatArray, q: FloatArray, weight: FloatArray) -> float:
-    """Sum of the squared curl inside the mask."""
-    dp_dy, dq_dx = -np.gradient(p, axis=0), np.gradient(q, axis=1)
-    return float(np.sum(weight * (dp_dy - dq_dx) ** 2, dtype=np.float64))
-
-
-def _falls(p: FloatArray, q: FloatArray, weight: FloatArray) -> bool:
-    """Whether the surface falls towards the outline: the sum of its divergence is negative."""
-    divergence = np.gradient(p, axis=1) - np.gradient(q, axis=0)
-    return float(np.sum(weight * divergence, dtype=np.float64)) < 0.0

@@ -356,6 +356,8 @@ EXPLAINED = {
     "frame_share": "Fraction of the image that the finger fills.",
     "borders": "Borders of the image that the finger touches. Good: one.",
     "led_relative": "Brightness of every image relative to what the rig file promises. Good: all near 1.",
+    "light_residual": "Part of the white images that no matt surface under their lights explains. Good: below 0.15.",
+    "light_residual_per_image": "The same for every image. Good: all similar.",
     "yaw_deg": "Turn of the finger in the image, counter-clockwise; it is taken out.",
     "tip_direction": "Where the tip's direction comes from: the capture, the outline, or an assumption.",
     "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",

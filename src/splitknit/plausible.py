@@ -1,0 +1,58 @@
+"""What a number that a person types, or what follows from it, can be: one table of ranges, with their sources.
+
+A value outside `usual` is odd and gets a note; one outside `possible` is a slip, as of a unit, and is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from splitknit.errors import require
+
+
+@dataclass(frozen=True, slots=True)
+class Plausible:
+    """A quantity and its ranges, in the unit that people give it in."""
+
+    what: str
+    unit: str
+    usual: tuple[float, float]
+    possible: tuple[float, float]
+
+    def notes(self, value: float, remedy: str) -> tuple[str, ...]:
+        """One sentence where `value` is odd, none where it is usual.
+
+        Raises
+        ------
+        BadInput
+            Where it is not possible.
+
+        Examples
+        --------
+        >>> CAMERA_HEIGHT.notes(500.0, "check --square-mm")[0]
+        "the camera's height above the finger plane is 500 mm, where 40 to 400 mm is usual: check --square-mm."
+        """
+        (low, high), (least, most) = self.usual, self.possible
+        found = f"{self.what} is {value:.3g} {self.unit}" if value < 1e3 else f"{self.what} is {value:.0f} {self.unit}"
+        require(
+            least <= value <= most,
+            f"{found}, where only {least:g} to {most:g} {self.unit} is possible: {remedy}.",
+        )
+        return () if low <= value <= high else (f"{found}, where {low:g} to {high:g} {self.unit} is usual: {remedy}.",)
+
+
+ANY = float("inf")
+VIEW = Plausible("the longer side of the pictures of a finger", "mm", (10.0, 200.0), (3.0, 400.0))
+"""From a part of a fingertip to a whole hand."""
+FINGER_WIDTH = Plausible("the finger's width", "mm", (6.0, 35.0), (2.0, 60.0))
+"""Adults' fingers are 14 to 25 mm wide (T. M. Greiner, "Hand anthropometry of U.S. Army personnel", 1991); children's
+less."""
+RIDGE_PERIOD = Plausible("the distance of the ridges", "mm", (0.3, 0.7), (0.2, 1.0))
+"""0.43 mm in women and 0.48 mm in men, 8 % between people (H. Cummins, W. J. Waits and J. T. McQuitty, Am. J. Anat. 68,
+1941); children's from 0.3 mm."""
+RELIEF = Plausible("the ridges' height (5th to 95th percentile)", "um", (0.0, 400.0), (0.0, ANY))
+"""Ridges are some 50 to 150 um high; 130 um on simulated fingers, 4000 um on a render that was taken for skin."""
+CAMERA_HEIGHT = Plausible("the camera's height above the finger plane", "mm", (40.0, 400.0), (15.0, 1000.0))
+"""140 mm in the drawn rig; at a metre the drawn camera has 4 pixels a ridge."""
+TOP = Plausible("the highest point above the finger plane (top_mm)", "mm", (-5.0, 30.0), (-100.0, 100.0))
+"""A finger is up to 25 mm thick."""
