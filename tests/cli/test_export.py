@@ -110,7 +110,7 @@ def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) 
     found = facts_of(capsys, "match", iso, ansi)
     assert found["method"] == "minutiae"
     assert found["similarity"] > 100
-    assert (found["a"]["kind"], found["a"]["acquired"], found["fmr"]) == ("minutiae", True, None)
+    assert (found["a"]["kind"], found["a"]["acquired"], found["decision"]["match"]) == ("minutiae", True, True)
     assert facts_of(capsys, "match", iso, tmp_path / "iso" / "other.iso")["similarity"] < 40
     assert facts_of(capsys, "match", iso, fir)["similarity"] > 40
     assert facts_of(capsys, "match", prints / "a.png", fir, "--method", "ridge")["method"] == "ridge"
@@ -133,7 +133,7 @@ def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
         )
     for probe in (prints / "again.png", tmp_path / "iso" / "a.iso"):
         found = facts_of(capsys, "identify", gallery, probe)
-        assert (found["by"], found["decision"]) == ("minutiae", None)
+        assert (found["by"], found["decision"]["match"]) == ("minutiae", True)
         assert [one["person"] for one in found["candidates"]] == ["Ann", "Bob"]
         assert found["candidates"][0]["similarity"] > 100
         assert found["candidates"][1]["similarity"] < 40

@@ -83,12 +83,12 @@ def _words(facts: dict[str, Any], raw: bool) -> list[str]:
     for one in facts["candidates"]:
         who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
         rate = "not known" if basis is None else one_in(one["fmr"], basis)
-        score = f", score {one['similarity']:.4f}" if raw or basis is None else ""
+        score = f", score {one['similarity']:.5g}" if raw or basis is None else ""
         lines.append(f"{one['rank']:>3}. {who}: estimated false match rate {rate}{score}")
     if facts["candidates"] and basis is not None:
         lines.append(f"Rates were measured on {basis_words(basis)}.")
     if raw and facts["decision"] is not None:
-        lines.append(f"A match has a score of {facts['decision']['threshold']:.4f} or more.")
+        lines.append(f"A match has a score of {facts['decision']['threshold']:.5g} or more.")
     searched = facts["searched"]
     whose, how = (
         "",
