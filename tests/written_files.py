@@ -71,6 +71,26 @@ def read_glb(path: Path) -> Glb:
     return Glb(blocks[0], blocks[1], blocks[2][:, 0], faces, scale, extras)
 
 
+def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Places, normals and triangles of a Wavefront OBJ file, each line as its grammar has it; and its comments."""
+    rows: dict[str, list[Any]] = {"v": [], "vn": [], "f": []}
+    comments = []
+    for line in path.read_bytes().decode("ascii").splitlines():
+        kind, _, rest = line.partition(" ")
+        if kind == "#":
+            comments.append(rest)
+        elif kind == "f":
+            corners = [corner.split("/") for corner in rest.split(" ")]
+            assert len(corners) == 3 and all(len(one) == 3 and one[1] == "" and one[0] == one[2] for one in corners)
+            rows["f"].append([int(one[0]) - 1 for one in corners])
+        else:
+            rows[kind].append([float(number) for number in rest.split(" ")])
+    places, normals, faces = (np.array(rows[kind]) for kind in ("v", "vn", "f"))
+    assert places.shape == normals.shape and places.shape[1] == 3
+    assert faces.min() >= 0 and faces.max() < len(places)
+    return places, normals, faces, tuple(comments)
+
+
 def read_light_tiff(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     """The floats of one page, and what its description tells."""
     with tifffile.TiffFile(path) as file:

@@ -100,8 +100,9 @@ def match(
     Returns
     -------
     dict
-        ``similarity`` (higher is more similar), ``fmr`` (false match rate at this similarity, where it was measured),
-        ``alignment`` and the rest of what ``splitknit match --json`` prints.
+        ``similarity`` (the method's score; higher is more similar), ``fmr`` (false match rate at this similarity, where
+        it was measured) with ``fmr_basis``, ``decision`` (``match``, ``fmr``, ``threshold``), ``alignment`` and the
+        rest of what ``splitknit match --json`` prints.
 
     Raises
     ------

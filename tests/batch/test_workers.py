@@ -9,14 +9,19 @@ import pytest
 from splitknit import steps
 
 JOBS = """
-import os, signal
+import os, signal, time
 from pathlib import Path
 from splitknit.batch.workers import run_jobs
+from splitknit.io.atomic import atomic_folder
 
 def work(job):
-    if job == 0:
-        os.killpg(0, signal.SIGINT)  # as Ctrl-C does: to the workers as well
-    Path(f"done_{job}").touch()
+    with atomic_folder(f"out/{job}") as folder:
+        (folder / "half").touch()
+        while job == 0 and not any(Path("out").glob(".1.*/half")):
+            time.sleep(0.01)
+        if job == 0:
+            os.killpg(0, signal.SIGINT)  # as Ctrl-C does: to the workers as well
+        time.sleep(10)
     return job
 
 if __name__ == "__main__":
@@ -27,13 +32,13 @@ if __name__ == "__main__":
 """
 
 
-def test_ctrl_c_is_for_the_run_and_not_for_its_workers(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_run_and_the_jobs_of_its_workers(tmp_path: Path) -> None:
     (tmp_path / "jobs.py").write_text(JOBS)
     run = subprocess.run(
         [sys.executable, "jobs.py"], capture_output=True, text=True, check=False, cwd=tmp_path, start_new_session=True
     )
     assert (run.returncode, run.stdout, run.stderr) == (0, "interrupted\n", "")
-    assert (tmp_path / "done_0").exists()
+    assert not (tmp_path / "out").exists()  # no job went on to its end, and none left half of its folder
 
 
 def test_threads_of_a_worker_share_one_heap(monkeypatch: pytest.MonkeyPatch) -> None:

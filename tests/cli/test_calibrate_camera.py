@@ -256,6 +256,7 @@ def test_a_board_of_another_size_is_named(photos, tmp_path, capsys, size):
     message = refused(capsys, tmp_path / "rig.json", "--plane", place / "plane.png", "--board", size)
     assert "shows a checkerboard of 9 x 6 inner corners" in message
     assert "give --board 9x6" in message
+    assert ("not squares" in message) == (size == "10x7")
 
 
 def test_images_and_numbers_that_do_not_do(photos, tmp_path, capsys):

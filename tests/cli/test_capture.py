@@ -151,6 +151,8 @@ def test_every_target_is_there(name):
     scene, words = devices._target_scene(name, default_rig(0.05), 1)
     assert words
     assert scene.light([0]).mean() > scene.light([]).mean()
+    if name == "board":  # what 'rig target' draws and 'calibrate camera' expects
+        assert (scene.board.columns, scene.board.rows) == (9, 6) and "--board 9x6" in words
 
 
 def test_an_unknown_target_is_refused(tmp_path: Path, capsys: Captured):

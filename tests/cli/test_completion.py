@@ -46,21 +46,23 @@ def test_every_verb_has_the_version(verb: str, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    ("line", "usage", "meant"),
+    ("line", "verb", "meant"),
     [
-        ("recontsruct x", "usage: splitknit [", "did you mean 'reconstruct' instead of 'recontsruct'?"),
-        ("calibrate lihgts", "usage: splitknit calibrate ", "did you mean 'lights' instead of 'lihgts'?"),
-        ("match a b --methd ridge", "usage: splitknit match ", "did you mean '--method' instead of '--methd'?"),
-        ("reconstruct x --outt=y", "usage: splitknit reconstruct ", "did you mean '--out' instead of '--outt'?"),
-        ("match a b --method rigde", "usage: splitknit match ", "did you mean 'ridge' instead of 'rigde'?"),
+        ("recontsruct x", "splitknit", "did you mean 'reconstruct' instead of 'recontsruct'?"),
+        ("calibrate lihgts", "splitknit calibrate", "did you mean 'lights' instead of 'lihgts'?"),
+        ("match a b --methd ridge", "splitknit match", "did you mean '--method' instead of '--methd'?"),
+        ("reconstruct x --outt=y", "splitknit reconstruct", "did you mean '--out' instead of '--outt'?"),
+        ("match a b --method rigde", "splitknit match", "did you mean 'ridge' instead of 'rigde'?"),
     ],
 )
 def test_a_typo_is_answered_with_what_was_meant(
-    line: str, usage: str, meant: str, capsys: pytest.CaptureFixture[str]
+    line: str, verb: str, meant: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(line.split()) == 2
     said = capsys.readouterr().err
-    assert said.startswith(usage) and said.endswith(meant + "\n")
+    error, hint = said.splitlines()  # and no usage of twenty lines before them
+    assert error.startswith(f"{verb}: error: ") and error.endswith(meant)
+    assert hint == f"See '{verb} --help'."
 
 
 @pytest.mark.parametrize("line", ["zzz", "match a b --zzz", "match a b c"])

@@ -11,11 +11,18 @@ import tifffile
 from PIL import Image
 
 from enrolled import facts_of, refusal_of, words_of
+from perfect_results import write_impressions
 from spiral_prints import PLACES, spiral_print
-from splitknit.cli.export import TO
+from splitknit.cli.export import MESHES, TO
 from splitknit.io.minutiae_files import read_minutiae_record
 from splitknit.io.print_formats import WRITTEN, read_prints
 from splitknit.io.prints import PrintFile, read_print_png, write_print_png
+from splitknit.io.provenance import provenance
+from splitknit.io.results import MESHES as KNOWN_MESHES
+from splitknit.io.results import read_result, write_mesh
+from splitknit.rig.assembly import read_stl
+from splitknit.simulator.finger.finger import Pose
+from written_files import read_glb, read_obj, read_ply
 
 PICTURES = {"png": "png", "tiff": "tiff", "wsq": "wsq", "iso-19794-4": "fir", "ansi-nist-itl": "an2"}
 MINUTIAE = {"iso-19794-2": "iso", "ansi-378": "fmr", "ansi-378-2009": "fmr"}
@@ -103,11 +110,11 @@ def test_records_of_all_kinds_are_matched(prints: Path, tmp_path: Path, capsys) 
     found = facts_of(capsys, "match", iso, ansi)
     assert found["method"] == "minutiae"
     assert found["similarity"] > 100
-    assert (found["a"]["kind"], found["a"]["acquired"], found["fmr"]) == ("minutiae", True, None)
+    assert (found["a"]["kind"], found["a"]["acquired"], found["decision"]["match"]) == ("minutiae", True, True)
     assert facts_of(capsys, "match", iso, tmp_path / "iso" / "other.iso")["similarity"] < 40
     assert facts_of(capsys, "match", iso, fir)["similarity"] > 40
     assert facts_of(capsys, "match", prints / "a.png", fir, "--method", "ridge")["method"] == "ridge"
-    assert "52 minutiae of another system" in words_of(capsys, "match", iso, ansi)
+    assert "a.iso: 52 minutiae\n" in words_of(capsys, "match", iso, ansi)
     assert "no ridges; compare by the method minutiae" in refusal_of(capsys, "match", iso, ansi, "--method", "ridge")
     facts_of(capsys, "match", iso, "--template", tmp_path / "a.skt")
     again = facts_of(capsys, "match", tmp_path / "a.skt", ansi)["similarity"]
@@ -126,7 +133,7 @@ def test_a_gallery_of_minutiae(prints: Path, tmp_path: Path, capsys) -> None:
         )
     for probe in (prints / "again.png", tmp_path / "iso" / "a.iso"):
         found = facts_of(capsys, "identify", gallery, probe)
-        assert (found["by"], found["decision"]) == ("minutiae", None)
+        assert (found["by"], found["decision"]["match"]) == ("minutiae", True)
         assert [one["person"] for one in found["candidates"]] == ["Ann", "Bob"]
         assert found["candidates"][0]["similarity"] > 100
         assert found["candidates"][1]["similarity"] < 40
@@ -266,3 +273,32 @@ def test_bad_input_is_one_sentence_and_writes_nothing(  # noqa: PLR0917
 
 def test_every_format_that_is_written_is_tested() -> None:
     assert set(WRITTEN) == set(PICTURES) | set(MINUTIAE) == set(TO)
+
+
+def test_a_result_becomes_a_mesh_in_mm(tmp_path: Path, capsys) -> None:
+    """What phalange.ply holds, by strict readers of each format."""
+    assert MESHES == KNOWN_MESHES
+    results = write_impressions(tmp_path, 0.06, 721, Pose())
+    write_mesh(tmp_path / "a.ply", read_result(results / "a"), provenance({}, {}))
+    ply = read_ply(tmp_path / "a.ply")
+    for to in MESHES:
+        one = exported(capsys, tmp_path, to, results / "a", out=to)["files"][0]
+        assert (one["file"], one["kind"], one["unit"]) == (f"a.{to}", "result", "mm")
+        assert (one["vertices"], one["faces"]) == (len(ply.vertices_mm), len(ply.faces))
+        assert (tmp_path / to / f"a.{to}").stat().st_mode & 0o777 == 0o600
+    glb, stl = read_glb(tmp_path / "glb" / "a.glb"), tmp_path / "stl" / "a.stl"
+    places, normals, faces, comments = read_obj(tmp_path / "obj" / "a.obj")
+    assert comments[0] == "unit mm" and stl.read_bytes().startswith(b"splitknit, unit mm")
+    assert (glb.metres_per_unit, glb.extras["buffer_unit"]) == (0.001, "mm")
+    np.testing.assert_array_equal(read_stl(stl), ply.vertices_mm[ply.faces])
+    np.testing.assert_array_equal(glb.vertices_mm, ply.vertices_mm)
+    np.testing.assert_array_equal(glb.faces, ply.faces)
+    np.testing.assert_array_equal(faces, ply.faces)
+    np.testing.assert_allclose(places, ply.vertices_mm, atol=6e-6)
+    np.testing.assert_allclose(normals, ply.normals, atol=6e-5)
+
+
+def test_no_mesh_without_a_surface(prints: Path, tmp_path: Path, capsys) -> None:
+    said = refusal_of(capsys, "export", prints / "a.png", "--to", "stl", "--out", tmp_path / "out")
+    assert "has no surface for a mesh; name a result" in said
+    assert not (tmp_path / "out").exists()

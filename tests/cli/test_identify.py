@@ -63,7 +63,9 @@ def test_nobody_is_a_fact(gallery: Path, probe: Path, tmp_path: Path, capsys) ->
     facts = facts_of(capsys, "identify", file, probe)
     assert not facts["decision"]["match"]
     assert [one["person"] for one in facts["candidates"]] == ["Ann"]
-    assert words_of(capsys, "identify", file, probe).startswith("No match: nobody reaches the threshold")
+    assert words_of(capsys, "identify", file, probe).startswith(
+        "No match: nobody is similar enough (decided at a false"
+    )
     for person in ("Ann", "Cid"):
         facts_of(capsys, "gallery", "remove", file, "--person", person)
     empty = facts_of(capsys, "identify", file, probe)

@@ -10,8 +10,10 @@ import pytest
 
 from perfect_results import write_impressions
 from splitknit.cli.main import main
+from splitknit.cli.match import one_in
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
+from splitknit.matching.minutiae import installed
 from splitknit.simulator.finger.finger import Pose
 
 
@@ -79,12 +81,64 @@ def test_a_capture_is_reconstructed(twin_folder: Path, capsys) -> None:
 def test_words_for_people(results: Path, tmp_path: Path, capsys) -> None:
     assert main(["match", str(results / "a"), str(results / "again"), "--template", str(tmp_path / "t.skt")]) == 0
     words = capsys.readouterr().out
-    assert words.startswith("similarity 0.")
+    assert words.startswith("Match, decided at a false match rate of 1 in 10,000 (method ridge).")
+    basis = "11,175 impostor comparisons, true surfaces of 150 simulated fingers"
+    assert f"Estimated false match rate: below 1 in 11,000 (measured on {basis})." in words
+    assert "score" not in words.lower()  # whose scale nobody knows
     assert "overlap" in words
     assert "turned by" in words
     assert "version 1" in words
     assert main(["match", str(results / "a"), str(results / "other"), "--method", "thesis"]) == 0
-    assert "intersection over union" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "intersection over union" in said and said.startswith("No decision")
+
+
+def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
+    """One scale for people, by every method; the method's own score where it is asked for."""
+    same, other = ([str(results / "a"), str(results / name)] for name in ("again", "other"))
+    found, stranger = facts_of(capsys, *same), facts_of(capsys, *other)
+    assert found["decision"]["match"] and not stranger["decision"]["match"]
+    assert found["decision"]["fmr"] == 1e-4 and stranger["fmr"] > 1e-3
+    assert stranger["similarity"] < found["decision"]["threshold"] < found["similarity"]
+    assert found["fmr_basis"]["impostors"] == 11175 and found["fmr_missing"] is None
+    assert facts_of(capsys, *other, "--fmr", "0.9")["decision"]["match"] == (stranger["fmr"] <= 0.9)
+    assert main(["match", *other, "--raw"]) == 0
+    words = capsys.readouterr().out
+    assert words.startswith("No match, decided at")
+    threshold = found["decision"]["threshold"]
+    assert f"Score {stranger['similarity']:.4f} (1 = the same picture), a match from {threshold:.4f} on." in words
+    assert main(["match", *same, "--fmr", "1e-9"]) == 2
+    assert "none below 8.9e-05 can be stated" in capsys.readouterr().err
+    assert facts_of(capsys, *same, "--set", "ridge.patches.search_mm=0.5")["decision"] is None
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [(1e-4, "1 in 10,000"), (0.0359, "1 in 28"), (0.7, "more than 1 in 2"), (4e-3, "below 1 in 250")],
+)
+def test_rates_in_words(rate: float, words: str) -> None:
+    assert one_in(rate, {"smallest": 0.004} if words.startswith("below") else None) == words
+
+
+def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> None:
+    """By their pictures, and by the minutiae that ``print`` has counted."""
+    counts = []
+    for name in ("a", "again"):
+        assert main(["print", str(results / name), "--out", str(tmp_path / name), "--json"]) == 0
+        counts.append(json.loads(capsys.readouterr().out)["minutiae"]["count"])
+    found = facts_of(capsys, tmp_path / "a", tmp_path / "again")
+    assert (found["a"]["kind"], found["b"]["kind"]) == ("print", "print")
+    assert found["decision"]["match"]
+    if installed():
+        found = facts_of(capsys, tmp_path / "a", tmp_path / "again", "--method", "minutiae")
+        assert [found[side]["minutiae"] for side in ("a", "b")] == counts
+        record = facts_of(capsys, tmp_path / "a" / "minutiae.iso", tmp_path / "again" / "minutiae.iso")
+        assert (record["a"]["minutiae"], record["similarity"]) == (counts[0], found["similarity"])
+        # a print from a file has as many minutiae as 'print' finds in it
+        picture = str(results / "a" / "print.png")
+        assert main(["print", picture, "--out", str(tmp_path / "file"), "--json"]) == 0
+        count = json.loads(capsys.readouterr().out)["minutiae"]["count"]
+        assert facts_of(capsys, picture, picture, "--method", "minutiae")["a"]["minutiae"] == count
 
 
 @pytest.mark.parametrize("content", [b"", b"SKTMPL\r\n and then my notes"])

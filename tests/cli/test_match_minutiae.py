@@ -12,6 +12,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.evaluation.gallery_scores import gallery_scores
 from splitknit.io.prints import read_print_png, write_print_png
+from splitknit.matching.methods import false_match_rate
 from splitknit.matching.minutiae import extract, minutiae_match
 
 
@@ -46,17 +47,14 @@ def test_prints_match_their_surfaces(impressions: Path, capsys) -> None:
     found = facts_of(capsys, impressions / "a", impressions / "again" / "print.png")
     assert found["similarity"] > 60
     assert found["b"]["enhanced"]
-    assert found["fmr"] is None
-    assert "prints from files" in found["fmr_missing"]
+    assert found["decision"]["match"]
+    assert found["fmr_basis"]["population"] == "presses of 150 simulated fingers"
 
 
 def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
-    from splitknit.matching.methods import _minutiae_false_match_rate
-
     same, other = (facts_of(capsys, impressions / "a", impressions / name) for name in ("again", "other"))
-    low, high = _minutiae_false_match_rate(5.0), _minutiae_false_match_rate(200.0)
-    assert low is not None and high is not None
-    assert same["fmr"] == _minutiae_false_match_rate(same["similarity"])
+    low, high = false_match_rate(5.0, "minutiae"), false_match_rate(200.0, "minutiae")
+    assert same["fmr"] == false_match_rate(same["similarity"], "minutiae")
     assert high == same["fmr"] < 1e-3 < other["fmr"] <= 1
     assert high < low
 
@@ -64,9 +62,12 @@ def test_rates_are_of_the_shipped_table(impressions: Path, capsys) -> None:
 def test_words_for_people(impressions: Path, capsys) -> None:
     assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", "minutiae"]) == 0
     words = capsys.readouterr().out
-    assert "pairs of minutiae fit together" in words
+    assert words.startswith("Match, decided at a false match rate of 1 in 10,000 (method minutiae).")
     assert "quality (NFIQ 2)" in words
-    assert "fused with the ridges" in words
+    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", "minutiae", "--raw"]) == 0
+    words = capsys.readouterr().out
+    assert "pairs of minutiae fit together" in words
+    assert "Fused with the ridges" in words
 
 
 def test_an_empty_print_is_a_failure_to_acquire(impressions: Path, tmp_path: Path, capsys) -> None:
@@ -105,8 +106,7 @@ def test_two_prints_are_fused_by_default(impressions: Path, tmp_path: Path, caps
     assert facts_of(capsys, template, prints["again"], method="auto")["similarity"] == same["similarity"]
     assert facts_of(capsys, impressions / "a", prints["again"], method="auto")["method"] == "ridge"
     assert main(["match", *map(str, prints.values())][:3]) == 0
-    words = capsys.readouterr().out
-    assert "log-likelihood ratio of ridges and minutiae" in words
+    assert "(method fusion)" in capsys.readouterr().out
     assert main(["match", str(impressions / "a"), str(prints["a"]), "--method", "fusion"]) == 2
     assert "without minutiae of a print" in capsys.readouterr().err
 

@@ -28,16 +28,17 @@ def test_one_finger_is_told_from_another(impressions: Path, method: str, capsys)
     assert same["compared"]
     assert other["compared"]
     assert same["similarity"] > other["similarity"] + {"surface-code": 0.08}.get(method, 0.3)
-    assert same["fmr"] is None
+    assert same["decision"]["match"] and not other["decision"]["match"]
+    assert same["fmr_basis"]["population"] == "true surfaces of 80 simulated fingers"
     assert same["a"]["acquired"]
     if method == "surface-code":
         assert same["a"]["code_mm2"] > 100
     else:
         assert same["agreeing"] <= min(same["a"]["minutiae"], same["b"]["minutiae"])
-    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", method]) == 0
+    assert main(["match", str(impressions / "a"), str(impressions / "again"), "--method", method, "--raw"]) == 0
     words = capsys.readouterr().out
-    assert words.startswith(f"similarity {same['similarity']:.4f} (fraction of")
-    assert "\n" in words.strip()
+    assert words.startswith("Match, decided at a false match rate of 1 in 3,200 ")
+    assert f"\nScore {same['similarity']:.4f} (fraction of" in words
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -99,7 +99,9 @@ def test_below_turns_the_rig_over(tmp_path, capsys):
 
     out = tmp_path / "below"
     assert main(["rig", "cad", "--out", str(out), "--below", "--no-pictures"]) == 0
-    assert "11 parts drawn" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "11 parts drawn" in said
+    assert "pictures" not in said
     written = json.loads((out / "parts.json").read_text())
     assert written["camera"] == "below"
     assert written["assembly"][0] == "window_base"

@@ -34,6 +34,7 @@ from splitknit.matching.minutiae import extract, minutiae_match
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.template import make_template
+from splitknit.prints.from_file import print_minutiae
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE / "real_prints.json"
@@ -59,7 +60,7 @@ def nbis_py(images: Sequence[Image]) -> Callable[[int, int], float]:
 
 
 def minutiae(images: Sequence[Image]) -> Callable[[int, int], float]:
-    """Our route: enhanced, then mindtct and bozorth3."""
+    """As the fusion has them: enhanced, then mindtct and bozorth3."""
     found = [extract(image, 500.0, enhance=True) for image in images]
     return lambda i, j: minutiae_match(found[i], found[j])
 
@@ -70,7 +71,13 @@ def ridges(images: Sequence[Image]) -> Callable[[int, int], float]:
     return lambda i, j: ridge_match(sides[i], sides[j]).similarity
 
 
-SYSTEMS = {"nbis-py": nbis_py, "minutiae": minutiae, "ridge": ridges}
+def phase(images: Sequence[Image]) -> Callable[[int, int], float]:
+    """As ``match --method minutiae`` compares prints: found by the phase of the ridges, as ``print`` does."""
+    found = [print_minutiae(image) for image in images]
+    return lambda i, j: minutiae_match(found[i], found[j])
+
+
+SYSTEMS = {"nbis-py": nbis_py, "minutiae": minutiae, "ridge": ridges, "minutiae by the phase": phase}
 
 
 def measured(images: Sequence[Image], owner: Sequence[int], impostors: int | None, seed: int) -> list[Scores]:

@@ -6,7 +6,9 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -18,6 +20,8 @@ from splitknit.steps import one_heap
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
+_GRACE_S = 1.0
+"""For workers that are told to end, to remove what they have half written."""
 
 
 def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str) -> Iterator[tuple[Job, Done]]:
@@ -33,7 +37,7 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
     Raises
     ------
     BadInput
-        If a process is killed, or one of its own from `work`.
+        If a process is killed, or one of its own from `work`; the other jobs are then given up, as by an interrupt.
     """
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
@@ -43,12 +47,14 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
     pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=context, initializer=_begin)
     rest, work = iter(jobs), with_given_folders(work)
     running: dict[Future[Done], Job] = {}
+    earlier = set(multiprocessing.active_children())
     try:
         while True:
             for job in islice(rest, 2 * workers - len(running)):  # few enough that an interrupt waits for little
                 with _interrupts_for_us_alone():
-                    running[pool.submit(work, job)] = job
+                    running[pool.submit(_whole, work, job)] = job
             if not running:
+                earlier |= set(multiprocessing.active_children())  # idle: they end by themselves
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 yield running.pop(future), future.result()
@@ -57,12 +63,27 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
             f"a worker was killed, perhaps for want of memory; {kept} is kept: run the same again, with fewer workers."
         ) from error
     finally:
+        ours = set(multiprocessing.active_children()) - earlier  # at work still: an error, or an interrupt
+        for process in ours:
+            process.terminate()
+        end = time.monotonic() + _GRACE_S
+        for process in ours:
+            process.join(max(0.0, end - time.monotonic()))
+            process.kill()
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _whole(work: Callable[[Job], Done], job: Job) -> Done:
+    """Do a job in a worker; end the worker when it is told to, after its temporary files are gone."""
+    try:
+        return work(job)
+    except SystemExit:
+        os._exit(1)
 
 
 @contextlib.contextmanager
 def _interrupts_for_us_alone() -> Iterator[None]:
-    """Start processes that Ctrl-C does not reach: each would show a traceback, and we end them when their job is done.
+    """Start processes that Ctrl-C does not reach: each would show a traceback, and we end them ourselves.
 
     Blocked signals stay blocked in a new process; one that reaches this process meanwhile is delivered at the end.
     """
@@ -80,6 +101,7 @@ def _begin() -> None:
     """In a new worker: one thread for OpenCV, one heap, and an end when the run that started it is no more."""
     import cv2  # noqa: PLC0415
 
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     cv2.setNumThreads(1)
     one_heap()
     parent = multiprocessing.parent_process()

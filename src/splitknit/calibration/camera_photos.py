@@ -355,9 +355,11 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
     (size, count), *_ = sizes.most_common(1)
     asked = max(board.size), min(board.size)
     if size != asked and (count > 1 or len(files) == 1):
+        squares = asked == (size[0] + 1, size[1] + 1)
         raise BadInput(
             f"{files[0]} shows a checkerboard of {size[0]} x {size[1]} inner corners, not of {board.columns} x "
-            f"{board.rows}; give --board {size[0]}x{size[1]}, or photograph the whole board."
+            f"{board.rows}; give --board {size[0]}x{size[1]}"
+            + (" (corners where four squares meet, not squares)." if squares else ", or photograph the whole board.")
         )
 
 

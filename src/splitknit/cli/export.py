@@ -11,11 +11,12 @@ from splitknit.cli.gallery_options import add_key, count
 from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, new_verb
 
 TO = ("iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "ansi-nist-itl", "wsq", "png", "tiff")
+MESHES = ("stl", "obj", "glb")
 
 
 def add_export(verbs: Any) -> None:
     """Add the verb."""
-    verb = new_verb(verbs, "export", "write fingers as records and images that other systems read", _run)
+    verb = new_verb(verbs, "export", "write fingers as records, images and meshes that other systems read", _run)
     verb.add_argument(
         "sources",
         type=Path,
@@ -26,10 +27,10 @@ def add_export(verbs: Any) -> None:
     )
     verb.add_argument(
         "--to",
-        choices=TO,
+        choices=(*TO, *MESHES),
         required=True,
         help="minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4 (of 2005), "
-        "ansi-nist-itl (Type-14), wsq, png, tiff",
+        "ansi-nist-itl (Type-14), wsq, png, tiff; surfaces of captures and results, in mm: stl, obj, glb",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write, one file a finger")
     verb.add_argument(
@@ -98,6 +99,8 @@ def export_words(facts: dict[str, Any]) -> list[str]:
     mean = f", {sum(minutiae) / len(minutiae):.0f} minutiae in the mean" if minutiae else ""
     first = f" ({files[0]['file']}{' ...' if len(files) > 1 else ''})"
     lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
+    if "vertices" in files[0]:
+        lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
     failed = facts["failures_to_acquire"]
     if failed:
         lines.append(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
+from splitknit.cli.match import add_raw, basis_words, one_in
 from splitknit.cli.verb import FINGERS, Outcome, Progress, add_input_ppi, add_preset, add_settings, natural, new_verb
 
 
@@ -44,6 +45,7 @@ def add_identify(verbs: Any) -> None:
         metavar="DIR",
         help="compare the codes that 'splitknit gallery index --shards' keeps here, with the gallery's key",
     )
+    add_raw(verb)
     add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
@@ -72,17 +74,21 @@ def _run(options: argparse.Namespace) -> Outcome:
             key=key, preset=options.preset, progress=progress.update, input_ppi=options.input_ppi,
             shards=options.shards,
         )  # fmt: skip
-    lines = [*_words(facts), *(f"Please note: {note}" for note in key_notes(options.key_file))]
+    lines = [*_words(facts, options.raw), *(f"Please note: {note}" for note in key_notes(options.key_file))]
     return facts, lines
 
 
-def _words(facts: dict[str, Any]) -> list[str]:
-    lines = [_verdict(facts)]
+def _words(facts: dict[str, Any], raw: bool) -> list[str]:
+    lines, basis = [_verdict(facts)], facts["fmr_basis"]
     for one in facts["candidates"]:
-        rate = "" if one["fmr"] is None else f", fmr at most {one['fmr']:.2g}"
         who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
-        shown = f"{one['similarity']:.{0 if facts['by'] == 'minutiae' else 4}f}"
-        lines.append(f"{one['rank']:>3}. similarity {shown}{rate}: {who}")
+        rate = "not known" if basis is None else one_in(one["fmr"], basis)
+        score = f", score {one['similarity']:.5g}" if raw or basis is None else ""
+        lines.append(f"{one['rank']:>3}. {who}: estimated false match rate {rate}{score}")
+    if facts["candidates"] and basis is not None:
+        lines.append(f"Rates were measured on {basis_words(basis)}.")
+    if raw and facts["decision"] is not None:
+        lines.append(f"A match has a score of {facts['decision']['threshold']:.5g} or more.")
     searched = facts["searched"]
     whose, how = (
         "",
@@ -98,9 +104,8 @@ def _words(facts: dict[str, Any]) -> list[str]:
         first, decision = facts["candidates"][0], facts["decision"]
         others = count(searched["captures"], "capture")
         lines.append(
-            f"Fmr is the fraction of other fingers that are as similar. Among {others} of others, "
-            f"{first['expected_false_matches']:.2g} are to be expected as similar as the first candidate, and "
-            f"{decision['expected_false_matches']:.2g} beyond the threshold."
+            f"Among {others} of other fingers {first['expected_false_matches']:.2g} are to be expected as similar as "
+            f"the first candidate, and {decision['expected_false_matches']:.2g} beyond the limit."
         )
     if searched["without_code"]:
         lines.append(
@@ -120,16 +125,12 @@ def _verdict(facts: dict[str, Any]) -> str:
     if facts["searched"]["captures"] == 0:
         return "No match: there is nothing to compare with."
     if decision is None:
-        return "No decision: " + (
-            "the gallery keeps minutiae, of which other fingers seldom reach a similarity of 40."
-            if facts["by"] == "minutiae"
-            else "with other settings than the shipped ones false match rates are not known."
-        )
-    at = f"similarity {decision['threshold']:.4f} or more, a false match rate of {decision['fmr']:g} a comparison"
+        return "No decision: with other settings than the shipped ones false match rates are not known."
+    at = f"decided at a false match rate of {one_in(decision['fmr'])} a comparison"
     best = facts["candidates"][0]
     if facts["mode"] == "verification":
         said = "Verified" if decision["match"] else "Not verified"
-        return f"{said}: {facts['person']} (needed: {at})."
+        return f"{said}: {facts['person']} ({at})."
     if not decision["match"]:
-        return f"No match: nobody reaches the threshold ({at})."
-    return f"Match: {best['person']}, {best['finger'].replace('_', ' ')} (needed: {at})."
+        return f"No match: nobody is similar enough ({at})."
+    return f"Match: {best['person']}, {best['finger'].replace('_', ' ')} ({at})."

@@ -98,8 +98,9 @@ def _write_target(options: argparse.Namespace) -> Outcome:
     }
     sheet = options.out if as_file else options.out / _SHEET
     lines = [
-        f"{sheet}: {across * down} checkerboards of {width:g} x {height:g} mm ({board.columns} x "
-        f"{board.rows} inner corners), and the disc with {len(dots_mm(settings))} dots, on one sheet of A4.",
+        f"{sheet}: {across * down} checkerboards of {width:g} x {height:g} mm (--board "
+        f"{board.columns}x{board.rows}: inner corners, where four squares meet; {board.columns + 1} x {board.rows + 1} "
+        f"squares), and the disc with {len(dots_mm(settings))} dots, on one sheet of A4.",
         f"Print it at 100 %; the ruler must measure {RULER_MM:g} mm.",
     ]
     return facts, lines
@@ -353,4 +354,5 @@ def _part_lines(facts: dict[str, Any], out: Path) -> list[str]:
             f"longest bridge {checks['overhang']['bridge_mm']:.1f} mm"
         )
         lines += [f"    {finding}" for finding in part["findings"]]
-    return [*lines, f"Written to {out}: stl/, step/, assembly.step, pictures/, parts.json."]
+    pictures = "pictures/, " if facts["pictures"] else ""
+    return [*lines, f"Written to {out}: stl/, step/, assembly.step, {pictures}parts.json."]

@@ -45,7 +45,7 @@ class Parser(argparse.ArgumentParser):
             if not any(option.startswith(word) for option in options):
                 message += _suggestion(word, options)
                 break
-        super().error(one_line(message))
+        self.exit(2, f"{self.prog}: error: {one_line(message)}\nSee '{self.prog} --help'.\n")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         try:

@@ -20,7 +20,7 @@ from splitknit.gallery.shards import Shards
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import read_side
-from splitknit.matching.methods import as_calibrated, false_match_rate, side_minutiae, similarity_at
+from splitknit.matching.methods import as_calibrated, false_match_rate, fmr_basis, side_minutiae, similarity_at
 from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import Minutiae, unpack_minutiae
 from splitknit.matching.ridge import RidgeMatchSettings, prepared, ridge_match
@@ -116,9 +116,10 @@ def identify_file(
         require(
             mapped is None or not of_minutiae, f"'{gallery}' keeps minutiae, which have no codes; leave out --shards."
         )
-        calibrated = as_calibrated(settings.matching) and not of_minutiae
+        calibrated = of_minutiae or as_calibrated(settings.matching)
         if calibrated:
-            similarity_at(question.fmr)  # refused here, before anything is made, where no such rate was measured
+            # refused here, before anything is made, where no such rate was measured
+            similarity_at(question.fmr, "minutiae_of_prints" if of_minutiae else "ridge")
         pool = _pool(opened, person, finger, "exhaustive" if of_minutiae else "codes" if mapped else question.search)
         side = read_side(
             probe, preset, settings.matching, lambda stage, fraction: progress(stage, 0.5 * fraction), input_ppi
@@ -133,7 +134,7 @@ def identify_file(
         started = time.perf_counter()
         found, facts = _search(opened, made, pool, mapped, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
-    by = facts["compared_by"]
+    by = {"minutiae": "minutiae_of_prints"}.get(facts["compared_by"], facts["compared_by"])
     threshold = similarity_at(question.fmr, by) if calibrated else None
     candidates = _merged(found, question.merge)[: question.top]
     rated = by if calibrated else None
@@ -158,6 +159,7 @@ def identify_file(
         "searched": facts,
         "merge": question.merge,
         "candidates": reported,
+        "fmr_basis": fmr_basis(by) if calibrated else None,
         "decision": decision,
         "timings_s": {"search": seconds},
     }

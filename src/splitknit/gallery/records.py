@@ -22,12 +22,12 @@ from splitknit.gallery.entry import Entry
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.capture import photographs_hint
-from splitknit.io.iso19794 import read_iso19794
+from splitknit.io.capture import photographs_hint, read_capture
 from splitknit.io.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView
 from splitknit.io.print_formats import FORMATS, WRITTEN, WSQ_PPI, PrintFormat, Writing
-from splitknit.io.prints import PrintFile, provenance_texts, read_print_png
+from splitknit.io.prints import PrintFile, provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
+from splitknit.io.results import MESHES, mesh_chunks, read_result
 from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
@@ -35,7 +35,15 @@ from splitknit.matching.minutiae_record import PPI, holds_minutiae, no_minutiae,
 from splitknit.matching.ridge_band import blur
 from splitknit.matching.template import VERSION, Template, unpack
 from splitknit.model import Progress, no_progress
-from splitknit.prints.from_file import coded_finger, finger_view, pressed_print, read_print_file, resampled
+from splitknit.pipeline import reconstruct
+from splitknit.prints.from_file import (
+    coded_finger,
+    finger_view,
+    pressed_print,
+    read_print_file,
+    read_print_folder,
+    resampled,
+)
 from splitknit.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
 from splitknit.prints.sources import read_source
 
@@ -59,7 +67,8 @@ class Exporting:
     """How fingers become records."""
 
     to: str | None = None
-    """A name of :data:`splitknit.io.print_formats.FORMATS`; None: PNG for pictures, ISO/IEC 19794-2 for minutiae."""
+    """A name of :data:`splitknit.io.print_formats.FORMATS` or of :data:`splitknit.io.results.MESHES`; None: PNG for
+    pictures, ISO/IEC 19794-2 for minutiae."""
     finger: str | None = None
     """``right_thumb`` to ``left_little``, or ``unknown``; None: as the source states."""
     impression: str | None = None
@@ -77,8 +86,8 @@ class Exporting:
 
     def __post_init__(self) -> None:
         require(
-            self.to is None or self.to in WRITTEN,
-            f"'{self.to}' is no format to write; choose one of {', '.join(WRITTEN)}.",
+            self.to is None or self.to in (*WRITTEN, *MESHES),
+            f"'{self.to}' is no format to write; choose one of {', '.join((*WRITTEN, *MESHES))}.",
         )
         fingers = f"choose one of {', '.join(FINGER_CODES)}."
         require(self.finger is None or self.finger in FINGER_CODES, f"'{self.finger}' is no finger; {fingers}")
@@ -140,6 +149,9 @@ def export_records(
         for number, source in enumerate(sources):
             progress(source.name, number / len(sources))
             own: dict[str, str] = {}
+            if settings.to in MESHES:
+                rows.append(_mesh(source, folder, settings, taken, hashes))
+                continue
             for item in _items(source, settings, key, own):
                 form = _format(item, settings)
                 file = _free(item.name, form.suffix, taken)
@@ -237,14 +249,33 @@ def _of_surface(source: Path, name: str, settings: Exporting, hashes: dict[str, 
     return _Item(name, taken.kind, PrintFile(made.image, PPI, {}, finger, "contactless"), made=made)
 
 
+def _mesh(source: Path, folder: Path, settings: Exporting, taken: set[str], hashes: dict[str, str]) -> dict[str, Any]:
+    """Write the surface of a capture or a result as a mesh; its facts."""
+    arrays = source / "height.npz" if source.is_dir() else source
+    if source.is_dir() and not arrays.is_file() and (source / "capture.json").is_file():
+        capture = read_capture(source)
+        hashes.update(capture.hashes)
+        kind, result = "capture", naming(source, lambda: reconstruct(capture, settings.preset))
+    else:
+        named = arrays.suffix.lower() == ".npz" and arrays.is_file()
+        require(named, f"'{source}' has no surface for a mesh; name a result (height.npz) or a capture (capture.json).")
+        hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
+        kind, result = "result", read_result(source)
+    assert settings.to is not None
+    title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or settings.preset}"
+    facts, chunks = naming(source, lambda: mesh_chunks(result, cast(str, settings.to), title))
+    file = _free(_safe(source.resolve().name if source.is_dir() else source.stem), f".{settings.to}", taken)
+    with (folder / file).open("wb") as stream:
+        stream.writelines(chunks)
+    return {"file": file, "source": str(source), "kind": kind, **facts}
+
+
 def _of_print_folder(source: Path, name: str, hashes: dict[str, str]) -> _Item:
     """What ``splitknit print`` wrote."""
-    picture, record = read_print_png(source / "print.png"), source / "minutiae.iso"
-    view: FingerView | None = None
-    require(picture.resolution_ppi is not None, f"'{source}' states no resolution; make the print again.")
-    if record.is_file():
-        view = dataclasses.replace(read_iso19794(record).views[0], impression="contactless")
-        hashes[f"{source.name}/minutiae.iso"] = file_hash(record)
+    picture, view = read_print_folder(source)
+    if view is not None:
+        view = dataclasses.replace(view, impression="contactless")
+        hashes[f"{source.name}/minutiae.iso"] = file_hash(source / "minutiae.iso")
     hashes[f"{source.name}/print.png"] = file_hash(source / "print.png")
     finger = "unknown" if view is None else view.finger
     return _Item(name, "print", dataclasses.replace(picture, finger=finger, impression="contactless"), view)

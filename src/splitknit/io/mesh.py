@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -148,6 +148,32 @@ def _chunks(vertices: FloatArray, faces: NDArray[np.int32], title: str) -> Itera
         records["normal"] = np.divide(across, length, out=np.zeros_like(across), where=length > 0)
         records["corners"] = corners
         yield records.tobytes()
+
+
+def obj_chunks(
+    vertices_mm: FloatArray, normals: FloatArray, faces: NDArray[np.int32], comments: Sequence[str] = ()
+) -> Iterator[bytes]:
+    """Yield the bytes of a Wavefront OBJ file: vertices with normals, then triangles.
+
+    Parameters
+    ----------
+    vertices_mm : (N, 3), mm, written to 10 nm; OBJ knows no unit, so the first comment states it
+    normals : (N, 3), unit length
+    faces : (M, 3) indices of vertices, counter-clockwise seen from outside
+    comments : single lines
+
+    References
+    ----------
+    Wavefront Technologies, "Advanced Visualizer", appendix B1: Object Files.
+    """
+    yield "".join(f"# {text}\n" for text in ("unit mm", *comments)).encode("ascii", "replace")
+    for pattern, rows in (("v %.5f %.5f %.5f\n", vertices_mm), ("vn %.4f %.4f %.4f\n", normals)):
+        for start in range(0, len(rows), _CHUNK):
+            part = rows[start : start + _CHUNK]
+            yield (pattern * len(part) % tuple(part.ravel().tolist())).encode("ascii")
+    for start in range(0, len(faces), _CHUNK):
+        corners = np.repeat(faces[start : start + _CHUNK] + 1, 2, axis=1)
+        yield ("f %d//%d %d//%d %d//%d\n" * len(corners) % tuple(corners.ravel().tolist())).encode("ascii")
 
 
 # Binary glTF 2.0 (``.glb``) of a surface.

@@ -22,7 +22,7 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.images import read_image
-from splitknit.io.mesh import bands, triangulate
+from splitknit.io.mesh import bands, glb_chunks, obj_chunks, stl_chunks, triangulate
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.ply import write_ply_pieces
@@ -189,6 +189,9 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
     write_npz(path, arrays)
 
 
+_AXES = "x right, y to the fingertip, z to the camera"
+
+
 def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Vertices (n, 3) in mm, normals (n, 3) and intensity (n,) of the pixels `valid` of the mask's box, some rows at a
     time, tip along +y."""
@@ -226,13 +229,46 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
     _, triangles, faces = triangulate(valid)
     comments = [
         f"splitknit {origin['version']}, preset {result.preset}",
-        f"unit {'mm' if result.scale_known else 'pixel, the scale is unknown'}; x right, y to the fingertip, z to the "
-        "camera",
+        f"unit {'mm' if result.scale_known else 'pixel, the scale is unknown'}; {_AXES}",
         f"settings_sha256 {origin['settings_sha256']}",
         f"inputs_sha256 {settings_hash(origin['inputs'])}",
     ]
     vertices = int(np.count_nonzero(valid)), _vertices(result, valid)
     write_ply_pieces(path, vertices, (triangles, faces), comments)
+
+
+MESHES = ("stl", "obj", "glb")
+"""Kinds of :func:`mesh_chunks`."""
+
+
+def mesh_chunks(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], Iterator[bytes]]:
+    """Return facts of a mesh of the surface, as ``phalange.ply`` has it, and the bytes of its file.
+
+    Parameters
+    ----------
+    result : Reconstruction
+    kind : ``stl``, ``obj`` (coordinates in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it)
+    title : one line for the file's header
+
+    Raises
+    ------
+    BadInput
+        If the result has no scale or no surface.
+    """
+    require(result.scale_known, NO_SCALE)
+    box = bounding_box(result.mask)
+    valid = result.mask[box] & np.isfinite(result.height_mm[box])
+    _, count, pieces = triangulate(valid)
+    require(count > 0, "the result holds no surface; reconstruct the capture again.")
+    vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
+    faces = np.concatenate(list(pieces))
+    facts = {"vertices": len(vertices), "faces": count, "unit": "mm"}
+    if kind == "stl":
+        return facts, stl_chunks(vertices, faces, title)
+    if kind == "obj":
+        return facts, obj_chunks(vertices, normals, faces, (title, _AXES))
+    grey = np.round(intensity * np.float32(255.0)).astype(np.uint8)
+    return facts, glb_chunks(vertices, normals, grey, faces, {"title": title, "axes": _AXES})[1]
 
 
 def write_normals(path: Path, result: Reconstruction, origin: Origin, normals: FloatArray | None = None) -> None:

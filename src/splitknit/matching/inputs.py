@@ -31,7 +31,7 @@ class Side:
     picture: NDArray[np.uint8] | None = None
     """(H, W) of a print, at 500 ppi."""
     minutiae: Minutiae | None = None
-    """Of a record, or of a template that holds minutiae."""
+    """Of a record, of a template that holds minutiae, or of a folder that ``splitknit print`` wrote."""
 
     @property
     def payload(self) -> bytes:
@@ -54,7 +54,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
     Raises
     ------
     BadInput
-        If it is none of the five, or cannot be read.
+        If it is none of these, or cannot be read.
     """
     if isinstance(given, Reconstruction | Capture):
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
@@ -74,11 +74,13 @@ def read_side(  # noqa: PLR0911 - one for each kind
     if path.is_dir():
         from splitknit.io.capture import photographs_hint, read_capture  # noqa: PLC0415 - a template needs none of it
 
+        if (path / "map.npz").is_file() and (path / "print.png").is_file():
+            return _print_folder(path, settings)
         kind = "result" if (path / "height.npz").is_file() else "capture"
         known = kind == "result" or (path / "capture.json").is_file()
         require(
             known,
-            f"'{path}' is neither a result (height.npz) nor a capture (capture.json); name one "
+            f"'{path}' is neither a result (height.npz), a capture (capture.json) nor a print (print.png); name one "
             f"{photographs_hint(path)}.",
         )
         if kind == "result":
@@ -104,6 +106,16 @@ def read_side(  # noqa: PLR0911 - one for each kind
     printed = naming(path, lambda: resampled(finger))
     template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
     return naming(path, lambda: Side(path, "print", None, template, printed.image))
+
+
+def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
+    """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
+    from splitknit.prints.from_file import minutiae_of, read_print_folder, resampled  # noqa: PLC0415
+
+    picture, view = read_print_folder(folder)
+    printed = naming(folder, lambda: resampled(picture))
+    template = naming(folder, lambda: print_template(printed.image, settings=settings))
+    return Side(folder, "print", None, template, printed.image, None if view is None else minutiae_of(view))
 
 
 def is_of_minutiae(path: Path) -> bool:

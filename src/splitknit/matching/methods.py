@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
@@ -27,10 +28,22 @@ from splitknit.settings import override
 SPACE_METHODS = ("minutiae3d", "surface-code", "tetrahedra")
 """Those that compare surfaces in space."""
 METHODS = ("auto", "ridge", "fusion", "thesis", "minutiae", "voted", *SPACE_METHODS)
-_TABLES = {"ridge": "match_fmr.json", "fusion": "match_fmr_prints.json", "minutiae": "match_fmr_minutiae.json"}
-"""Made by validation/match/impostors.py (the first two) and impostors_minutiae.py."""
+TABLES = {
+    "ridge": "match_fmr.json",
+    "fusion": "match_fmr_prints.json",
+    "minutiae": "match_fmr_minutiae.json",
+    "minutiae_of_prints": "match_fmr_minutiae_prints.json",
+    "minutiae3d": "match_fmr_minutiae3d.json",
+    "tetrahedra": "match_fmr_tetrahedra.json",
+    "surface_code": "match_fmr_surface_code.json",
+}
+"""Impostor scores of simulated fingers, made by validation/match/impostors.py."""
 _FMR_ROUNDING = 1e-5
 """Of the similarities in it: no rate comes out too low."""
+_WHOLE = ("minutiae", "minutiae_of_prints")
+"""bozorth3's scores are whole numbers."""
+DECIDED_AT = 1e-4
+"""False match rate at which is decided whether it is one finger."""
 
 
 def match_files(
@@ -43,6 +56,7 @@ def match_files(
     settings: MatchingSettings | dict[str, Any] | None = None,
     progress: Progress = no_progress,
     input_ppi: float | None = None,
+    fmr: float | None = None,
 ) -> dict[str, Any]:
     """Compare two fingers' files, or make the template of one; return facts for ``--json``.
 
@@ -62,11 +76,14 @@ def match_files(
         By which captures are reconstructed.
     input_ppi
         Resolution of prints whose files do not state it.
+    fmr
+        False match rate at which is decided whether it is one finger (``decision``); by default 1e-4, or the smallest
+        one that the method's impostor scores can state.
 
     Raises
     ------
     BadInput
-        Naming the file at fault.
+        Naming the file at fault, or if `fmr` is below what was measured.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
@@ -90,6 +107,7 @@ def match_files(
             if first.kind == second.kind == "print" and not installed():
                 facts["fusion_missing"] = "nbis-py is not installed"
         progress("comparing", 0.9)
+        require(fmr is None or 0 < fmr < 1, f"fmr must lie between 0 and 1, but it is {fmr}.")
         compare: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
             "ridge": _by_ridges,
             "fusion": _fused,
@@ -101,7 +119,7 @@ def match_files(
         found = compare[method](first, second, chosen)
         for name, side in zip("ab", found.pop("sides", ()), strict=False):
             facts[name] |= side
-        facts |= found
+        facts |= found | _rated(found, _scores_of(method, first, second), chosen, fmr)
     if template is not None:
         payload = first.payload
         write_template(template, payload, VERSION)
@@ -120,7 +138,6 @@ def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     found = ridge_match(_template(a), _template(b), settings.ridge)
     return {
         "similarity": found.similarity,
-        "fmr": false_match_rate(found.similarity) if found.compared and as_calibrated(settings) else None,
         "compared": found.compared,
         **_laid(found),
     }
@@ -133,19 +150,17 @@ def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
         minutiae = _template(side).minutiae
         if minutiae is None:
             if side.kind == "print":
-                side_minutiae(side)  # refused where nbis-py is not installed
+                naming(side.path, partial(extract, _print_of(side)[0], PPI))  # refused where nbis-py is not installed
             raise BadInput(
                 f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
                 "one, or a template (.skt) that was made of one."
             )
         sides.append({"minutiae": minutiae.count, "acquired": minutiae.acquired or not _template(side).empty})
     found = fused_match(prepared(_template(a), settings.ridge), prepared(_template(b), settings.ridge))
-    rated = found.compared and as_calibrated(settings)
     return {
         "similarity": found.similarity,
         "similarity_of_ridges": found.ridge.similarity,
         "similarity_of_minutiae": found.minutiae,
-        "fmr": false_match_rate(found.similarity, "fusion") if rated else None,
         "compared": found.compared,
         **_laid(found.ridge),
         "sides": sides,
@@ -161,40 +176,75 @@ def _laid(found: RidgeMatch) -> dict[str, Any]:
     }
 
 
-def false_match_rate(similarity: float, method: str = "ridge") -> float | None:
-    """Rate at which other (simulated) fingers reach this similarity of ``ridge`` or ``fusion``; None without a table.
+def _scores_of(method: str, a: Side, b: Side) -> str:
+    """Which table holds the impostor scores of a comparison."""
+    of_surfaces = a.surface is not None and b.surface is not None
+    return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
+
+
+def _rated(
+    found: dict[str, Any], scores: str, settings: MatchingSettings, fmr: float | None
+) -> dict[str, dict[str, Any] | float | str | None]:
+    """What a similarity means: the false match rate and its basis, or why there is none, and the decision at `fmr`."""
+    table = _fmr_table(scores)
+    if table is None:
+        missing: str | None = f"false match rates of the method {scores} were not measured"
+    elif not as_calibrated(settings, scores):
+        missing = "with other settings than the shipped ones false match rates are not known"
+    else:
+        missing = None if found["compared"] else "nothing was compared"
+    if table is None or missing is not None:
+        return {"fmr": None, "fmr_missing": missing, "fmr_basis": None, "decision": None}
+    at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
+    threshold = similarity_at(at, scores)
+    return {
+        "fmr": false_match_rate(found["similarity"], scores),
+        "fmr_missing": None,
+        "fmr_basis": fmr_basis(scores),
+        "decision": {"match": found["similarity"] >= threshold, "fmr": at, "threshold": threshold},
+    }
+
+
+def fmr_basis(method: str = "ridge") -> dict[str, Any]:
+    """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
+    table = _measured(method)
+    return {"impostors": table.impostors, "population": table.population, "smallest": table.smallest}
+
+
+def false_match_rate(similarity: float, method: str = "ridge") -> float:
+    """Rate at which other (simulated) fingers reach this similarity of a method of :data:`TABLES`.
 
     Never below one over the number of impostor comparisons that the table was measured on.
     """
-    table = _fmr_table(_TABLES[method])
-    return None if table is None else table(similarity - _FMR_ROUNDING)
+    return _measured(method)(similarity - (0.0 if method in _WHOLE else _FMR_ROUNDING))
 
 
-def similarity_at(fmr: float, method: str = "ridge") -> float | None:
-    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less; None without a table.
+def similarity_at(fmr: float, method: str = "ridge") -> float:
+    """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less.
 
     Raises
     ------
     BadInput
         If the table was measured on too few comparisons to state such a rate.
     """
-    table = _fmr_table(_TABLES[method])
-    if table is None:
-        return None
+    table = _measured(method)
     enough = table.fmr <= fmr
     require(
         bool(enough.any()),
-        f"false match rates were measured on {table.impostors} comparisons, so that none below {table.fmr.min():.2g} "
+        f"false match rates were measured on {table.impostors} comparisons, so that none below {table.smallest:.2g} "
         f"can be stated; give a larger one than {fmr:g}.",
     )
-    step = int(np.ceil(table.similarity[np.argmax(enough)] / _FMR_ROUNDING)) + 1
-    return step * _FMR_ROUNDING
+    least = float(table.similarity[np.argmax(enough)])
+    return math.ceil(least) if method in _WHOLE else (math.ceil(least / _FMR_ROUNDING) + 1) * _FMR_ROUNDING
 
 
-def as_calibrated(settings: MatchingSettings) -> bool:
+def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
     """Whether scores mean what they meant when the table was measured."""
+    ridges = ("band", "template", "ridge")
+    names = {"ridge": ridges, "fusion": ridges, "surface_code": ("surface_code", "surface_match")}
     plain = MatchingSettings()
-    return (settings.band, settings.template, settings.ridge) == (plain.band, plain.template, plain.ridge)
+    asked = names.get(method, (method,) if hasattr(plain, method) else ())
+    return all(getattr(settings, name) == getattr(plain, name) for name in asked)
 
 
 def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
@@ -210,7 +260,6 @@ def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     found = thesis_match(images[0], images[1], settings.thesis)
     return {
         "similarity": found.similarity,
-        "fmr": None,
         "compared": found.compared,
         "overlap": found.ratio,
         "dissimilarity": dict(found.dissimilarity),
@@ -226,21 +275,22 @@ def _template(side: Side) -> Template:
 
 
 def _facts(side: Side) -> dict[str, Any]:
-    if side.minutiae is not None:
+    template = side.template
+    if template is None:
+        assert side.minutiae is not None
         return {"path": str(side.path), "kind": side.kind, "area_mm2": 0.0, "acquired": side.minutiae.acquired}
-    template = _template(side)
     return {"path": str(side.path), "kind": side.kind, "area_mm2": template.area_mm2, "acquired": not template.empty}
 
 
 def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
-    """Compare by minutiae: similarity, false match rate, and what each side's print holds.
+    """Compare by minutiae: similarity, and what each side's print holds.
 
     Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
     side is a template of ridges, or nbis-py is not installed.
     """
     found, facts = [side_minutiae(side) for side in (a, b)], []
     for side, minutiae in zip((a, b), found, strict=True):
-        quality = NFIQ2_FAILED if side.minutiae is not None else nfiq2(_print_of(side)[0], PPI)
+        quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side)[0], PPI)
         facts.append(
             {
                 "minutiae": minutiae.count,
@@ -251,19 +301,18 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]
         )
     compared = all(one.acquired for one in found)
     similarity = minutiae_match(*found)
-    rate, why = _rate(a, b, similarity, compared)
     return {
         "similarity": similarity,
         "similarity_with_ridges": _joined(a, b, similarity) if compared else None,
-        "fmr": rate,
-        "fmr_missing": why,
         "compared": compared,
         "sides": facts,
     }
 
 
 def side_minutiae(side: Side) -> Minutiae:
-    """Minutiae of a side: those of its record, or found in its print; that of a surface is its relief.
+    """Minutiae of a side: those of its record, or of its print, as ``splitknit print`` finds them.
+
+    Those of a surface are mindtct's, of its relief seen from above.
 
     Raises
     ------
@@ -272,16 +321,12 @@ def side_minutiae(side: Side) -> Minutiae:
     """
     if side.minutiae is not None:
         return side.minutiae
-    if side.picture is not None and side.template is not None and side.template.minutiae is not None:
-        return side.template.minutiae  # found as the template was made
     image, pressed = _print_of(side)
-    return naming(side.path, lambda: extract(image, PPI, enhance=pressed))
+    if pressed:
+        from splitknit.prints.from_file import print_minutiae  # noqa: PLC0415 - a template needs none of it
 
-
-def _minutiae_false_match_rate(similarity: float) -> float | None:
-    """Rate at which other (simulated) fingers' relief prints reach this similarity; None without a table."""
-    table = _fmr_table(_TABLES["minutiae"])
-    return None if table is None else table(similarity)
+        return naming(side.path, partial(print_minutiae, image))
+    return naming(side.path, partial(extract, image, PPI))
 
 
 def _joined(a: Side, b: Side, similarity: float) -> float | None:
@@ -290,16 +335,6 @@ def _joined(a: Side, b: Side, similarity: float) -> float | None:
         return None
     found = ridge_match(a.template, b.template)
     return fused_similarity(similarity, found.similarity if found.compared else float("nan"))
-
-
-def _rate(a: Side, b: Side, similarity: float, compared: bool) -> tuple[float | None, str | None]:
-    """False match rate, or why there is none."""
-    if not compared:
-        return None, "nothing was compared"
-    if a.surface is None or b.surface is None:
-        return None, "rates were measured on relief prints of surfaces, not on prints from files"
-    rate = _minutiae_false_match_rate(similarity)
-    return rate, None if rate is not None else "no rates were measured"
 
 
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
@@ -321,7 +356,7 @@ def _in_space(method: str, a: Side, b: Side, settings: MatchingSettings) -> dict
     """
     surfaces = [_surface(side, method) for side in (a, b)]
     compare = _by_codes if method == "surface-code" else partial(_by_space_minutiae, method)
-    return {"fmr": None, **compare((a, b), surfaces, settings)}
+    return compare((a, b), surfaces, settings)
 
 
 def _surface(side: Side, method: str) -> Surface:
@@ -387,8 +422,6 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
     return {
         "similarity": minutiae_match(*sides),
         "similarity_with_ridges": None,
-        "fmr": None,
-        "fmr_missing": "rates were measured on minutiae of relief prints, not on voted ones",
         "compared": all(one.acquired for one in sides),
         "sides": facts,
     }
@@ -406,10 +439,16 @@ def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
 
 
 @cache
-def _fmr_table(name: str) -> FmrTable | None:
-    """Table in the package's file `name`; None where it was not measured."""
-    file = Path(__file__).with_name(name)
-    if not file.is_file():
+def _fmr_table(method: str) -> FmrTable | None:
+    """Impostor scores of a method; None where they were not measured."""
+    if method not in TABLES:
         return None
-    document = json.loads(file.read_text(encoding="utf-8"))
-    return FmrTable(np.array(document["similarity"]), np.array(document["fmr"]), int(document["impostors"]))
+    document = json.loads(Path(__file__).with_name(TABLES[method]).read_text(encoding="utf-8"))
+    scores, rates = np.array(document["similarity"]), np.array(document["fmr"])
+    return FmrTable(scores, rates, int(document["impostors"]), document["what"])
+
+
+def _measured(method: str) -> FmrTable:
+    table = _fmr_table(method)
+    assert table is not None, method
+    return table

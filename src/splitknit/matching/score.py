@@ -50,6 +50,13 @@ class FmrTable:
     """(K,) falling; rate of impostor scores at or above `similarity`."""
     impostors: int
     """Comparisons behind it: no rate below 1 / (impostors + 1) is ever stated."""
+    population: str = ""
+    """Whose fingers were compared."""
+
+    @property
+    def smallest(self) -> float:
+        """The smallest rate that it can state: none of its impostors is as similar."""
+        return float(self.fmr.min())
 
     def __call__(self, similarity: float) -> float:
         """False match rate if this similarity were the threshold; never below what the table was measured on."""

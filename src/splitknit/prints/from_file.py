@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.io.iso19794 import read_iso19794
 from splitknit.io.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
 from splitknit.io.print_formats import read_prints
-from splitknit.io.prints import PrintFile
+from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.matching.minutiae import at_500_ppi, enhance_print
-from splitknit.matching.minutiae_record import PPI, Minutiae
+from splitknit.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit.model import BoolArray
-from splitknit.prints.make import Print
+from splitknit.prints.make import Print, enhance, minutiae_by_phase
 from splitknit.prints.print_map import plane_map
 from splitknit.prints.ridge_field import ridge_field
 
@@ -73,6 +74,19 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
         f"{path} holds {len(found)} prints; take them apart: splitknit import {path} --out DIR.",
     )
     return found[0]
+
+
+def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
+    """Read what ``splitknit print`` wrote: the print, and its minutiae if they were found.
+
+    Raises
+    ------
+    BadInput
+        If a file is damaged, or the print states no resolution.
+    """
+    picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
+    require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
+    return picture, read_iso19794(record).views[0] if record.is_file() else None
 
 
 def resampled(item: PrintFile) -> PrintFile:
@@ -184,6 +198,15 @@ def finger_view(found: Minutiae, quality: int, finger: object = "unknown", impre
         impression=impression,
         resolution_ppcm=pixels_per_cm(PPI),
     )
+
+
+def print_minutiae(image: NDArray[np.uint8]) -> Minutiae:
+    """Minutiae of a print (H, W) of 500 ppi, as ``splitknit print`` and ``export`` find them; none without ridges."""
+    try:
+        made = pressed_print(PrintFile(image, PPI, {}))
+        return minutiae_by_phase(made, enhance(made, PPI), PPI)
+    except BadInput:
+        return no_minutiae((image.shape[0], image.shape[1]))
 
 
 def coded_finger(finger: object) -> str:

@@ -17,6 +17,7 @@ from splitknit.errors import require
 from splitknit.io.rig import read_rig
 from splitknit.model import Rig, default_rig, nominal_rig
 from splitknit.settings import flatten, override
+from splitknit.simulator.bench_photos import BOARD
 from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
 from splitknit.simulator.camera.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
@@ -147,11 +148,11 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[Scene, str]:
         x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
         return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
     if name == "board":
-        pose = board_poses(seed, 1, camera)[0]
-        scene = BoardScene(
-            camera=camera, leds=leds, rotation_vector=pose.rotation_vector, translation_mm=pose.translation_mm
-        )
-        return scene, "a checkerboard of 7 x 10 squares of 3 mm was held"
+        pose = board_poses(seed, 1, camera, BOARD)[0]
+        turn, middle = pose.rotation_vector, pose.translation_mm
+        scene = BoardScene(camera=camera, leds=leds, board=BOARD, rotation_vector=turn, translation_mm=middle)
+        size = f"{BOARD.columns}x{BOARD.rows}"
+        return scene, f"a checkerboard of {size} inner corners (--board {size}) was held"
     makers: dict[str, type[CardScene | DiscScene | SphereScene]] = {
         "card": CardScene,
         "disc": DiscScene,

@@ -231,7 +231,10 @@ def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
 
 def _words(page: _Page, settings: TargetSettings) -> None:
     x, y = _PAGE_MARGIN_MM, A4_MM[1] - _PAGE_MARGIN_MM - 4
-    board = f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm"
+    board = (
+        f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm "
+        f"(--board {settings.columns}x{settings.rows} --square-mm {settings.square_mm:g})"
+    )
     disc = f"disc with dots of {DOT_MM:g} mm every {settings.spacing_mm:g} mm"
     page.text(f"splitknit: {board}; {disc}.", x, y)
     page.text(
