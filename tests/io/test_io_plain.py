@@ -10,7 +10,8 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
-from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.light_list import read_lights_txt
+from splitknit.io.plain import capture_from_plain_images
 
 
 @pytest.fixture
