@@ -39,7 +39,7 @@ Background = float | str | os.PathLike[str] | None
 _SAME_DEG = 0.5
 """Lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`."""
 _MAX_PHOTOS = 1000
-_NO_CAMERA = camera_without_scale((1, 1))
+_NO_CAMERA = Camera(1.0, (1, 1))
 _ASKED, _ASKED_PIXELS = 24, 20_000
 """Photographs and pixels of each that show the encoding."""
 _LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
@@ -352,6 +352,10 @@ def _assembled(  # noqa: PLR0917
             f"{reading.factor:g} pixels."
         )
     camera = _camera_of(rig.camera, reading, px_per_mm)
+    require(
+        camera.scale_known or all(led.position_mm is None for led in leds),
+        "lights at places in mm need the scale of the photographs; give --px-per-mm, or directions of the lights.",
+    )
     band = Band(
         name="white",
         pixels=pixels,
