@@ -94,8 +94,8 @@ def one_heap() -> None:
                 libc.mallopt(parameter, value)
 
 
-IN_MEMORY = 500_000_000
-"""Bytes of stored images, or of their linear light, that are held in memory at once: more than a full frame of the
+IN_MEMORY, LIT_IN_MEMORY = 500_000_000, 250_000_000
+"""Bytes of stored images, and of their linear light, that are held in memory at once: more than a full frame of the
 rig."""
 
 

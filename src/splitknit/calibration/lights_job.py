@@ -312,7 +312,14 @@ def _of_sphere(job: LightsJob) -> dict[str, Any]:
     rows, columns = read_photo(photographs[0].path).pixels.shape[:2]
     size = (rows, columns)
     known = job.rig is not None or job.px_per_cm is not None
-    inputs = _rig_inputs(job) if known else _RigInputs(camera_without_scale(size), None)
+    near = job.led_height_cm is not None
+    require(
+        known or not near or job.out is None or _is_list(job.out),
+        "--led-height-cm gives places in mm, and a rig file with places needs the scale: give --px-per-cm and "
+        "--image-size, or --rig, or write a list of lights (--out lights.txt).",
+    )
+    dummy = Camera(1.0, size) if near else camera_without_scale(size)
+    inputs = _rig_inputs(job) if known else _RigInputs(dummy, None)
     hashes: dict[str, str] = {}
     paths = [one.path for one in photographs]
     camera_size = inputs.camera.image_size
