@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.io.plain import read_lights_txt
+from splitknit.io.light_list import read_lights_txt
 from splitknit.photometric.frames import FRAMES, fit_light_frame
 from splitknit.photometric.lambertian import lambertian
 

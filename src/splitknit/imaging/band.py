@@ -69,7 +69,8 @@ def shading_is_srgb(codes: NDArray[np.floating], vectors: NDArray[np.float64]) -
     """
     top = codes.max(axis=0)
     lit = (codes > 0.25 * top) & (codes < 0.97)
-    good = (np.count_nonzero(lit, axis=0) >= 4) & (top > 0.15)
+    shaded = top - codes.min(axis=0) > 0.05  # no background
+    good = (np.count_nonzero(lit, axis=0) >= 4) & (top > 0.15) & shaded
     codes, lit = codes[:, good].astype(np.float64), lit[:, good].astype(np.float64)
     if len(vectors) < 6 or not codes.size:
         return False
