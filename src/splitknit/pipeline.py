@@ -53,7 +53,7 @@ from splitknit.skin.images import HOW, SkinImages, working_images
 from splitknit.skin.learned import LITTLE_GLOSS, Networks, can_learn, relief_by_network, with_its_power
 from splitknit.skin.relief import detail_of
 from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
-from splitknit.steps import LIT_IN_MEMORY, Memory, shared, step
+from splitknit.steps import IN_MEMORY, Memory, shared, step
 
 if TYPE_CHECKING:
     from splitknit.mirrors.captured import SeenInMirrors
@@ -484,11 +484,11 @@ Solve = Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
 
 def pixel_by_pixel(capture: Capture, band: Band, finger: Finger) -> Callable[[Solve], tuple[FloatArray, FloatArray]]:
     """What applies a method to the linear images of a band: all rows at once, or strips of rows where the images take
-    more than :data:`splitknit.steps.LIT_IN_MEMORY`; then each method reads them anew.
+    more than :data:`splitknit.steps.IN_MEMORY`; then each method reads them anew.
     """
     rows, columns = finger.window
     height, width = finger.inside.shape
-    step = max(1, LIT_IN_MEMORY // (4 * len(band.lights) * width))
+    step = max(1, IN_MEMORY // (4 * len(band.lights) * width))
     whole = linear_grey(band, capture.encoding, "grey", finger.window) if step >= height else None
 
     def apply(solve: Solve) -> tuple[FloatArray, FloatArray]:

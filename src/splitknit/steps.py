@@ -94,9 +94,9 @@ def one_heap() -> None:
                 libc.mallopt(parameter, value)
 
 
-IN_MEMORY, LIT_IN_MEMORY = 500_000_000, 250_000_000
-"""Bytes of stored images, and of their linear light, that are held in memory at once: more than a full frame of the
-rig."""
+IN_MEMORY = 250_000_000
+"""Bytes of photographs, and of the linear light of a band, that are held in memory at once; a full frame of the rig has
+197 million in a band."""
 
 
 def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -236,7 +236,7 @@ def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch
     results = []
     for bound in (IN_MEMORY, 100_000):
         write_image(tmp_path / "mask.png", np.full((120, 120), 255, np.uint8))
-        for name in ("steps.IN_MEMORY", "io.plain.IN_MEMORY", "pipeline.LIT_IN_MEMORY", "finger.locate.LIT_IN_MEMORY"):
+        for name in ("steps.IN_MEMORY", "io.plain.IN_MEMORY", "pipeline.IN_MEMORY", "finger.locate.IN_MEMORY"):
             monkeypatch.setattr(f"splitknit.{name}", bound)
         said: list[str] = []
         capture = capture_from_photographs(tmp_path, px_per_mm=20.0, announce=said.append).capture

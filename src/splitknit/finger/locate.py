@@ -40,7 +40,7 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.settings import Checked
-from splitknit.steps import LIT_IN_MEMORY
+from splitknit.steps import IN_MEMORY
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
@@ -118,7 +118,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     px_per_mm = capture.rig.camera.px_per_mm
     white = capture.bands["white"]
     rows, columns = capture.shape
-    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / LIT_IN_MEMORY))  # 200 photographs are many
+    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / IN_MEMORY))  # 200 photographs are many
     binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM), fits)
     mean, stack = linear_survey(white, capture.encoding, binning)
     grey = pick_channel(mean, "grey")

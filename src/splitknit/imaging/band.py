@@ -250,7 +250,7 @@ def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArr
             light = _lit_light(band, k, encoding, (rows, slice(None)), binning, dark)
             grey[k, part] = pick_channel(light, "grey")
             total[part] += light
-        let_go(band.pixels)
+            let_go(band.pixels)
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(work, range(0, height, CHUNK_ROWS)))

@@ -44,9 +44,8 @@ _ASKED, _ASKED_PIXELS = 24, 20_000
 """Photographs and pixels of each that show the encoding."""
 _LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
 """Of one photograph and of all: what needs more is announced."""
-_FIXED_GB, _GB_PER_MEGAPIXEL, _DECODING, _MESH_MB = 0.4, 0.1, 3.0, 19.5
-"""Memory of a run, for a megapixel of the surface and times a decoded photograph, as docs/experiments/performance.md
-measures them; and a megapixel's mesh."""
+_FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.6, 0.11, 19.5
+"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
 _BRIGHTEST = 0.9
 """What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
 
@@ -475,7 +474,7 @@ class _Reading:
     def cost(self) -> str:
         """A sentence on memory and disk, where they are much."""
         count, used = len(self.files), self.megapixels / self.factor**2
-        memory = _FIXED_GB + used * _GB_PER_MEGAPIXEL + self.first.pixels.nbytes * _DECODING / 1e9
+        memory = _FIXED_GB + used * _GB_PER_MEGAPIXEL
         if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
             return ""
         disk = count * used * self.shape[2] * self.dtype.itemsize / 1e3
