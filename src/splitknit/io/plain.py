@@ -44,7 +44,7 @@ _ASKED, _ASKED_PIXELS = 24, 20_000
 """Photographs and pixels of each that show the encoding."""
 _LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
 """Of one photograph and of all: what needs more is announced."""
-_FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.6, 0.11, 19.5
+_FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
 """Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
 _BRIGHTEST = 0.9
 """What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
@@ -362,6 +362,7 @@ def _assembled(  # noqa: PLR0917
         exposure=np.ones(len(groups)),
         black_level=np.full(len(groups), black),
         ambient=ambient,
+        shading=camera.shading,
         files=tuple(str(files[group[0]]) for group in groups),
     )
     check_content(band)
