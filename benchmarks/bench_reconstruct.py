@@ -2,6 +2,7 @@
 
     python benchmarks/bench_reconstruct.py                  # full and half scale, metric, snk and ea
     python benchmarks/bench_reconstruct.py --profile        # the dearest functions of one full-frame run, then stops
+    python benchmarks/bench_reconstruct.py --photographs 200x3 8x45 8x45/10    # number x megapixels [/ --max-size]
 
 Every run is a process of its own (what it loads counts). The captures are simulated once into ``benchmarks/out`` and
 carry no truth: comparing is no part of a reconstruction.
@@ -150,6 +151,38 @@ def table(scale: float, presets: Sequence[str], rounds: int) -> None:
         print(f"| {words} | {seconds:.2f} |")
 
 
+def photographs(case: str) -> None:
+    """Print a row on photographs of a bumpy ball, such as ``200x3``: a drawn JPEG file of each light, opaque."""
+    import cv2  # noqa: PLC0415
+    import numpy as np  # noqa: PLC0415
+
+    sizes, _, limit = case.partition("/")
+    count, megapixels = (int(word) for word in sizes.split("x"))
+    folder = OUT / f"photographs_{sizes}"
+    if not (folder / "lights.txt").is_file():
+        folder.mkdir(exist_ok=True)
+        rows, columns = (int(np.sqrt(megapixels * 1e6 * ratio)) for ratio in (3 / 4, 4 / 3))
+        y, x = np.ogrid[-1 : 1 : rows * 1j, -4 / 3 : 4 / 3 : columns * 1j]
+        inner = np.clip(1 - (x**2 + y**2) / 0.9, 0, 1).astype(np.float32)
+        normal = [(part + 0.1 * np.sin(60 * part)).astype(np.float32) for part in (x + 0 * y, y + 0 * x)]
+        angles = np.arange(count) * 2.4
+        tilts = np.deg2rad(np.linspace(10, 50, count))
+        lights = np.stack([np.sin(tilts) * np.cos(angles), np.sin(tilts) * np.sin(angles), np.cos(tilts)], axis=1)
+        for k, (a, b, c) in enumerate(lights):
+            shade = (normal[0] * a - normal[1] * b + np.sqrt(inner) * c) * (inner > 0)
+            colour = [(np.clip(0.02 + a * shade, 0, 1) ** (1 / 2.2) * 255).astype(np.uint8) for a in (0.4, 0.6, 0.8)]
+            cv2.imwrite(str(folder / f"photo_{k}.jpg"), cv2.merge(colour), [cv2.IMWRITE_JPEG_QUALITY, 90])
+        np.savetxt(folder / "lights.txt", lights)
+    reduced = ("--max-size", limit) if limit else ()
+    target = OUT / "result_photographs"
+    command = splitknit("reconstruct", "--images", str(folder), "--px-per-mm", "20", "--out", str(target), *reduced)
+    run = run_process(command)
+    result_mb = sum(file.stat().st_size for file in target.iterdir()) / 1e6
+    mesh_mb = (target / "phalange.ply").stat().st_size / 1e6
+    cells = f"{run.wall_s:.0f} | {run.cpu_s:.0f} | {run.peak_mb:.0f} | {mesh_mb:.0f} | {result_mb:.0f}"
+    print(f"| {count} of {megapixels} MP | {limit or '-'} | {cells} |", flush=True)
+
+
 def profile(scale: float) -> None:
     """Print where one run spends its processor time (all threads of the process count while a function waits)."""
     from splitknit import read_capture, reconstruct  # noqa: PLC0415
@@ -173,9 +206,16 @@ def main() -> None:
     parser.add_argument("--scales", type=float, nargs="+", default=[1.0, 0.5])
     parser.add_argument("--presets", nargs="+", default=["metric", "snk", "ea"])
     parser.add_argument("--profile", action="store_true")
+    parser.add_argument("--photographs", nargs="+", metavar="COUNTxMP", help="memory of photographs alone")
     options = parser.parse_args()
     OUT.mkdir(exist_ok=True)
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled once, as where the package is installed
+    if options.photographs:
+        print("| photographs | `--max-size` | wall s | CPU s | peak MB | mesh MB | result MB |")
+        print("| --- | --- | --- | --- | --- | --- | --- |")
+        for case in options.photographs:
+            photographs(case)
+        return
     if options.profile:
         profile(options.scales[0])
         return

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from splitknit.api import identify as identify
     from splitknit.api import make_print as make_print
     from splitknit.api import match as match
+    from splitknit.api import read_photographs as read_photographs
     from splitknit.errors import BadInput as BadInput
     from splitknit.evaluation.accuracy import compare as compare
     from splitknit.io.capture import read_capture as read_capture
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "api": (
+        "read_photographs",
         "make_print",
         "match",
         "identify",

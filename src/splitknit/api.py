@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -9,17 +10,65 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.errors import require
-from splitknit.model import Capture, Reconstruction, no_progress
+from splitknit.model import Capture, Reconstruction, Rig, no_progress
 from splitknit.settings import override
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from splitknit.evaluation.study import Evaluation
     from splitknit.gallery.key import Key
     from splitknit.prints.make import Print
 
+_LOG = logging.getLogger(__name__)
 AnyPath = str | os.PathLike[str]
 Finger = Reconstruction | Capture | AnyPath
 """A reconstruction, a capture, or the path of a result or capture folder."""
+
+
+def read_photographs(
+    folder: AnyPath,
+    lights: AnyPath | NDArray[np.float64] | Rig | None = None,
+    px_per_mm: float | None = None,
+    **options: Any,
+) -> Capture:
+    """Read photographs of one object under one light after the other, taken by any camera, as a capture.
+
+    What was assumed of them (their encoding, lights that were averaged) is logged by the logger ``splitknit.api``.
+
+    Parameters
+    ----------
+    folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, in the order of the lights by their names
+    lights : list of lights, ``.lp`` file or rig file, directions (L, 3) or rig; by default ``lights.txt`` in the folder
+        Directions point towards the lights: x right, y up, z to the camera.
+    px_per_mm : pixels a millimetre on the object; without it results are in pixels
+    **options
+        Of :func:`splitknit.io.plain.capture_from_photographs`: ``mask``, ``material`` (``opaque`` or ``skin``),
+        ``encoding``, ``background``, ``tip_direction_deg``, ``max_megapixels``.
+
+    Returns
+    -------
+    Capture
+
+    Raises
+    ------
+    BadInput
+        Naming the file or the line at fault.
+
+    Examples
+    --------
+    >>> import splitknit
+    >>> capture = splitknit.read_photographs("photos", "lights.txt", px_per_mm=20.0)  # doctest: +SKIP
+    >>> splitknit.reconstruct(capture).height_mm.shape  # doctest: +SKIP
+    (1500, 2000)
+    """
+    from splitknit.io.plain import capture_from_photographs  # noqa: PLC0415
+
+    found = capture_from_photographs(folder, lights, px_per_mm, announce=_LOG.warning, **options)
+    for note in found.notes:
+        _LOG.info("%s", note)
+    return found.capture
 
 
 def make_print(

@@ -32,7 +32,7 @@ from splitknit.integration.knit import add, crossover
 from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
-from splitknit.model import UNKNOWN_SCALE, Band, Capture, FloatArray, Reconstruction, Rig
+from splitknit.model import UNKNOWN_SCALE, Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
 from splitknit.photometric.frames import doubts_of_lights, fit_lights
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
@@ -55,7 +55,7 @@ from splitknit.skin.images import HOW, SkinImages, working_images
 from splitknit.skin.learned import LITTLE_GLOSS, Networks, can_learn, relief_by_network, with_its_power
 from splitknit.skin.relief import detail_of
 from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
-from splitknit.steps import Memory, shared, step
+from splitknit.steps import IN_MEMORY, Memory, shared, step
 
 if TYPE_CHECKING:
     from splitknit.mirrors.captured import SeenInMirrors
@@ -440,14 +440,24 @@ def visible_slopes(  # noqa: PLR0917
     photometric: NormalsSettings,
 ) -> tuple[Slopes, FloatArray, FloatArray]:
     """Slopes, albedo and normals of the direct visible light (thesis, section 3.3.1): contrast, separation, normals."""
-    images = grey_images(capture, white, finger)
-    if lights.balance and white.colours:
-        images = balanced(images, capture.rig, white, finger.mask[finger.window])
-    if enhance.clahe:
-        images = equalised(images, finger, capture, enhance)
-    if direct.method == "network" and capture.material == "skin":  # what does not scatter has direct light alone
-        images = direct_images(images, capture, white, finger, direct)
-    normals, albedo = distant_normals(images, capture.rig.select(white.lights), finger, enhance, photometric)
+    rig = capture.rig.select(white.lights)
+    by_network = direct.method == "network" and capture.material == "skin"  # else all light is direct
+    if by_network or enhance.clahe or (lights.balance and white.colours):
+        images = grey_images(capture, white, finger)
+        if lights.balance and white.colours:
+            images = balanced(images, capture.rig, white, finger.mask[finger.window])
+        if enhance.clahe:
+            images = equalised(images, finger, capture, enhance)
+        if by_network:
+            images = direct_images(images, capture, white, finger, direct)
+        normals, albedo = distant_normals(images, rig, finger.inside, enhance, photometric)
+    else:
+
+        def distant(images: FloatArray, part: slice) -> tuple[FloatArray, FloatArray]:
+            images = np.maximum(images, np.float32(0.0))
+            return distant_normals(images, rig, finger.inside[part], enhance, photometric)
+
+        normals, albedo = pixel_by_pixel(capture, white, finger)(distant)
     return slopes_of(normals, finger, capture, photometric), albedo, normals
 
 
@@ -457,7 +467,7 @@ def shape_slopes(
 ) -> Slopes:
     """Slopes from the band of the shape (thesis, section 3.3.2)."""
     images = grey_images(capture, nir, finger)
-    normals, _ = distant_normals(images, capture.rig.select(nir.leds), finger, enhance, photometric)
+    normals, _ = distant_normals(images, capture.rig.select(nir.leds), finger.inside, enhance, photometric)
     return slopes_of(normals, finger, capture, photometric)
 
 
@@ -487,20 +497,50 @@ def direct_images(
     return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
 
 
+Solve = Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
+"""Normals and albedo of some rows of the window, from their images: a method that works pixel by pixel."""
+
+
+def pixel_by_pixel(capture: Capture, band: Band, finger: Finger) -> Callable[[Solve], tuple[FloatArray, FloatArray]]:
+    """What applies a method to the linear images of a band: all rows at once, or strips of rows where the images take
+    more than :data:`splitknit.steps.IN_MEMORY`; then each method reads them anew.
+    """
+    rows, columns = finger.window
+    height, width = finger.inside.shape
+    step = max(1, IN_MEMORY // (4 * len(band.lights) * width))
+    whole = linear_grey(band, capture.encoding, "grey", finger.window) if step >= height else None
+
+    def apply(solve: Solve) -> tuple[FloatArray, FloatArray]:
+        if whole is not None:
+            return solve(whole, slice(None))
+        normals = np.zeros((height, width, 3), dtype=np.float32)
+        albedo = np.full((height, width), np.nan, dtype=np.float32)
+        for top in range(0, height, step):
+            part = slice(top, min(top + step, height))
+            if finger.inside[part].any():
+                here = slice(rows.start + part.start, rows.start + part.stop)
+                images = linear_grey(band, capture.encoding, "grey", (here, columns))
+                normals[part], albedo[part] = solve(images, part)
+                del images  # before the next ones are made
+        return normals, albedo
+
+    return apply
+
+
 @step("normals")
 def distant_normals(
-    images: FloatArray, rig: Rig, finger: Finger, enhance: EnhanceSettings, photometric: NormalsSettings
+    images: FloatArray, rig: Rig, inside: BoolArray, enhance: EnhanceSettings, photometric: NormalsSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo by photometric stereo under distant lights."""
-    lights, mask = rig.light_vectors(), finger.inside
+    lights = rig.light_vectors()
     if enhance.clahe:  # equalised images have no common scale of brightness
         lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
     if photometric.method == "robust":
-        return robust(images, lights, mask, photometric.robust)
+        return robust(images, lights, inside, photometric.robust)
     if photometric.method == "hanrahan_krueger":
-        normals, albedo, _ = hanrahan_krueger(images, lights, mask, photometric.hanrahan_krueger)
+        normals, albedo, _ = hanrahan_krueger(images, lights, inside, photometric.hanrahan_krueger)
         return normals, albedo
-    return lambertian(images, lights, mask)
+    return lambertian(images, lights, inside)
 
 
 @step("normals")
@@ -567,17 +607,24 @@ def near_slopes(
 ) -> tuple[Slopes, FloatArray, FloatArray]:
     """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
     turns."""
-    images = linear_grey(band, capture.encoding, "grey", finger.window)
     rig, photometric = capture.rig.select(band.lights), settings.normals
+    apply = pixel_by_pixel(capture, band, finger)
     if photometric.method != "near_light":
-        normals, albedo = distant_normals(images, rig, finger, settings.enhance, photometric)
+        normals, albedo = apply(
+            lambda images, part: distant_normals(images, rig, finger.inside[part], settings.enhance, photometric)
+        )
         return slopes_of(normals, finger, capture, photometric), albedo, normals
     view = view_of(capture.rig.camera, *finger.window, along_rays=True)
     near = NearLightSettings(robust=photometric.robust)
-    surface: FloatArray | float = settings.metric.plane_mm
+    surface = np.full(finger.inside.shape, settings.metric.plane_mm, dtype=np.float32)
+
+    def lit(images: FloatArray, part: slice) -> tuple[FloatArray, FloatArray]:
+        inside, rays = finger.inside[part], view.of_rows(part)
+        return near_normals(images, rig, surface[part], inside, settings=near, view=rays)
+
     distant = all(led.position_mm is None for led in rig.leds)
     for turn in range(rounds := 1 if distant else photometric.rounds):
-        normals, albedo = near_normals(images, rig, surface, finger.inside, settings=near, view=view)
+        normals, albedo = apply(lit)
         slopes = gradients_from_normals(normals, finger.inside, photometric.max_slope)
         if turn < rounds - 1:
             height = integrate(slopes, finger, capture, settings)

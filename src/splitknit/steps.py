@@ -1,10 +1,13 @@
-"""What wraps the steps of a reconstruction from outside: time, progress, and results that several cases share."""
+"""What wraps the steps of a reconstruction from outside: time, progress, shared results, and memory."""
 
 from __future__ import annotations
 
 import ctypes
 import functools
+import math
+import mmap
 import os
+import tempfile
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, suppress
@@ -12,7 +15,10 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from splitknit.errors import require
+import numpy as np
+from numpy.typing import NDArray
+
+from splitknit.errors import BadInput, require
 from splitknit.model import Capture, Progress
 
 P = ParamSpec("P")
@@ -86,6 +92,48 @@ def one_heap() -> None:
             libc = ctypes.CDLL(None)
             for parameter, value in _HEAP.items():
                 libc.mallopt(parameter, value)
+
+
+IN_MEMORY = 250_000_000
+"""Bytes of photographs, and of the linear light of a band, that are held in memory at once; a full frame of the rig has
+197 million in a band."""
+
+
+def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """An array for stored images; beyond :data:`IN_MEMORY` it lies in a file that has no name and ends with the array.
+
+    The file is in ``TMPDIR``, by default ``/var/tmp``, which is on disk where ``/tmp`` is in memory. Call
+    :func:`let_go` after each part that was written or read.
+
+    Raises
+    ------
+    BadInput
+        If the disk is full.
+    """
+    size = math.prod(shape) * dtype.itemsize
+    if size <= IN_MEMORY or not hasattr(os, "posix_fallocate"):
+        return np.empty(shape, dtype)
+    place = os.environ.get("TMPDIR") or ("/var/tmp" if os.access("/var/tmp", os.W_OK) else None)
+    try:
+        with tempfile.TemporaryFile(dir=place) as file:  # of mode 0600, and unlinked at once
+            os.posix_fallocate(file.fileno(), 0, size)  # a full disk shows here, not as a signal later
+            return np.frombuffer(mmap.mmap(file.fileno(), size), dtype).reshape(shape)
+    except OSError as error:
+        raise BadInput(
+            f"the photographs take {size / 1e9:.1f} GB of disk while they are worked on ({error.strerror}); name a "
+            "folder with room in the environment variable TMPDIR, or fewer or smaller photographs."
+        ) from error
+
+
+def let_go(images: NDArray[Any]) -> None:
+    """Give the memory of an array of :func:`large_array` back to the system; what it holds stays in its file."""
+    owner: Any = images
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    if isinstance(owner, memoryview):
+        owner = owner.obj
+    if isinstance(owner, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        owner.madvise(mmap.MADV_DONTNEED)
 
 
 _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from splitknit.cli.main import main
+from splitknit.imaging.band import srgb_code
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Mirror, default_rig, nominal_rig
@@ -268,6 +270,50 @@ def test_photographs_of_a_ball(capsys, tmp_path):
         assert np.degrees(np.linalg.norm(np.array(led.direction) - known)) < 3.0
     write_image(tmp_path / "mask.png", np.zeros((220, 320), np.uint8))
     assert "empty" in refused(capsys, *words)
+
+
+@pytest.mark.parametrize(("name", "options"), [("lights.txt", ()), ("rig.json", ()), ("places.txt", (
+    "--led-height-cm", "14"))])  # fmt: skip
+def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, name, options):
+    """The same bench, as a camera writes JPEG files of it: first the ball, then the lights of other photographs."""
+    rig = default_rig(0.2)
+    scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, ground=0.0)
+    (tmp_path / "ball").mkdir()
+    for k in range(7):
+        light = photograph_bench(scene, [k], k, exposure=well_exposed(scene, [[k]])) / 65535.0
+        code = np.rint(255.0 * srgb_code(light)).astype(np.uint8)
+        Image.fromarray(code[..., 0] if code.shape[2] == 1 else code).save(tmp_path / "ball" / f"{k}.jpg", quality=95)
+    edge = scene.outline_px()
+    column, row = edge.mean(axis=0)
+    rows, columns = np.mgrid[:440, :640]
+    inside = np.hypot(columns - column, rows - row) < np.ptp(edge[:, 0]) / 2
+    write_image(tmp_path / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
+    out, result = tmp_path / name, tmp_path / "result"
+    words = ("--sphere", "grey", "--images", tmp_path / "ball", "--mask", tmp_path / "mask.png", "--out", out, *options)
+    code, said, err = run(capsys, *words)
+    assert code == 0, err
+    assert "encoding srgb is assumed of the .jpg files (--encoding changes it)" in said
+    assert f"splitknit reconstruct --images PHOTOS --lights {out}" in said
+    given = ["--rig" if name == "rig.json" else "--lights", str(out), "--mask", str(tmp_path / "mask.png")]
+    given += ["--px-per-mm", f"{rig.camera.px_per_mm}"]
+    assert main(["reconstruct", "--images", str(tmp_path / "ball"), *given, "--out", str(result)]) == 0
+    with np.load(result / "height.npz") as arrays:
+        normals = arrays["normals"].astype(float)
+    radius = np.ptp(edge[:, 0]) / 2
+    x, y = (columns - column) / radius, (row - rows) / radius
+    truth = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, 1))], axis=-1)
+    middle = np.hypot(x, y) < 0.7
+    errors = np.degrees(np.arccos(np.clip((normals * truth).sum(axis=-1)[middle], -1, 1)))
+    assert errors.mean() < 3.6  # near LEDs taken as distant seem 2.4 deg further out; 10.6 with JPEG taken as linear
+    # a list of lights is replaced by another one only
+    assert run(capsys, *words)[0] == 0
+    (tmp_path / "words.txt").write_text("mine")
+    assert "not a list of lights" in refused(capsys, *words[:7], tmp_path / "words.txt")
+
+
+def test_a_list_of_lights_is_of_one_band(capsys, tmp_path):
+    message = refused(capsys, "--geometry", *GOOD, "--out", tmp_path / "lights.txt")
+    assert "2 bands" in message and "rig.json" in message and list(tmp_path.iterdir()) == []
 
 
 def test_photographs_that_disagree(capsys, tmp_path, nail_photographs):

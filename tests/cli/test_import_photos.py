@@ -158,7 +158,10 @@ def test_the_ridges_give_the_scale(result: Path, photos: Path, capsys) -> None:
         (["--images", "PHOTOS", "--ridge-period", "7"], "0.2 to 1 mm apart, not 7"),
         (["--images", "PHOTOS", "--lights", "PHOTOS/none.txt"], "does not exist"),
         (["--images", "PHOTOS/none"], "not a folder"),
-        (["--images", "PHOTOS", "--rig", "rig.json"], "--rig replaces"),
+        (["--images", "PHOTOS", "--rig", "rig.json"], "rig.json does not exist"),
+        (["--images", "PHOTOS", "--rig", "rig.json", "--lights", "x.txt"], "choose one"),
+        (["--images", "PHOTOS", "--rig", "PHOTOS/lights.txt"], "a list of lights with --lights"),
+        (["--images", "PHOTOS", "--max-size", "0"], "--max-size must be megapixels"),
     ],
 )
 def test_refusals(options: list[str], words: str, photos: Path, tmp_path: Path, capsys) -> None:

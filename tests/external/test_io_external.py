@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack
+from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
-from splitknit.io.images import read_image
-from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.images import read_image, write_image
+from splitknit.io.light_list import read_lights_txt
+from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
 pytestmark = pytest.mark.external
@@ -89,3 +90,27 @@ def test_every_image_of_the_independent_data_is_read_or_refused_in_words(data_di
             assert str(file) in str(error)
             assert file.suffix not in (".png", ".jpg")
     assert read > 20
+
+
+@pytest.mark.parametrize("stored", ["linear", "srgb"])
+def test_the_encoding_of_eight_bits_shows_in_the_shading(data_dir, tmp_path, stored):
+    """The bear as 8-bit PNG without a word on its encoding: a wrong guess doubles the error (16 deg instead of 8)."""
+    file = data_dir / "diligent" / "bear.npz"
+    if not file.is_file():
+        pytest.skip(f"{file} is absent")
+    bear = np.load(file)
+    light = bear["images"][::3] / 65535.0
+    codes = np.rint(255.0 * (srgb_code(light) if stored == "srgb" else light)).astype(np.uint8)
+    for k, code in enumerate(codes):
+        write_image(tmp_path / f"{k}.png", code)
+    found = capture_from_photographs(tmp_path, bear["lights"][::3])
+    assert found.capture.encoding == stored
+    assert "--encoding" in found.notes[0]
+
+
+def test_renders_without_a_tone_curve_stay_linear(data_dir):
+    folder = data_dir / "blender_finger" / "phalange"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    assert capture_from_photographs(folder, background=71).capture.encoding == "linear"
+    assert capture_from_photographs(folder).capture.encoding == "linear"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.io.plain import read_lights_txt
+from splitknit.io.light_list import read_lights_txt
 from splitknit.photometric.frames import FRAMES, fit_light_frame, fit_lights
 from splitknit.photometric.lambertian import lambertian
 

@@ -12,7 +12,8 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
-from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.light_list import read_lights_txt
+from splitknit.io.plain import capture_from_plain_images
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust

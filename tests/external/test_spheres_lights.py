@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import cv2
 import numpy as np
 import pytest
 
 from splitknit.calibration.sphere import ball_of_mask, chrome_directions, find_ball, grey_directions
+from splitknit.cli.main import main
 from splitknit.errors import BadInput
 
 pytestmark = pytest.mark.external
@@ -65,3 +68,24 @@ def test_the_outline_is_found_or_asked_for(photographs):
     given, found = ball_of_mask(mask), find_ball(stack)
     assert found.radius_px == pytest.approx(given.radius_px, rel=0.03)
     assert np.hypot(found.column - given.column, found.row - given.row) < 0.03 * given.radius_px
+
+
+@pytest.mark.parametrize("name", ["lights.txt", "rig.json"])
+def test_a_chrome_ball_gives_the_lights_of_a_grey_one(data_dir, tmp_path, name):
+    """On the command line: from twelve photographs of chrome to the surface of the grey ball."""
+    folder = data_dir / "psm_spheres"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    out, result, mask = tmp_path / name, tmp_path / "result", folder / "gray" / "gray.mask.png"
+    found = ["--images", str(folder / "chrome"), "--mask", str(folder / "chrome" / "chrome.mask.png")]
+    assert main(["calibrate", "lights", "--sphere", "chrome", *found, "--out", str(out)]) == 0
+    given = ["--images", str(folder / "gray"), "--mask", str(mask), "--lights", str(out)]
+    assert main(["reconstruct", *given, "--out", str(result)]) == 0
+    assert not [one for one in json.loads((result / "report.json").read_text())["warnings"] if "light-frame" in one]
+    inside = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) > 127
+    ball = ball_of_mask(inside).normals(inside.shape)
+    with np.load(result / "height.npz") as arrays:
+        normals = arrays["normals"].astype(float)
+    middle = inside & (np.nan_to_num(ball[..., 2]) > np.cos(np.deg2rad(60)))
+    errors = np.degrees(np.arccos(np.clip((normals * ball).sum(axis=-1)[middle], -1, 1)))
+    assert errors.mean() < 4.5

@@ -63,6 +63,7 @@ from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
+from splitknit.io.light_list import read_lights_txt
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
@@ -74,7 +75,7 @@ from splitknit.io.minutiae_files import (
 )
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import capture_from_photographs, capture_from_plain_images, read_lights_txt
+from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
 from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result

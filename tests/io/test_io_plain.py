@@ -5,12 +5,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
+import splitknit
 from splitknit.errors import BadInput
-from splitknit.imaging.band import linear_stack
+from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
-from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.light_list import read_lights_txt, read_named_lights
+from splitknit.io.photos import encoding_of
+from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
+from splitknit.io.rig import write_rig
+from splitknit.model import Camera, Led, Rig
+from splitknit.steps import IN_MEMORY, large_array
 
 
 @pytest.fixture
@@ -113,3 +121,147 @@ def test_light_files_that_are_refused(text: bytes, words: str, tmp_path: Path) -
     (tmp_path / "l.txt").write_bytes(text)
     with pytest.raises(BadInput, match=words):
         read_lights_txt(tmp_path / "l.txt")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "0,5 0,3 0,8\n-0,5 0,25 0,8\n",
+        "0,5; 0,3; 0,8\n-0,5; 0,25; 0,8\n",
+        "0.5, 0.3, 0.8\n-0.5, 0.25, 0.8\n",
+        "x y z\n0,5\t0,3\t0,8\n-0,5\t0,25\t0,8\n",
+    ],
+)
+def test_decimal_commas_are_understood(text: str, tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_text(text)
+    np.testing.assert_array_equal(read_lights_txt(tmp_path / "l.txt"), [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]])
+
+
+def test_commas_that_may_be_either_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
+    with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
+        read_lights_txt(tmp_path / "l.txt")
+
+
+def test_lp_files_of_rti(plain: Path) -> None:
+    """Paths of another machine, with spaces and other capitals; the photographs are found by their own names."""
+    for name in ("mask.png", "dark.png"):
+        (plain / name).unlink()
+    names = ("C:\\Scans\\coin 7\\3.PNG", "/home/a user/coin/0.png", "jpeg-exports/1.jpg", "2.png")
+    rows = [f"{name} {x} {y} {z}" for name, (x, y, z) in zip(names, LIGHTS, strict=True)]
+    (plain / "coin.lp").write_text("\r\n".join(["4", *rows]))
+    lights, found = read_named_lights(plain / "coin.lp")
+    assert found == ("3.PNG", "0.png", "1.jpg", "2.png")
+    np.testing.assert_array_equal(lights, LIGHTS)
+    band = capture_from_photographs(plain).capture.bands["white"]
+    assert [Path(file).name for file in band.files] == ["3.png", "0.png", "1.png", "2.png"]
+
+
+def test_places_in_mm_are_near_lights(plain: Path) -> None:
+    for name in ("mask.png", "dark.png"):
+        (plain / name).unlink()
+    places = LIGHTS * 40.0
+    table = plain / "lights.txt"
+    table.write_text("x_mm y_mm z_mm\n" + "\n".join(" ".join(map(str, place)) for place in places))
+    rig = capture_from_photographs(plain, px_per_mm=20.0).capture.rig
+    np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
+    with pytest.raises(BadInput, match="--px-per-mm"):
+        capture_from_photographs(plain)
+    leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
+    write_rig(Rig(Camera(12.5, (25, 35)), leds), plain / "rig.json")
+    again = capture_from_photographs(plain, plain / "rig.json").capture.rig
+    assert again.leds == rig.leds and again.camera.px_per_mm == 12.5
+    assert splitknit.read_photographs(plain, rig, max_megapixels=0.0004).rig.camera.px_per_mm == 20.0 / 1.5
+
+
+def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
+    image = Image.fromarray(np.zeros((4, 4), np.uint8))
+    for name, kind, data in (("s", b"sRGB", b"\0"), ("g", b"gAMA", (45455).to_bytes(4, "big")),
+                             ("l", b"gAMA", (100000).to_bytes(4, "big"))):  # fmt: skip
+        info = PngInfo()
+        info.add(kind, data)
+        image.save(tmp_path / f"{name}.png", pnginfo=info)
+    write_image(tmp_path / "n.png", np.zeros((4, 4), np.uint8))
+    found = {name: encoding_of([tmp_path / f"{name}.png"], lambda: False)[0] for name in "sgln"}
+    assert found == {"s": "srgb", "g": "srgb", "l": "linear", "n": "linear"}
+    assert encoding_of([tmp_path / "n.png"], lambda: True)[0] == "srgb"
+    with pytest.raises(BadInput, match=r"several kinds.*--encoding"):
+        encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
+
+
+def ball_photographs(folder: Path, code: Any, count: int = 8, size: int = 120) -> Any:
+    """A matt ball under `count` lights, stored through `code`; its directions."""
+    rows, columns = np.mgrid[:size, :size]
+    x, y = (columns - size / 2 + 0.5) / (0.45 * size), (size / 2 - 0.5 - rows) / (0.45 * size)
+    inner = 1.0 - x * x - y * y
+    normals = np.stack([x, y, np.sqrt(np.clip(inner, 0, 1))], axis=-1)
+    angles = 2 * np.pi * np.arange(count) / count
+    lights = np.stack([0.5 * np.cos(angles), 0.5 * np.sin(angles), np.full(count, 0.75**0.5)], axis=1)
+    for k, light in enumerate(lights):
+        shade = np.where(inner > 0, np.clip(normals @ light, 0, 1) * 0.9, 0)
+        write_image(folder / f"{k}.png", np.rint(255 * code(shade)).astype(np.uint8))
+    np.savetxt(folder / "lights.txt", lights)
+    return lights
+
+
+@pytest.mark.parametrize(("code", "encoding"), [(np.asarray, "linear"), (srgb_code, "srgb")])
+def test_eight_bits_that_state_nothing_are_judged_by_their_shading(tmp_path: Path, code: Any, encoding: str) -> None:
+    ball_photographs(tmp_path, code)
+    found = capture_from_photographs(tmp_path)
+    assert found.capture.encoding == encoding
+    assert encoding in found.notes[0] and "--encoding" in found.notes[0]
+
+
+def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
+    lights = ball_photographs(tmp_path, srgb_code)
+    write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
+    whole, small = (
+        capture_from_photographs(tmp_path, px_per_mm=10.0, encoding="srgb", background=13, max_megapixels=limit)
+        for limit in (None, 120 * 120 / 4e6)
+    )
+    assert any("reduced to 0.0 (--max-size)" in note for note in small.notes)
+    camera = small.capture.rig.camera
+    assert (camera.image_size, camera.px_per_mm, small.capture.encoding) == ((60, 60), 5.0, "linear")
+    assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()
+    stacks = [linear_stack(one.capture.bands["white"], one.capture.encoding) for one in (whole, small)]
+    means = stacks[0].reshape(len(lights), 60, 2, 60, 2).mean(axis=(2, 4))
+    np.testing.assert_allclose(stacks[1], means, atol=2e-5)
+
+
+def test_large_stacks_are_worked_in_strips_from_disk(tmp_path: Path, monkeypatch: Any) -> None:
+    """The surface is that of images in memory; the file of the stack has no name."""
+    ball_photographs(tmp_path, srgb_code)
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    results = []
+    for bound in (IN_MEMORY, 100_000):
+        write_image(tmp_path / "mask.png", np.full((120, 120), 255, np.uint8))
+        for name in ("steps.IN_MEMORY", "io.plain.IN_MEMORY", "pipeline.IN_MEMORY", "finger.locate.IN_MEMORY"):
+            monkeypatch.setattr(f"splitknit.{name}", bound)
+        said: list[str] = []
+        capture = capture_from_photographs(tmp_path, px_per_mm=20.0, announce=said.append).capture
+        band = capture.bands["white"]
+        assert isinstance(getattr(band.pixels.base, "base", None), memoryview) == (bound == 100_000)
+        assert said == [] and list((tmp_path / "scratch").iterdir()) == []
+        results.append([splitknit.reconstruct(capture, preset) for preset in ("metric", "ea")])
+    for whole, strips in zip(*results, strict=True):
+        np.testing.assert_array_equal(whole.mask, strips.mask)
+        np.testing.assert_allclose(whole.normals_measured, strips.normals_measured, atol=1e-5)
+        np.testing.assert_allclose(whole.height_mm, strips.height_mm, atol=1e-4)
+
+
+def test_much_memory_is_announced_before_it_is_taken(tmp_path: Path, monkeypatch: Any) -> None:
+    ball_photographs(tmp_path, srgb_code)
+    monkeypatch.setattr("splitknit.io.plain._LARGE_MEGAPIXELS", 0.01)
+    said: list[str] = []
+    capture_from_photographs(tmp_path, announce=said.append)
+    assert said[0].startswith("8 photographs of 0.0 megapixels need about ") and "--max-size" in said[0]
+
+
+def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.posix_fallocate", full)
+    with pytest.raises(BadInput, match=r"0\.6 GB of disk .*No space left.*TMPDIR"):
+        large_array((600, 1000, 1000), np.dtype(np.uint8))

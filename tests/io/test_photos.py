@@ -15,8 +15,9 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.light_list import read_named_lights
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import Photographs, capture_from_photographs, read_named_lights
+from splitknit.io.plain import Photographs, capture_from_photographs
 from splitknit.photometric.lambertian import lambertian
 
 DIRECTIONS = np.array([[0.5, 0, 0.9], [-0.5, 0, 0.9], [0, 0.5, 0.9], [0, -0.5, 0.9], [0.1, 0.1, 1.0]])
@@ -231,7 +232,7 @@ def test_the_tone_curve_of_a_camera_is_assumed_and_said(folder: Path) -> None:
         file.unlink()
     found = capture_from_photographs(folder)
     assert found.capture.encoding == "srgb"
-    assert any("srgb is assumed of .jpg" in note for note in found.notes)
+    assert any("srgb is assumed of the .jpg files" in note for note in found.notes)
     Image.fromarray(ball(DIRECTIONS[0])).save(folder / "p8.png")
     (folder / "p8.jpg").unlink()
     with pytest.raises(BadInput, match="--encoding"):

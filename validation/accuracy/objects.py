@@ -23,8 +23,9 @@ import numpy as np
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput, require
+from splitknit.io.light_list import read_lights_txt
 from splitknit.io.npz import read_npz
-from splitknit.io.plain import capture_from_plain_images, read_lights_txt
+from splitknit.io.plain import capture_from_plain_images
 from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Rig
 
 PRESETS = {

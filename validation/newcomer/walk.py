@@ -61,8 +61,8 @@ def photographs(folder: Path) -> Iterator[Step]:
     yield Step("reconstruct --images photos --out wrong", 2, "--lights")
     (mine / "lights.txt").write_text("\n".join(LIGHTS.splitlines()[:6]) + "\n")
     yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "7")  # a line is missing
-    (mine / "lights.txt").write_text("\n".join(line.replace("5.25", "5,25") for line in LIGHTS.splitlines()) + "\n")
-    yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "line 1")
+    (mine / "lights.txt").write_text(LIGHTS.replace(".", ",").replace(" ", ","))  # decimal commas, and commas between
+    yield Step("reconstruct --images photos --lights photos/lights.txt --out wrong", 2, "decimals with a point")
     (mine / "lights.txt").write_text(LIGHTS)
     images = "--images photos --lights photos/lights.txt --material skin"
     for command in (f"import {images} --px-per-mm 22.7", "simulate --seed 4"):

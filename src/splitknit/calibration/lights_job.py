@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, read_tips
 from splitknit.calibration.lights import Circle, combine
 from splitknit.calibration.lights_found import LightSettings, calibrate_lights, rig_of
-from splitknit.calibration.nail_photos import FOUND_SD_MM, SUFFIXES, read_stack, tips_of_photos
+from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput, Refused, read_bytes, require
+from splitknit.imaging.band import shading_is_srgb
 from splitknit.imaging.view import plane_points
-from splitknit.io.images import image_size, read_image
+from splitknit.io.light_list import LIST_TITLE, write_light_list
+from splitknit.io.photos import FORMATS, SUFFIXES, encoding_of, read_photo
 from splitknit.io.provenance import file_hash, plain_json, provenance
 from splitknit.io.rig import read_rig, write_rig
-from splitknit.io.targets import check_rig_file
-from splitknit.model import Camera, Led, Progress, Rig, no_progress
+from splitknit.io.targets import check_file, check_rig_file
+from splitknit.model import Camera, Led, Progress, Rig, camera_without_scale, no_progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,8 @@ class LightsJob:
     first_azimuth_deg: float = 0.0
     method: str | None = None
     keep: bool = False
-    encoding: str = "linear"
+    encoding: str | None = None
+    """Of the photographs; None: as their files state it, see :func:`splitknit.io.photos.encoding_of`."""
     mask: Path | None = None
     show: Path | None = None
     tips_out: Path | None = None
@@ -102,7 +105,10 @@ def _checked_source(job: LightsJob) -> str:
     require(
         sources[0] != "sphere" or job.images is not None, "--sphere needs --images FOLDER, photographs of the ball."
     )
-    check_rig_file(job.out)
+    if _is_list(job.out):
+        check_file(job.out, "a list of lights", lambda data: data.startswith(LIST_TITLE.encode()))
+    else:
+        check_rig_file(job.out)
     require(sources[0] != "geometry" or job.out is not None, "--geometry writes a rig file; name it with --out FILE.")
     return sources[0]
 
@@ -180,9 +186,22 @@ def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> dict[str, An
     return _written(rig, job.out, {"method": "geometry", "leds": facts})
 
 
+def _is_list(out: Path | None) -> bool:
+    """Whether a list of lights is to be written, as ``reconstruct --lights`` reads it, instead of a rig file."""
+    return out is not None and out.suffix.lower() == ".txt"
+
+
 def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write the rig where a name is given; return the facts as plain JSON."""
-    if out is not None:
+    """Write the rig, or a list of its lights, where a name is given; return the facts as plain JSON."""
+    if out is not None and _is_list(out):
+        bands = {led.band for led in rig.leds}
+        require(
+            len(bands) == 1,
+            f"'{out}' would hold lights of {len(bands)} bands, and a list is for photographs of one; name a rig file, "
+            "such as rig.json.",
+        )
+        write_light_list(rig.leds, out, [str(one.get("image", f"LED {one['led']}")) for one in facts["leds"]])
+    elif out is not None:
         write_rig(rig, out)
     return _plain({**facts, "written": out is not None, "out": None if out is None else str(out)})
 
@@ -285,18 +304,32 @@ class _Photograph:
 def _of_sphere(job: LightsJob) -> dict[str, Any]:
     """Find the direction of the light of every image in a folder.
 
-    Without ``--rig`` or ``--px-per-cm`` no scale is known, and none is needed: the directions go into a rig of one
-    pixel per mm. With ``--led-height-cm`` LEDs are placed at that height, as a near light must be.
+    Without ``--rig`` or ``--px-per-cm`` no scale is known, and none is needed: the directions go into a rig without
+    one. With ``--led-height-cm`` LEDs are placed at that height, as a near light must be.
     """
     assert job.images is not None
     photographs = _photographs(job.images)
-    size = image_size(photographs[0].path)
+    rows, columns = read_photo(photographs[0].path).pixels.shape[:2]
+    size = (rows, columns)
     known = job.rig is not None or job.px_per_cm is not None
-    inputs = _rig_inputs(job) if known else _RigInputs(Camera(1.0, size), None)
+    near = job.led_height_cm is not None
+    require(
+        known or not near or job.out is None or _is_list(job.out),
+        "--led-height-cm gives places in mm, and a rig file with places needs the scale: give --px-per-cm and "
+        "--image-size, or --rig, or write a list of lights (--out lights.txt).",
+    )
+    dummy = Camera(1.0, size) if near else camera_without_scale(size)
+    inputs = _rig_inputs(job) if known else _RigInputs(dummy, None)
     hashes: dict[str, str] = {}
     paths = [one.path for one in photographs]
-    stack = read_stack(paths, inputs.camera.image_size, job.encoding, hashes, job.images)
+    camera_size = inputs.camera.image_size
+    stack = read_stack(paths, camera_size, job.encoding or "linear", hashes, job.images, upright=True)
     ball = _ball(job.mask, stack, size, hashes)
+    encoding, note = job.encoding, ""
+    if encoding is None:
+        encoding, note = encoding_of(paths, lambda: job.sphere == "grey" and _ball_is_srgb(stack, ball))
+    if encoding == "srgb" and job.encoding is None:
+        stack = read_stack(paths, camera_size, encoding, hashes, job.images, upright=True)
     strengths: NDArray[np.float64] | None = None
     if job.sphere == "chrome":
         directions = chrome_directions(stack, ball)
@@ -332,15 +365,25 @@ def _of_sphere(job: LightsJob) -> dict[str, Any]:
     said = {**before, "lights": {"method": job.sphere, "provenance": plain_json(origin)}}
     rig = Rig(inputs.camera, tuple(leds), said, mirrors)
     outline = {"column": ball.column, "row": ball.row, "radius_px": ball.radius_px}
-    return _written(rig, job.out, {"method": job.sphere, "ball": outline, "leds": facts})
+    found = {"method": job.sphere, "ball": outline, "encoding": encoding, "leds": facts}
+    return _written(rig, job.out, {**found, "notes": [note] if note else []})
+
+
+def _ball_is_srgb(codes: NDArray[np.float32], ball: Ball) -> bool:
+    """Whether the shading of a matt ball of known normals is that of sRGB values: its pixels are the lights here."""
+    normals = ball.normals(codes.shape[1:])
+    inner = np.argwhere(np.nan_to_num(normals[..., 2]) > 0.3)
+    rows, columns = inner[:: max(1, len(inner) // 2000)].T
+    return shading_is_srgb(codes[:, rows, columns].T, normals[rows, columns])
 
 
 def _photographs(folder: Path) -> list[_Photograph]:
     """Images by name: ``white_3.png`` names the LED; others count as white in the order of the numbers in them."""
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the ball.")
     files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    files = [path for path in files if not path.name.startswith(".")]
     files = [path for path in files if "mask" not in path.stem.lower() and not path.stem.lower().startswith("ambient")]
-    require(bool(files), f"{folder} holds no photographs (PNG, TIFF or JPEG).")
+    require(bool(files), f"{folder} holds no photographs ({FORMATS}).")
     named = {path: re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower()) for path in files}
     if all(match is not None for match in named.values()):
         found = [_Photograph(match.group(1), int(match.group(2)), path) for path, match in named.items() if match]
@@ -352,7 +395,7 @@ def _photographs(folder: Path) -> list[_Photograph]:
 def _ball(mask: Path | None, stack: NDArray[np.float32], size: tuple[int, int], hashes: dict[str, str]) -> Ball:
     if mask is None:
         return find_ball(stack)
-    pixels = read_image(mask)
+    pixels = read_photo(mask).pixels
     require(
         pixels.shape[:2] == size,
         f"{mask} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the photographs have "

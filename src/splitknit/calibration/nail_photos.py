@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, write_tips
 from splitknit.calibration.shadow import NailView, find_nail
 from splitknit.errors import BadInput, read_bytes, require
+from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.images import DEFAULTS, decode_image, write_image
+from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Camera, FloatArray, Progress, no_progress
@@ -33,7 +35,7 @@ def tips_of_photos(
     folder: Path,
     camera: Camera,
     *,
-    encoding: str = "linear",
+    encoding: str | None = None,
     show: Path | None = None,
     table: Path | None = None,
     progress: Progress = no_progress,
@@ -49,6 +51,8 @@ def tips_of_photos(
     check_picture(show, folder)
     check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
     files = _nail_files(folder)
+    if encoding is None:  # a shadow's tip lies where it lies; nothing else decides
+        encoding, _ = encoding_of([path for paths in files.values() for path in paths], lambda: False)
     tips: list[Tip] = []
     tiles: list[tuple[str, FloatArray, NailView, int]] = []
     hashes: dict[str, str] = {}
@@ -105,33 +109,42 @@ def _nail_files(folder: Path) -> Files:
 
 
 def read_stack(
-    paths: list[Path], size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path
+    paths: list[Path],
+    size: tuple[int, int],
+    encoding: str,
+    hashes: dict[str, str],
+    folder: Path,
+    *,
+    upright: bool = False,
 ) -> FloatArray:
-    """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off."""
-    images = [_read(path, size, encoding, hashes, folder) for path in paths]
+    """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off.
+
+    `upright` ones are turned as their EXIF data say.
+    """
+    images = [_read(path, size, encoding, hashes, folder, upright) for path in paths]
     band = re.split(r"[_.-]", paths[0].stem)[0].lower()
     for suffix in SUFFIXES:
         ambient = paths[0].with_name(f"ambient_{band}{suffix}")
         if ambient.is_file():
-            dark = _read(ambient, size, encoding, hashes, folder)
+            dark = _read(ambient, size, encoding, hashes, folder, upright)
             images = [np.maximum(image - dark, 0) for image in images]
             break
     return np.stack(images)
 
 
-def _read(path: Path, size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path) -> FloatArray:
+def _read(  # noqa: PLR0917
+    path: Path, size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path, upright: bool
+) -> FloatArray:
     data = read_bytes(path, DEFAULTS.max_bytes)
-    pixels = decode_image(data, str(path))
+    pixels = decode_photo(data, str(path)).pixels if upright else decode_image(data, str(path))
     require(
         pixels.shape[:2] == size,
         f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's camera has "
         f"{size[0]} x {size[1]}; give the rig or --image-size that belongs to the photographs.",
     )
     hashes[path.relative_to(folder).as_posix()] = hashlib.sha256(data).hexdigest()
-    light = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
-    if encoding == "srgb":
-        light = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4).astype(np.float32)
-    return np.asarray(light.mean(axis=2), dtype=np.float32)
+    require(pixels.dtype.kind == "u", f"{path} holds floats; save it as 16-bit PNG or TIFF.")
+    return np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
 
 
 def _bands(place: Path) -> Mapping[str, dict[int, Path]]:

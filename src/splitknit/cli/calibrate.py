@@ -368,14 +368,20 @@ def _add_lights(kinds: Any) -> None:
     )
     nail.add_argument("--keep", action="store_true", help="keep LEDs that would be refused")
     pictures = verb.add_argument_group("photographs")
-    pictures.add_argument("--encoding", choices=("linear", "srgb"), default="linear", help="default: linear")
+    pictures.add_argument(
+        "--encoding", choices=("linear", "srgb"), help="of the photographs (default: as for 'reconstruct --images')"
+    )
     pictures.add_argument("--mask", type=Path, metavar="FILE", help="image that is white where the ball is")
     pictures.add_argument("--show", type=Path, metavar="PNG", help="picture of what was found (default: beside --out)")
     pictures.add_argument(
         "--tips-out", type=Path, metavar="CSV", help="table of what was found, to correct and give to --table"
     )
     verb.add_argument(
-        "--out", type=Path, metavar="FILE", help="rig file to write (default: none, only report what was found)"
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="rig file (.json) or list of lights (.txt) to write; 'reconstruct --images PHOTOS --lights FILE' takes "
+        "both (default: none, only report what was found)",
     )
     add_settings(verb)
 
@@ -406,12 +412,18 @@ def _light_lines(facts: dict[str, Any]) -> list[str]:
     """What was found, in lines for people."""
     if facts["method"] == "geometry":
         return [f"{len(facts['leds'])} LEDs where the drawing has them, not measured; written to {facts['out']}."]
-    written = f"Written to {facts['out']}." if facts["written"] else "No rig was written; name one with --out FILE."
+    written = f"Written to {facts['out']}."
+    if not facts["written"]:
+        written = "Nothing was written; name a rig file (.json) or a list of lights (.txt) with --out FILE."
     if "ball" in facts:
         lines = [f"{len(facts['leds'])} lights from a {facts['method']} ball:"]
         for one in facts["leds"]:
             x, y, z = one["direction"]
             lines.append(f"  {one['image']}  towards ({x:+.4f}, {y:+.4f}, {z:+.4f})")
+        lines += [f"Please note: {note}" for note in facts["notes"]]
+        if facts["written"]:
+            lines.append(written)
+            written = f"Next: splitknit reconstruct --images PHOTOS --lights {facts['out']} --out RESULT"
         return [*lines, written]
     lines = [*_led_lines(facts), written]
     if "shadows_out_of_the_picture" in facts:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from splitknit.errors import naming, require
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
-_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background")
+_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background", "max_size")
 
 
 def add_import(verbs: Any) -> None:
@@ -56,7 +57,8 @@ def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
         type=Path,
         metavar="FILE",
         help="directions towards the lights, a line 'x y z' or 'NAME x y z' for each photograph: x right, y up, z to "
-        "the camera (default: lights.txt beside the images)",
+        "the camera; places in mm where the first line is 'x_mm y_mm z_mm'; also .lp files of RTI and rig files "
+        "(default: lights.txt beside the images)",
     )
     group.add_argument(
         "--mask", type=Path, metavar="FILE", help="image, white = object (default: mask.png beside the images, if any)"
@@ -75,7 +77,14 @@ def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
     group.add_argument(
         "--encoding",
         choices=("linear", "srgb"),
-        help="of the photographs (default: srgb for JPEG, WEBP and HEIC, else linear)",
+        help="of the photographs (default: srgb for JPEG, WEBP, HEIC and PNG that states it; linear for RAW and 16 "
+        "bits; else by their shading)",
+    )
+    group.add_argument(
+        "--max-size",
+        type=float,
+        metavar="MEGAPIXELS",
+        help="reduce larger photographs to so many megapixels, by means over areas (default: they stay as they are)",
     )
     group.add_argument(
         "--background",
@@ -116,6 +125,10 @@ def check_photo_options(options: argparse.Namespace) -> None:
     if options.images is None:
         unused = [name for name in _OF_PHOTOGRAPHS if getattr(options, name) is not None]
         require(not unused, f"--{unused[0].replace('_', '-') if unused else ''} goes with --images.")
+    require(
+        options.max_size is None or 0.01 <= options.max_size <= 1000,
+        f"--max-size must be megapixels from 0.01 to 1000, not {options.max_size}.",
+    )
     check_scale_options(options)
 
 
@@ -139,15 +152,25 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
     background: float | str | None = options.background
     with contextlib.suppress(ValueError):
         background = None if background is None else float(background)
+    rig_file = getattr(options, "rig", None)
+    both = rig_file is not None and options.lights is not None
+    require(not both, "--rig and --lights both give the lights; choose one.")
+    lights = options.lights or rig_file
+    require(
+        rig_file is None or rig_file.suffix.lower() == ".json",
+        f"--rig must name a rig file (.json), not '{rig_file}'; name a list of lights with --lights.",
+    )
     found = capture_from_photographs(
         options.images,
-        options.lights,
+        lights,
         options.px_per_mm,
         mask=options.mask,
         material=options.material or "opaque",
         encoding=options.encoding,
         background=background,
         tip_direction_deg=options.tip_direction,
+        max_megapixels=options.max_size,
+        announce=lambda words: print(f"splitknit: note: {words}", file=sys.stderr),
     )
     taken = found.capture
     if options.light_frame is not None:

@@ -32,7 +32,11 @@ def add_reconstruct(verbs: Any) -> None:
         "two split by shapelets (pr-split, ea-split), or another published case: kumar, zheng, lin, xie",
     )
     verb.add_argument(
-        "--rig", type=Path, default=None, metavar="RIG", help="rig file instead of the capture's, such as a calibration"
+        "--rig",
+        type=Path,
+        default=None,
+        metavar="RIG",
+        help="rig file instead of the capture's, such as a calibration; with --images its white LEDs and camera",
     )
     verb.add_argument(
         "--shape",
@@ -59,7 +63,6 @@ def _run(options: argparse.Namespace) -> Outcome:
         + ("; both were given." if options.capture is not None else "."),
     )
     check_photo_options(options)
-    require(options.images is None or options.rig is None, "--rig replaces the rig of a capture; --images have none.")
     with Progress(options) as progress:
         facts = _reconstruct_to_folder(options, changes, progress.update)
     area = facts["result"]["area_px"]

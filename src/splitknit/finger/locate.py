@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -41,6 +42,7 @@ from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.plausible import FINGER_WIDTH
 from splitknit.settings import Checked
+from splitknit.steps import IN_MEMORY
 
 SURVEY_PX_PER_MM = 26.0
 """The finger is looked for on images reduced to about this scale."""
@@ -119,8 +121,10 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         If there is no finger, or it touches three borders.
     """
     px_per_mm = capture.rig.camera.px_per_mm
-    binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(capture.shape) // SURVEY_SIDE))
     white = capture.bands["white"]
+    rows, columns = capture.shape
+    fits = math.ceil(math.sqrt(4.0 * len(white.lights) * rows * columns / IN_MEMORY))  # 200 photographs are many
+    binning = max(1, min(int(px_per_mm / SURVEY_PX_PER_MM), min(rows, columns) // SURVEY_SIDE), fits)
     mean, stack = linear_survey(white, capture.encoding, binning)
     grey = pick_channel(mean, "grey")
     small_px = px_per_mm / binning

@@ -63,6 +63,11 @@ class View:
         nearer = np.exp(-height_mm / apex) / np.sqrt(np.float32(1.0) + (x * x + y * y) / (apex * apex))
         return x * nearer, y * nearer, apex * (np.float32(1.0) - nearer)
 
+    def of_rows(self, chunk: slice) -> View:
+        """The view of some rows."""
+        x = self.x_mm if self.x_mm.ndim == 1 else self.x_mm[chunk]
+        return View(x, self.y_mm[chunk], self.apex_mm, self.along_rays)
+
     def turned(self, vectors: FloatArray, chunk: slice = slice(None), where: Any = None) -> FloatArray:
         """Vectors (L, 3, h, W), or (L, 3, n) at the pixels `where` (h, W) of some rows, in the pixels' own frames."""
         if not self._spread:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Band, BoolArray, PixelArray
+from splitknit.steps import let_go
 
 # When an image is refused as black or as overexposed; fractions of the full scale (255 or 65535) as stored.
 _DARK_FRACTION = 0.01
@@ -60,6 +61,7 @@ def _check_image(band: Band, k: int, ambient: NDArray[np.float32] | None) -> flo
     """Return the light of the bright pixels of image k as a fraction of the full scale."""
     scale = float(np.iinfo(band.pixels.dtype).max)
     sample = _sample(band.pixels[k])
+    let_go(band.pixels)
     black, most = np.float32(band.black_level[k]), int(sample.max())
     require(
         most - float(black) > _DARK_FRACTION * scale,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, refusing, require
+from splitknit.errors import BadInput, open_file, read_bytes, refusing, require
 from splitknit.io import png, tiff
 from splitknit.io.images import APP1, DEFAULTS, decode_image, jpeg_segments
 from splitknit.io.png import check_size
@@ -92,6 +93,59 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
         what = "is empty" if not data else f"is none of {FORMATS}"
         raise BadInput(f"{name} {what}; export it as PNG or TIFF.")
     return Photo(_upright(pixels, orientation), orientation, hashlib.sha256(data).hexdigest())
+
+
+def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[str, str]:
+    """Encoding of photographs whose encoding nobody has given, and a note on it; the same rule for every verb.
+
+    Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP state. Of other files
+    those of 16 bits and of floats are linear, and those of 8 bits too unless their shading fits sRGB clearly better.
+
+    Parameters
+    ----------
+    files : photographs
+    by_shading : whether it does, see :func:`splitknit.imaging.band.shading_is_srgb`; called where it decides
+
+    Raises
+    ------
+    BadInput
+        If some have a tone curve and some have none.
+    """
+    found = {_stated_encoding(file) for file in files}
+    require(
+        len(found) == 1,
+        "the photographs are of several kinds, some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and "
+        "some without; give --encoding.",
+    )
+    suffix, stated = files[0].suffix.lower(), found.pop()
+    if stated:
+        why = "stated in" if suffix == ".png" else "assumed of"
+        return stated, f"encoding {stated} is {why} the {suffix} files (--encoding changes it)."
+    if read_photo(files[0]).pixels.dtype == np.uint8 and by_shading():
+        return (
+            "srgb",
+            f"encoding srgb fits the shading in the {suffix} files better than linear (--encoding changes it).",
+        )
+    return "linear", (
+        f"encoding linear is assumed of the {suffix} files, which state none; give --encoding srgb if a program for "
+        "pictures or a telephone saved them."
+    )
+
+
+def _stated_encoding(file: Path) -> str:
+    """``srgb``, ``linear``, or nothing where the file's kind leaves it open."""
+    suffix = file.suffix.lower()
+    if suffix in SRGB_SUFFIXES or suffix in RAW_SUFFIXES:
+        return "srgb" if suffix in SRGB_SUFFIXES else "linear"
+    with open_file(file, DEFAULTS.max_bytes) as (stream, _):
+        head = stream.read(1 << 16).partition(b"IDAT")[0]
+    if not head.startswith(png.SIGNATURE):
+        return ""
+    gamma = head.find(b"gAMA")
+    value = int.from_bytes(head[gamma + 4 : gamma + 8], "big") / 1e5 if gamma > 0 else 0.0
+    if b"sRGB" in head or b"iCCP" in head or 0.4 < value < 0.5:
+        return "linear" if value == 1.0 and b"sRGB" not in head else "srgb"
+    return "linear" if value == 1.0 else ""
 
 
 def _check_room(needed: int, name: str, room: int | None) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,18 +13,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, read_bytes, require
+from splitknit.errors import BadInput, check_lights, require
+from splitknit.imaging.band import block_means, decode_table, linear_image, shading_is_srgb
 from splitknit.imaging.light_field import few_lights
 from splitknit.io.content import check_content, mask_from_image
 from splitknit.io.images import STACK_BYTES
-from splitknit.io.photos import FORMATS, RAW_SUFFIXES, SRGB_SUFFIXES, SUFFIXES, Photo, read_photo
+from splitknit.io.light_list import read_light_list
+from splitknit.io.photos import FORMATS, RAW_SUFFIXES, SUFFIXES, Photo, encoding_of, read_photo
 from splitknit.io.provenance import file_hash
-from splitknit.model import UNKNOWN_SCALE, Band, Camera, Capture, Led, PixelArray, Rig, camera_without_scale
+from splitknit.io.rig import read_rig
+from splitknit.model import (
+    UNKNOWN_SCALE,
+    Band,
+    Camera,
+    Capture,
+    Led,
+    PixelArray,
+    Rig,
+    camera_without_scale,
+    vector_at_origin,
+)
+from splitknit.steps import IN_MEMORY, large_array, let_go
 
 Background = float | str | os.PathLike[str] | None
 _SAME_DEG = 0.5
 """Lights whose directions differ by less are one light, as in :func:`splitknit.errors.check_lights`."""
 _MAX_PHOTOS = 1000
+_NO_CAMERA = Camera(1.0, (1, 1))
+_ASKED, _ASKED_PIXELS = 24, 20_000
+"""Photographs and pixels of each that show the encoding."""
+_LARGE_MEGAPIXELS, _MANY_MEGAPIXELS = 16.0, 300.0
+"""Of one photograph and of all: what needs more is announced."""
+_FIXED_GB, _GB_PER_MEGAPIXEL, _MESH_MB = 0.3, 0.115, 19.5
+"""Memory of a run, and of each megapixel, as docs/experiments/performance.md measures them; and a megapixel's mesh."""
 _BRIGHTEST = 0.9
 """What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
 
@@ -39,83 +61,9 @@ class Photographs:
     """What was assumed or done, one sentence each."""
 
 
-def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read light directions (L, 3) from a text file: x, y, z a line, apart by spaces or commas.
-
-    A first line with a single number is the count of the lights that follow; ``#`` starts a comment. A line may begin
-    or end with the name of its photograph (:func:`read_named_lights`).
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the line.
-    """
-    return read_named_lights(path)[0]
-
-
-def read_named_lights(path: str | os.PathLike[str]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Read light directions (L, 3) and the photographs' names, as :func:`read_lights_txt`.
-
-    Returns
-    -------
-    lights : (L, 3)
-    names : of the photographs, one for each light; empty where the file holds none
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the line; also where only some of the lines hold a name.
-    """
-    name = os.fspath(path)
-    try:
-        text = read_bytes(path, 1_000_000).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{name} is not a text file.") from error
-    rows: list[list[float]] = []
-    names: list[str] = []
-    count: int | None = None
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split("#")[0].replace(",", " ").replace(";", " ").split()
-        if not words:
-            continue
-        if len(words) == 1 and not rows and count is None and words[0].isdecimal():
-            count = int(words[0][:9])
-            continue
-        first = len(words) > 3 and _as_numbers(words[-3:]) is not None
-        values = _as_numbers(words[-3:] if first else words[:3])
-        if values is None or len(words) < 3 or not all(abs(value) <= 1e6 for value in values):
-            raise BadInput(
-                f"{name}, line {number}: three finite numbers x y z are expected, none beyond a million, perhaps with "
-                f"a file's name before or after them, but it is {line.strip()[:60]!a}."
-            )
-        file = " ".join(words[:-3] if first else words[3:])
-        require(
-            not file or _as_numbers([file]) is None,
-            f"{name}, line {number}: three finite numbers x y z are expected, but there are more: "
-            f"{line.strip()[:60]!a}.",
-        )
-        rows.append(values)
-        names += [file] if file else []
-    require(len(rows) > 0, f"{name} holds no lights: a line x y z for each image is expected.")
-    require(
-        count is None or count == len(rows), f"{name} states {count} lights in its first line, but {len(rows)} follow."
-    )
-    require(len(names) in (0, len(rows)), f"{name} names a file in some of its lines only; name one in all or in none.")
-    twice = [one for k, one in enumerate(names) if one in names[:k]]
-    require(not twice, f"{name} names {twice[0] if twice else ''!a} twice.")
-    return np.array(rows, dtype=np.float64), tuple(names)
-
-
-def _as_numbers(words: Sequence[str]) -> list[float] | None:
-    try:
-        return [float(word) for word in words]
-    except ValueError:
-        return None
-
-
 def capture_from_photographs(
     folder: str | os.PathLike[str],
-    lights: str | os.PathLike[str] | None = None,
+    lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
     px_per_mm: float | None = None,
     *,
     mask: str | os.PathLike[str] | None = None,
@@ -123,17 +71,22 @@ def capture_from_photographs(
     encoding: str | None = None,
     background: Background = None,
     tip_direction_deg: float | None = None,
+    max_megapixels: float | None = None,
+    announce: Callable[[str], None] | None = None,
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
     Parameters
     ----------
     folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of their names
-    lights : text file (:func:`read_named_lights`), by default ``lights.txt`` in the folder
+    lights : list (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions
+        (L, 3) or rig; by default ``lights.txt`` in the folder, or the only ``.lp`` file there
     px_per_mm : pixels a millimetre on the object; None where it is unknown: heights are then in pixels
     mask : image file, white = object; by default ``mask.png`` (or another format) in the folder, where there is one
     material, background, tip_direction_deg : as for :func:`capture_from_plain_images`
-    encoding : ``linear`` or ``srgb``; by default ``srgb`` for JPEG, WEBP and HEIC, else ``linear``
+    encoding : ``linear`` or ``srgb``; by default by :func:`splitknit.io.photos.encoding_of`
+    max_megapixels : larger photographs are reduced to so many pixels, by means over areas of linear light
+    announce : called with a sentence on memory and disk before many or large photographs are read
 
     Returns
     -------
@@ -153,12 +106,7 @@ def capture_from_photographs(
     """
     root = Path(folder)
     require(root.is_dir(), f"{os.fspath(folder)} is not a folder; name the folder of the photographs.")
-    table = root / "lights.txt" if lights is None else Path(lights)
-    require(
-        lights is not None or table.is_file(),
-        f"{root} holds no lights.txt; name the file of the light directions with --lights.",
-    )
-    directions, names = read_named_lights(table)
+    table, rig, names = _lights_of(root, lights)
     own = [file for value in (mask, background if not isinstance(background, float | int) else None, table)
            if value is not None for file in [Path(value).resolve()]]  # fmt: skip
     found, masks, skipped = photographs_in(root, table, names, own, find_mask=mask is None)
@@ -166,21 +114,66 @@ def capture_from_photographs(
     left_out = f"; skipped: {_listed(skipped)}" if skipped else ""
     require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
     require(
-        len(found) == len(directions),
+        len(found) == len(rig.leds),
         f"{root} holds {len(found)} photographs ({found[0].name} to {found[-1].name}), but {table} has "
-        f"{len(directions)} lights{left_out}; let each of its lines begin with the name of a photograph.",
+        f"{len(rig.leds)} lights{left_out}; let each of its lines begin with the name of a photograph.",
     )
-    notes = []
-    if encoding is None:
-        encoding = _encoding_of(found)
-        notes.append(f"encoding {encoding} is assumed of {found[0].suffix.lower()} files (--encoding changes it).")
-    capture, more = _assembled(
-        found, directions, px_per_mm, None, mask, material, encoding, background, tip_direction_deg
+    capture, notes = _assembled(
+        found, rig, px_per_mm, mask, material, encoding, background, tip_direction_deg, max_megapixels, announce
     )
-    capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
+    if table.is_file():
+        capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if skipped:
         notes.append(f"skipped in {root}: {_listed(skipped)}.")
-    return Photographs(capture, tuple(skipped), (*notes, *more))
+    return Photographs(capture, tuple(skipped), tuple(notes))
+
+
+def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...]]:
+    """The file of the lights, or a word for what was given instead; the white LEDs and the camera; names, if any."""
+    if isinstance(lights, Rig):
+        return Path("the rig"), _white(lights, "the rig"), ()
+    if lights is not None and not isinstance(lights, str | os.PathLike):
+        return Path("lights"), _distant_rig(np.asarray(lights, dtype=np.float64)), ()
+    listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
+    table = listed[0] if len(listed) == 1 else root / "lights.txt" if lights is None else Path(lights)
+    require(
+        lights is not None or table.is_file(),
+        f"{root} holds no lights.txt; name the file of the light directions with --lights.",
+    )
+    if table.suffix.lower() == ".json":
+        return table, _white(read_rig(table), os.fspath(table)), ()
+    vectors, names, places = read_light_list(table)
+    return table, _distant_rig(vectors, table if places else None), names
+
+
+def _white(rig: Rig, name: str) -> Rig:
+    leds = tuple(led for led in rig.leds if led.band == "white")
+    require(len(leds) > 0, f"{name} has no LED of the band 'white'.")
+    return replace(rig, leds=leds)
+
+
+def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Rig:
+    """A rig of lights in directions (L, 3), or at places in mm of the file that is named; its camera is a dummy."""
+    good = vectors.ndim == 2 and vectors.shape[1] == 3 and len(vectors) > 0
+    require(good, f"lights must have the shape (L, 3), but it has {vectors.shape}.")
+    lengths = np.linalg.norm(vectors, axis=1)
+    require(bool(np.isfinite(lengths).all()), "lights contains NaN or infinite values.")
+    require(bool((lengths > 0).all()), f"lights contains a zero vector (light {int(np.argmin(lengths))}).")
+    require(
+        bool((vectors[:, 2] > 0).all()),
+        f"light {int(np.argmin(vectors[:, 2]))} points away from the camera (z <= 0); lights point towards the light.",
+    )
+    require(
+        places is None or bool((vectors[:, 2] >= 1.0).all()),
+        f"{places}: places of lights are in mm above the object (the third number at least 1).",
+    )
+    units = vectors / lengths[:, None]
+    leds = [
+        Led("white", direction=(float(x), float(y), float(z))) if places is None
+        else Led("white", position_mm=(float(x), float(y), float(z)))
+        for x, y, z in (units if places is None else vectors)
+    ]  # fmt: skip
+    return Rig(_NO_CAMERA, tuple(leds), {"source": f"plain images, {'distant' if places is None else 'near'} lights"})
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:
@@ -196,7 +189,7 @@ def photographs_in(
     ----------
     folder : Path
     table : file of the lights, for messages
-    names : of photographs, from that file (:func:`read_named_lights`); empty: all, photo_2 before photo_10
+    names : of photographs, from that file; empty: all, photo_2 before photo_10
     own : files that have another use
     find_mask : whether a ``mask.png`` (or another format) is looked for
 
@@ -245,24 +238,17 @@ def _words(name: str) -> list[tuple[int, str]]:
 
 
 def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[list[Path], list[Path]]:
-    """The photographs that the lights' file names, in its order, and the others; a name may lack its suffix."""
+    """The photographs that the lights' file names, in its order, and the others; a name may lack its suffix, or have
+    another one or capitals, as where photographs were converted."""
     chosen = []
     for name in names:
-        fits = [file for file in found if file.name == name] or [file for file in found if file.stem == name]
+        ways = (str, str.lower, lambda word: Path(word.lower()).stem)
+        tries = ([file for file in found if name == file.stem or way(name) == way(file.name)] for way in ways)
+        fits = next(filter(None, tries), [])
         require(len(fits) > 0, f"{table} names {name!a}, but there is no such photograph.")
         require(len(fits) == 1, f"{table} names {name!a}, which fits {_listed([file.name for file in fits])}.")
         chosen.append(fits[0])
     return chosen, [file for file in found if file not in chosen]
-
-
-def _encoding_of(files: Sequence[Path]) -> str:
-    kinds = {file.suffix.lower() in SRGB_SUFFIXES for file in files}
-    require(
-        len(kinds) == 1,
-        "the photographs are of several formats, some with a tone curve (JPEG, WEBP, HEIC) and some without; give "
-        "--encoding.",
-    )
-    return "srgb" if kinds == {True} else "linear"
 
 
 def capture_from_plain_images(
@@ -306,49 +292,69 @@ def capture_from_plain_images(
         differ in number, the lights do not determine a normal, an image is black or overexposed.
     """
     files = [Path(image) for image in images]
-    return _assembled(files, lights, px_per_mm, intensities, mask, material, encoding, background, tip_direction_deg)[0]
+    rig = _distant_rig(np.asarray(lights, dtype=np.float64))
+    strengths = [1.0] * len(rig.leds) if intensities is None else [float(value) for value in intensities]
+    require(
+        len(strengths) == len(rig.leds),
+        f"there are {len(strengths)} intensities for {len(rig.leds)} lights; give one each.",
+    )
+    rig = replace(rig, leds=tuple(replace(led, intensity=one) for led, one in zip(rig.leds, strengths, strict=True)))
+    return _assembled(files, rig, px_per_mm, mask, material, encoding, background, tip_direction_deg)[0]
 
 
 def _assembled(  # noqa: PLR0917
     files: Sequence[Path],
-    lights: NDArray[np.float64],
+    rig: Rig,
     px_per_mm: float | None,
-    intensities: Sequence[float] | None,
     mask: str | os.PathLike[str] | None,
     material: str,
-    encoding: str,
+    encoding: str | None,
     background: Background,
     tip_direction_deg: float | None,
+    max_megapixels: float | None = None,
+    announce: Callable[[str], None] | None = None,
 ) -> tuple[Capture, list[str]]:
     """The capture, and notes on it."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
     require(material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{material}'.")
-    require(encoding in ("linear", "srgb"), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
+    require(encoding in ("linear", "srgb", None), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
     linear = [file.name for file in files if file.suffix.lower() in RAW_SUFFIXES]
-    require(not linear or encoding == "linear", f"{linear[0] if linear else ''} is camera RAW, whose light is linear.")
-    vectors = np.asarray(lights, dtype=np.float64)
-    groups = _same_lights(vectors, len(files))
-    strengths = [1.0] * len(files) if intensities is None else [float(value) for value in intensities]
+    require(not linear or encoding != "srgb", f"{linear[0] if linear else ''} is camera RAW, whose light is linear.")
     require(
-        len(strengths) == len(files), f"there are {len(strengths)} intensities for {len(files)} lights; give one each."
+        len(rig.leds) == len(files),
+        f"lights and images differ in number: {len(rig.leds)} lights for {len(files)} images.",
     )
-    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    rays = check_lights(np.array([units[group].mean(axis=0) for group in groups]))
-    leds = [
-        Led("white", direction=(float(x), float(y), float(z)), intensity=float(np.mean([strengths[k] for k in group])))
-        for (x, y, z), group in zip(rays / np.linalg.norm(rays, axis=1, keepdims=True), groups, strict=True)
-    ]
-    stack, turn, hashes = _read_stack(files)
-    size = (stack.shape[1], stack.shape[2])
+    groups = _same_lights(rig)
+    leds = tuple(_together([rig.leds[k] for k in group]) for group in groups)
+    check_lights(replace(rig, leds=leds).light_vectors())
+    notes = []
+    if encoding is None:
+        encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig.light_vectors()))
+        notes.append(note)
+    reading = _Reading(files, encoding, max_megapixels)
+    if announce is not None and (cost := reading.cost()):
+        announce(cost)
+    stack, turn, hashes = reading.stack()
     others = {}
     for what, file in (("mask", mask), ("background", None if isinstance(background, float | int) else background)):
         if file is not None:
-            photo = _read_photo_of(Path(file), size, files[0])
-            others[what] = photo.pixels
+            photo = read_photo(Path(file))
+            others[what] = reading.reduced(photo, Path(file))
             hashes[Path(file).name] = photo.sha256
-    black = float(background) if isinstance(background, float | int) else 0.0
+    black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
     pixels, ambient, black = _as_integers(stack, others.get("background"), black, groups)
-    camera = camera_without_scale(size) if px_per_mm is None else Camera(px_per_mm=float(px_per_mm), image_size=size)
+    encoding = reading.encoding_after
+    if reading.factor > 1:
+        notes.append(
+            f"the photographs of {reading.megapixels:.1f} megapixels were reduced to "
+            f"{pixels[0, ..., 0].size / 1e6:.1f} (--max-size), by means over {reading.factor:g} x "
+            f"{reading.factor:g} pixels."
+        )
+    camera = _camera_of(rig.camera, reading, px_per_mm)
+    require(
+        camera.scale_known or all(led.position_mm is None for led in leds),
+        "lights at places in mm need the scale of the photographs; give --px-per-mm, or directions of the lights.",
+    )
     band = Band(
         name="white",
         pixels=pixels,
@@ -356,11 +362,12 @@ def _assembled(  # noqa: PLR0917
         exposure=np.ones(len(groups)),
         black_level=np.full(len(groups), black),
         ambient=ambient,
+        shading=camera.shading,
         files=tuple(str(files[group[0]]) for group in groups),
     )
     check_content(band)
     capture = Capture(
-        rig=Rig(camera, tuple(leds), {"source": "plain images, distant lights"}),
+        rig=replace(rig, camera=camera, leds=leds),
         bands={"white": band},
         encoding=encoding,
         material=material,
@@ -368,7 +375,31 @@ def _assembled(  # noqa: PLR0917
         mask=None if mask is None else mask_from_image(_as_bytes(others["mask"]), str(mask)),
         hashes=hashes,
     )
-    return capture, _notes(capture, files, groups, turn)
+    return capture, [*notes, *_notes(capture, files, groups, turn)]
+
+
+def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
+    """The rig's camera, or one of the scale that was given, for the photographs as they were read."""
+    size, factor = reading.shape[:2], reading.factor
+    small = (int(size[0] // factor), int(size[1] // factor))
+    if camera is not _NO_CAMERA:
+        require(
+            camera.image_size == size,
+            f"the rig's camera takes images of {camera.image_size[0]} x {camera.image_size[1]} pixels (rows x "
+            f"columns), but the photographs have {size[0]} x {size[1]}; give --lights a list of lights instead.",
+        )
+        require(
+            px_per_mm is None or not camera.scale_known,
+            f"--px-per-mm and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+        )
+        if px_per_mm is None and not camera.scale_known:
+            return camera_without_scale(small)
+        matrix = camera.matrix
+        if matrix is not None and factor > 1:  # the middle of the first pixel is 0
+            matrix = np.array([[1, 0, 0.5 - factor / 2], [0, 1, 0.5 - factor / 2], [0, 0, factor]]) @ matrix / factor
+        scale = (camera.px_per_mm if px_per_mm is None else float(px_per_mm)) / factor
+        return replace(camera, image_size=small, px_per_mm=scale, scale_known=True, matrix=matrix)
+    return camera_without_scale(small) if px_per_mm is None else Camera(float(px_per_mm) / factor, small)
 
 
 def _notes(capture: Capture, files: Sequence[Path], groups: Sequence[Sequence[int]], turn: int) -> list[str]:
@@ -383,19 +414,20 @@ def _notes(capture: Capture, files: Sequence[Path], groups: Sequence[Sequence[in
     return notes + few_lights(capture.rig.light_vectors())
 
 
-def _same_lights(vectors: NDArray[np.float64], count: int) -> list[list[int]]:
+def _together(leds: Sequence[Led]) -> Led:
+    """The light of several photographs that are averaged: the mean direction of distant ones, else the first place."""
+    intensity = float(np.mean([led.intensity for led in leds]))
+    if leds[0].direction is None or len(leds) == 1:
+        return replace(leds[0], intensity=intensity)
+    mean = np.mean([vector_at_origin(replace(led, intensity=1.0)) for led in leds], axis=0)
+    x, y, z = mean / np.linalg.norm(mean)
+    return replace(leds[0], direction=(float(x), float(y), float(z)), intensity=intensity)
+
+
+def _same_lights(rig: Rig) -> list[list[int]]:
     """Photographs under one light together, in the order of the first of them."""
-    good = vectors.ndim == 2 and vectors.shape[1] == 3 and len(vectors) > 0
-    require(good, f"lights must have the shape (L, 3), but it has {vectors.shape}.")
-    require(len(vectors) == count, f"lights and images differ in number: {len(vectors)} lights for {count} images.")
-    lengths = np.linalg.norm(vectors, axis=1)
-    require(bool(np.isfinite(lengths).all()), "lights contains NaN or infinite values.")
-    require(bool((lengths > 0).all()), f"lights contains a zero vector (light {int(np.argmin(lengths))}).")
-    require(
-        bool((vectors[:, 2] > 0).all()),
-        f"light {int(np.argmin(vectors[:, 2]))} points away from the camera (z <= 0); lights point towards the light.",
-    )
-    units = vectors / lengths[:, None]
+    vectors = rig.light_vectors()
+    units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     groups: list[list[int]] = []
     for k, unit in enumerate(units):
         same = [group for group in groups if unit @ units[group[0]] > np.cos(np.deg2rad(_SAME_DEG))]
@@ -411,45 +443,103 @@ def _same_lights(vectors: NDArray[np.float64], count: int) -> list[list[int]]:
     return groups
 
 
-def _read_stack(files: Sequence[Path]) -> tuple[NDArray[Any], int, dict[str, str]]:
-    """Photographs (L, H, W, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
-    stack: NDArray[Any] | None = None
-    first: Photo | None = None
-    hashes: dict[str, str] = {}
-    for k, file in enumerate(files):
-        if stack is None or first is None:
-            first = read_photo(file, room=STACK_BYTES // len(files))
-            stack = np.empty((len(files), *first.pixels.shape), first.pixels.dtype)
-        photo = first if k == 0 else read_photo(file, room=first.pixels.nbytes * 3)
-        require(
-            photo.orientation == first.orientation,
-            f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than {files[0].name} "
-            f"({first.orientation}), as a telephone that looks straight down guesses it; give all one orientation.",
+def _shading_is_srgb(files: Sequence[Path], lights: NDArray[np.float64]) -> bool:
+    """Whether the shading in photographs of 8 bits is that of sRGB values; some of many photographs decide."""
+    chosen = np.unique(np.linspace(0, len(files) - 1, min(len(files), _ASKED)).astype(int))
+    codes = []
+    for k in chosen:
+        photo = read_photo(files[k]).pixels
+        step = max(1, round((photo.shape[0] * photo.shape[1] / _ASKED_PIXELS) ** 0.5))
+        codes.append(photo[::step, ::step, photo.shape[2] // 2].ravel() / np.float32(255.0))
+    same = len({one.size for one in codes}) == 1  # else refused where all are read
+    return same and shading_is_srgb(np.stack(codes), lights[chosen])
+
+
+class _Reading:
+    """Photographs of one size and kind, read one after the other and reduced where a limit demands it."""
+
+    def __init__(self, files: Sequence[Path], encoding: str, max_megapixels: float | None) -> None:
+        self.files, self.encoding = files, encoding
+        self.first = read_photo(files[0], room=STACK_BYTES)
+        self.shape: tuple[int, ...] = self.first.pixels.shape
+        rows, columns, _ = self.shape
+        self.megapixels = rows * columns / 1e6
+        over = 1.0 if max_megapixels is None else self.megapixels / max_megapixels
+        self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
+        """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
+        require(min(rows, columns) // self.factor >= 16, "--max-size leaves less than 16 pixels a side; give more.")
+        floats = self.first.pixels.dtype.kind == "f"
+        self.encoding_after = encoding if self.factor == 1 or floats else "linear"
+        self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
+
+    def cost(self) -> str:
+        """A sentence on memory and disk, where they are much."""
+        count, used = len(self.files), self.megapixels / self.factor**2
+        memory = _FIXED_GB + used * _GB_PER_MEGAPIXEL
+        if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
+            return ""
+        disk = count * used * self.shape[2] * self.dtype.itemsize / 1e3
+        stored = (
+            f", {disk:.1f} GB of disk for the photographs while they are worked on" if 1e9 * disk > IN_MEMORY else ""
         )
-        _check_like(photo, first.pixels.shape[:2], file, files[0])
-        require(
-            photo.pixels.shape == first.pixels.shape and photo.pixels.dtype == first.pixels.dtype,
-            f"{file} is {_kind(photo.pixels)}, but {files[0]} is {_kind(first.pixels)}; all must agree.",
+        smaller = "" if used < _LARGE_MEGAPIXELS else "; --max-size 10 reduces them to 10 megapixels"
+        return (
+            f"{count} photographs of {used:.1f} megapixels need about {memory:.1f} GB of memory{stored}, and a mesh of "
+            f"the whole picture takes {used * _MESH_MB:.0f} MB{smaller}."
         )
-        stack[k] = photo.pixels
-        hashes[file.name] = photo.sha256
-    if stack is None or first is None:
-        raise BadInput("there are no photographs.")
-    return stack, first.orientation, hashes
 
+    def level(self, stored: float) -> float:
+        """A stored value, on the scale of :meth:`stack`."""
+        if self.factor == 1 or self.dtype.kind == "f":
+            return stored
+        table = decode_table(self.first.pixels.dtype, self.encoding)
+        require(0 <= stored < len(table), f"the background must lie between 0 and {len(table) - 1}, not {stored:g}.")
+        return 65535.0 * float(np.interp(stored, np.arange(len(table)), table))
 
-def _read_photo_of(file: Path, size: tuple[int, int], first: Path) -> Photo:
-    photo = read_photo(file)
-    _check_like(photo, size, file, first)
-    return photo
+    def reduced(self, photo: Photo, file: Path) -> NDArray[Any]:
+        """Pixels of a photograph (H, W, C), linear where they are reduced."""
+        rows, columns = photo.pixels.shape[:2]
+        require(
+            (rows, columns) == self.shape[:2],
+            f"{file} has {rows} x {columns} pixels (rows x columns), but {self.shape[0]} x {self.shape[1]} are "
+            f"expected by {self.files[0]}.",
+        )
+        if self.factor == 1:
+            return photo.pixels
+        small = (int(rows // self.factor), int(columns // self.factor))
+        if photo.pixels.dtype.kind == "f":
+            return np.asarray(block_means(photo.pixels, small, self.factor).reshape(*small, -1))
+        light = linear_image(photo.pixels, self.encoding, binning=self.factor)
+        return np.asarray(np.rint(np.clip(light, 0.0, 1.0) * np.float32(65535.0)).astype(np.uint16))
 
-
-def _check_like(photo: Photo, size: tuple[int, ...], file: Path, first: Path) -> None:
-    rows, columns = photo.pixels.shape[:2]
-    require(
-        (rows, columns) == tuple(size),
-        f"{file} has {rows} x {columns} pixels (rows x columns), but {size[0]} x {size[1]} are expected by {first}.",
-    )
+    def stack(self) -> tuple[NDArray[Any], int, dict[str, str]]:
+        """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
+        first, hashes = self.first, {}
+        rows, columns, channels = self.shape
+        shape = (len(self.files), int(rows // self.factor), int(columns // self.factor), channels)
+        require(
+            math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
+            f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB; name fewer, or "
+            "reduce them with --max-size.",
+        )
+        stack = large_array(shape, self.dtype)
+        for k, file in enumerate(self.files):
+            photo = first if k == 0 else read_photo(file, room=first.pixels.nbytes * 3)
+            require(
+                photo.orientation == first.orientation,
+                f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than "
+                f"{self.files[0].name} ({first.orientation}), as a telephone that looks straight down guesses it; give "
+                "all one orientation.",
+            )
+            pixels = self.reduced(photo, file)
+            require(
+                photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype,
+                f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}; all must agree.",
+            )
+            stack[k] = pixels
+            let_go(stack)
+            hashes[file.name] = photo.sha256
+        return stack, first.orientation, hashes
 
 
 def _kind(pixels: NDArray[Any]) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.io.pictures import BLUE, ORANGE, SKY, ColourArray, data_uri, upright_limits
 from splitknit.model import Band, Capture, PixelArray, Reconstruction
+from splitknit.steps import let_go
 
 _NO_LEGEND = Markup("")
 
@@ -69,7 +70,10 @@ def small_images(band: Band) -> PixelArray:
     rows, columns = band.pixels.shape[1:3]
     scale = min(1.0, LONGEST_PX / max(rows, columns))
     size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
-    small = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in band.pixels]
+    small = []
+    for image in band.pixels:
+        small.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+        let_go(band.pixels)
     return np.stack(small).reshape(len(small), size[1], size[0], -1)
 
 

@@ -18,8 +18,9 @@ from splitknit.errors import BadInput, require
 from splitknit.imaging.band import srgb_code
 from splitknit.io.capture_file import read_plan
 from splitknit.io.images import decode_image
-from splitknit.io.photos import FORMATS, SRGB_SUFFIXES, decode_photo
-from splitknit.io.plain import photographs_in, read_named_lights
+from splitknit.io.light_list import read_named_lights
+from splitknit.io.photos import FORMATS, decode_photo, encoding_of
+from splitknit.io.plain import photographs_in
 from splitknit.model import vector_at_origin
 from splitknit.viewer.catalogue import Entry, read_below
 
@@ -115,15 +116,15 @@ def _plain(folder: Path, where: str, out: str) -> Photographs:
         )
         lights = ()
     notes += [f"Not used: {', '.join(skipped[:8])}{' and more' if len(skipped) > 8 else ''}."] if skipped else []
-    curves = ["srgb" if file.suffix.lower() in SRGB_SUFFIXES else "linear" for file in files]
+    curve, _ = encoding_of(files[:1], lambda: False)
     photos = tuple(
         Photo(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
-        for number, (file, curve) in enumerate(zip(files, curves, strict=True))
+        for number, file in enumerate(files)
     )
     facts = (
         ("Photographs", str(len(photos))),
         ("Lights", f"{len(lights)} directions" if lights else "not known"),
-        ("Stored", "sRGB (assumed)" if curves[0] == "srgb" else "linear (assumed; --encoding srgb changes it)"),
+        ("Stored", "sRGB (assumed)" if curve == "srgb" else "linear (assumed; --encoding srgb changes it)"),
         ("Mask", masks[0].name if masks else "none"),
     )
     named = "" if table.is_file() else "--lights FILE "
