@@ -86,6 +86,7 @@ def match_files(
         Naming the file at fault, or if `fmr` is below what was measured.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
+    require(fmr is None or 0 < fmr < 1, f"fmr (--fmr) must lie between 0 and 1, but it is {fmr}.")
     require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
@@ -107,7 +108,6 @@ def match_files(
             if first.kind == second.kind == "print" and not installed():
                 facts["fusion_missing"] = "nbis-py is not installed"
         progress("comparing", 0.9)
-        require(fmr is None or 0 < fmr < 1, f"fmr must lie between 0 and 1, but it is {fmr}.")
         compare: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
             "ridge": _by_ridges,
             "fusion": _fused,
