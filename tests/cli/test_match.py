@@ -114,7 +114,7 @@ def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
 
 @pytest.mark.parametrize(
     ("rate", "words"),
-    [(1e-4, "1 in 10,000"), (0.0359, "1 in 28"), (0.7, "more than 1 in 2"), (4e-3, "below 1 in 250")],
+    [(1e-4, "1 in 10,000"), (0.0359, "1 in 27"), (0.7, "more than 1 in 2"), (4e-3, "below 1 in 250")],
 )
 def test_rates_in_words(rate: float, words: str) -> None:
     assert one_in(rate, {"smallest": 0.004} if words.startswith("below") else None) == words

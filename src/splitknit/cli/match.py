@@ -69,17 +69,18 @@ def add_raw(verb: argparse.ArgumentParser) -> None:
 
 
 def one_in(rate: float, basis: dict[str, Any] | None = None) -> str:
-    """Write a false match rate for people; "below" where no impostor of its `basis` is as similar.
+    """Write a false match rate for people, rounded up; "below" where no impostor of its `basis` is as similar.
 
     Examples
     --------
     >>> one_in(1e-4), one_in(0.0359), one_in(0.7), one_in(8.95e-5, {"smallest": 8.95e-5})
-    ('1 in 10,000', '1 in 28', 'more than 1 in 2', 'below 1 in 11,000')
+    ('1 in 10,000', '1 in 27', 'more than 1 in 2', 'below 1 in 11,000')
     """
     if rate > 0.5:
         return "more than 1 in 2"
-    people = float(f"{1 / rate:.2g}")
-    return f"{'below ' if basis is not None and rate <= basis['smallest'] else ''}1 in {people:,.0f}"
+    people = int(1 / rate + 1e-9)
+    step = 10 ** max(0, len(str(people)) - 2)
+    return f"{'below ' if basis is not None and rate <= basis['smallest'] else ''}1 in {people // step * step:,}"
 
 
 def basis_words(basis: dict[str, Any]) -> str:
