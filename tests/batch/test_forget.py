@@ -80,7 +80,8 @@ def test_nothing_of_the_person_is_left_and_the_others_are(kept: Path, capsys) ->
     (kept / "mine.csv").write_text("person,phone\nS01,1234\n")
     (kept / "people" / "S01" / "notes.txt").write_text("hello")
     mine = contents_of_others(kept / "mine")
-    facts = facts_of(capsys, "forget", "--person", "S01", kept, "--yes")
+    facts = facts_of(capsys, "forget", "--person", "S01", kept / "people.skg", kept, kept / "store", "--yes")
+    assert len(facts["found"]) == 8
     assert {one["what"] for one in facts["found"]} == {
         "gallery", "capture or result", "export of a gallery", "export", "store",
     }  # fmt: skip
@@ -114,7 +115,9 @@ def test_nothing_is_erased_without_a_yes(kept: Path, capsys) -> None:
     assert main(["forget", "--person", "S01", str(kept), "--json"]) == 2
     assert not json.loads(capsys.readouterr().out)["erased"]
     assert "nothing of S09 was found" in refusal_of(capsys, "forget", "--person", "S09", kept / "people", "--yes")
-    assert "there is no" in refusal_of(capsys, "forget", "--person", "S01", kept / "nowhere", "--yes")
+    for place in ("nowhere", "plain/gallery.csv"):
+        words = refusal_of(capsys, "forget", "--person", "S01", kept / place, "--yes")
+        assert "is neither a gallery nor a folder" in words
     assert contents(kept) == before
 
 

@@ -81,27 +81,24 @@ def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = N
     require(len(people) > 0 and len(places) > 0, "name a person, and the galleries and folders to look in.")
     names = frozenset(check_person(one) for one in people)
     for place in places:
-        require(place.exists(), f"there is no '{place}'; name galleries and folders.")
+        found = place.is_dir() or is_gallery(place)
+        require(found, f"'{place}' is neither a gallery nor a folder; name galleries and folders.")
     unreached: list[dict[str, str]] = []
     held: list[_Held] = []
-    galleries: list[Path] = []
+    galleries = {place.resolve(): place for place in places if not place.is_dir()}
     shards: list[Path] = []
     unnamed: list[str] = []
     for folder, files in _walked(places, unreached):
         shards += [folder] if files_of_shards(folder) else []
-        galleries += [folder / name for name in files if is_gallery(folder / name)]
+        galleries |= {file.resolve(): file for file in (folder / name for name in files) if is_gallery(file)}
         known = FACTS_FILE in files or (folder.parent / TABLE_FILE).is_file()
         unnamed += [str(folder / name) for name in files if name.endswith(_UNNAMED) and not known]
         for look in (_finger, _tables, _export, _store):
-            try:
+            with _noted(folder, unreached):
                 held += look(folder, files, names)
-            except BadInput as error:
-                unreached.append({"path": str(folder), "reason": str(error)})
-    for gallery in galleries:
-        try:
+    for gallery in galleries.values():
+        with _noted(gallery, unreached):
             held += _gallery(gallery, names, key)
-        except BadInput as error:
-            unreached.append({"path": str(gallery), "reason": str(error)})
     words = ", ".join(sorted(names))
     nothing = (
         f"nothing of {words} was found; names are compared letter by letter ('splitknit gallery list' shows them)."
@@ -119,18 +116,13 @@ def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = N
     if not erase:
         return facts
     for one in held:
-        try:
+        with _noted(one.path, unreached):
             one.erase()
-        except (BadInput, OSError) as error:
-            unreached.append({"path": str(one.path), "reason": str(error)})
     for folder in shards:
-        try:
-            _shards(folder, galleries, key)
-        except (BadInput, OSError) as error:
-            unreached.append({"path": str(folder), "reason": str(error)})
-    there = [place for place in places if place.exists()]
+        with _noted(folder, unreached):
+            _shards(folder, list(galleries.values()), key)
     facts["mentions"] = [
-        str(folder / name) for folder, files in _walked(there, []) for name in files if _names(folder / name, names)
+        str(folder / name) for folder, files in _walked(places, []) for name in files if _names(folder / name, names)
     ]
     facts["unnamed"] = [path for path in unnamed if Path(path).exists()]
     if unreached:
@@ -141,14 +133,24 @@ def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = N
     return facts
 
 
+@contextlib.contextmanager
+def _noted(path: Path, unreached: list[dict[str, str]]) -> Iterator[None]:
+    """Put down what fails, and go on."""
+    try:
+        yield
+    except (BadInput, OSError) as error:
+        unreached.append({"path": str(path), "reason": str(error)})
+
+
 def _walked(places: Sequence[Path], unreached: list[dict[str, str]]) -> Iterator[tuple[Path, list[str]]]:
-    """Folders and the names of their regular files; links, and what may not be read, are put down."""
-    for place in places:
-        if place.is_file():
-            yield place.parent, [place.name]
-            continue
+    """Folders, each once, and the names of their regular files; links, and what may not be read, are put down."""
+    seen: set[Path] = set()
+    for place in (one for one in places if one.is_dir()):
         failed: list[OSError] = []
         for folder, folders, files in os.walk(place, onerror=failed.append):
+            if Path(folder).resolve() in seen:
+                continue
+            seen.add(Path(folder).resolve())
             folders.sort()
             links = [name for name in (*folders, *files) if (Path(folder) / name).is_symlink()]
             unreached += [{"path": str(Path(folder) / name), "reason": "a link is not followed."} for name in links]
