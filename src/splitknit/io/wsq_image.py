@@ -151,6 +151,7 @@ _TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
 """Filters, quantisers, Huffman codes, restart interval, comment."""
 _COMMENT = 0xA8
 _MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
+_PPI_LINE = re.compile(rb"^PPI ([0-9]{1,5})$", re.MULTILINE)
 _MAX_PIXELS = 25_000_000
 
 
@@ -215,5 +216,8 @@ def _frame(body: bytes, name: str) -> tuple[int, int]:
 
 
 def _ppi(comment: bytes) -> int | None:
-    found = re.search(rb"^NIST_COM .*^PPI ([0-9]{1,5})$", comment, re.MULTILINE | re.DOTALL)
-    return int(found.group(1)) if found else None
+    """The last line ``PPI n`` after the line that begins with ``NIST_COM``; each byte is looked at a fixed number of
+    times."""
+    head = re.search(rb"^NIST_COM ", comment, re.MULTILINE)
+    stated = _PPI_LINE.findall(comment, head.end()) if head else []
+    return int(stated[-1]) if stated else None
