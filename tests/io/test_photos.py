@@ -176,6 +176,9 @@ def test_names_in_the_lights_file(folder: Path) -> None:
     (folder / "lights.txt").write_text("p99.png 0 0 1")
     with pytest.raises(BadInput, match=r"names 'p99\.png', but there is no such photograph"):
         capture_from_photographs(folder)
+    (folder / "lights.txt").write_text("\n".join([*lines, "p12 0.3 0.1 1"]))
+    with pytest.raises(BadInput, match=r"p12\.png is named twice"):
+        capture_from_photographs(folder)
     for text, words in (("a 0 0 1\n1 0 1", "some of its lines"), ("a 0 0 1\na 1 0 1", "twice"), ("0 0 1 7", "more")):
         (folder / "lights.txt").write_text(text)
         with pytest.raises(BadInput, match=words):
