@@ -30,7 +30,7 @@ JPEG_SIGNATURE, BMP_SIGNATURE = b"\xff\xd8\xff", b"BM"
 _EXTRA = "{} needs a package that is not installed: pip install 'splitknit[photos]', or export it as PNG or TIFF."
 _UNREADABLE = "{} cannot be decoded; export it as PNG or TIFF."
 _PIXELS_PER_BYTE = 16384
-"""Of a WEBP file at most: 38 bytes can hold any number of equal pixels. Photographs stay below 100, masks below 4000."""
+"""Of a WEBP file at most: 38 bytes can hold any number of equal pixels. Photographs have up to 100, masks 4000."""
 _RAW_TURNS = {0: 1, 3: 3, 5: 8, 6: 6}
 """LibRaw's ``flip`` as EXIF's orientation."""
 
@@ -200,7 +200,8 @@ def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     try:
         with refusing(_UNREADABLE.format(name)):
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-            require(image is not None and image.shape[:2] == (rows, columns), _UNREADABLE.format(name))
+            if image is None or image.shape[:2] != (rows, columns):
+                raise BadInput(_UNREADABLE.format(name))
             pixels = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image))
     finally:
         log.setLogLevel(level)
