@@ -13,6 +13,7 @@ FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biome
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import subprocess
 import sys
@@ -122,6 +123,7 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
             capture_output=True,
             timeout=TIMEOUT_S,
             check=False,
+            env={name: value for name, value in os.environ.items() if not name.startswith("SPLITKNIT_")},  # no keys
         )
     except subprocess.TimeoutExpired:
         return None
