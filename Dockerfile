@@ -1,17 +1,25 @@
 # docker build -t splitknit .
 # docker run --rm -v "$PWD:/data" --user "$(id -u):$(id -g)" splitknit             # the demonstration, into ./demo
 # docker run --rm -v "$PWD:/data" --user "$(id -u):$(id -g)" splitknit reconstruct my_capture --out my_result
-FROM python:3.13-slim AS build
+# The image below is named by a tag, which may be given to another one; pin it by its digest where that matters:
+#   docker buildx imagetools inspect python:3.13-slim --format '{{.Manifest.Digest}}'
+#   docker build --build-arg PYTHON=python:3.13-slim@sha256:... -t splitknit .
+ARG PYTHON=python:3.13-slim
+
+# Versions and hashes are those of constraints.txt, as in the Makefile; only a newer pip takes hashes from there
+FROM ${PYTHON} AS build
+COPY constraints.txt /tmp/
+RUN sed -n '/^pip==/,/[^\\]$/p' /tmp/constraints.txt > /tmp/pip.txt \
+    && pip install --no-cache-dir --require-hashes -r /tmp/pip.txt
 COPY pyproject.toml README.md LICENSE /source/
 COPY src /source/src
-RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /source
+RUN PIP_BUILD_CONSTRAINT=/tmp/constraints.txt pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /source
 
-FROM python:3.13-slim
+FROM ${PYTHON}
 COPY constraints.txt /tmp/
 COPY --from=build /wheels /wheels
-# Versions and hashes are those of constraints.txt, as in the Makefile; only a newer pip takes hashes from there
-RUN sed -n '/^pip==/,/[^\\]$/p' /tmp/constraints.txt > /tmp/pip.txt \
-    && pip install --no-cache-dir --require-hashes -r /tmp/pip.txt \
+COPY --from=build /tmp/pip.txt /tmp/
+RUN pip install --no-cache-dir --require-hashes -r /tmp/pip.txt \
     && pip install --no-cache-dir --no-deps /wheels/*.whl \
     && pip install --no-cache-dir --require-hashes --constraint /tmp/constraints.txt 'splitknit[plot]' \
     && rm -r /wheels /tmp/constraints.txt /tmp/pip.txt \

@@ -43,14 +43,16 @@ docs: $(VENV)/.ready
 install: $(VENV)/.ready
 	$(INSTALL) 'splitknit[$(EXTRAS)]'
 
-# The pip of Python 3.11 does not take hashes from constraints, so a newer one is installed first. The project itself is
-# a folder, which has no hash; then it is there, and pip only adds what it needs. Where Debian lacks python3-venv half of
-# an environment is left, which the next `make` must not take for a whole one.
+# The pip of Python 3.11 does not take hashes from constraints, so a newer one is installed first, and the setuptools
+# that comes with it (65.5.0, with known vulnerabilities) goes. The project itself is a folder, which has no hash; then
+# it is there, and pip only adds what it needs. Where Debian lacks python3-venv half of an environment is left, which
+# the next `make` must not take for a whole one.
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "splitknit needs Python 3.11 or later: make PYTHON=python3.11 ...")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || { rm -f $(BIN)/python; exit 1; }
 	$(call pinned,pip) > $(VENV)/pip.txt
 	$(BIN)/python -m pip install --quiet --require-hashes -r $(VENV)/pip.txt
+	$(BIN)/python -m pip uninstall --quiet --quiet --yes setuptools
 	$(BIN)/python -m pip install --quiet --no-deps -e .
 	$(INSTALL) 'splitknit[batch,minutiae]'
 	@touch $@

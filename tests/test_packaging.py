@@ -64,6 +64,18 @@ def test_the_docker_image_is_made_of_files_that_are_let_in() -> None:
     assert all((ROOT / name).exists() for name in copied)
 
 
+def test_everything_is_installed_as_the_constraints_say() -> None:
+    """Every pip command of Makefile, Dockerfile and workflow checks hashes, or takes the project alone."""
+    for name in ("Makefile", "Dockerfile", ".github/workflows/ci.yml"):
+        text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", " ")
+        found = [line for line in text.splitlines() if re.search(r"pip (install|wheel|sync) ", line)]
+        commands = [one for line in found for one in line.split("&&") if re.search(r"pip (install|wheel) ", one)]
+        assert len(commands) >= 3, name
+        assert all("--require-hashes" in one or "--no-deps" in one or "`" in one for one in commands), name
+        assert "PIP_BUILD_CONSTRAINT" in text, name
+    assert "pip uninstall --quiet --quiet --yes setuptools" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
 def test_the_workflow_runs_what_is_there_on_versions_that_are_declared() -> None:
     workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8"))
     jobs = workflow["jobs"]

@@ -32,9 +32,19 @@ class BadInput(ValueError):  # noqa: N818 - a user reads it as a statement about
 
     def __init__(self, message: str = "") -> None:
         """Take over the message."""
-        message = message if len(message) <= 2000 else f"{message[:2000]} ..."
-        plain = message.isprintable()
-        super().__init__(message if plain else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in message))
+        super().__init__(printable(message if len(message) <= 2000 else f"{message[:2000]} ..."))
+
+
+def printable(text: str) -> str:
+    """Return `text` on one line that moves no cursor: what cannot be printed, and what turns the direction of writing,
+    become escapes.
+
+    Every line that a person reads goes through here: names of files, and what files hold, may be any characters.
+
+    >>> print(printable(chr(27) + "[2J" + chr(0x202E) + "gnp.exe"))
+    \\x1b[2J\\u202egnp.exe
+    """
+    return text if text.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 class Refused(BadInput):

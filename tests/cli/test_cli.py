@@ -260,6 +260,16 @@ def test_an_error_is_one_line_whatever_it_quotes(
     assert "x1b[1m" in line
 
 
+def test_a_success_moves_no_cursor_whatever_its_files_are_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["rig", "circuit", "--out", "a\x1b[2Jb\nc\u202eexe"]) == 0
+    out = capsys.readouterr().out
+    assert all(line.isprintable() for line in out.split("\n"))
+    assert "a\\x1b[2Jb\\nc\\u202eexe" in out
+
+
 ASCII = ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"})
 
 

@@ -344,6 +344,18 @@ def test_export_and_import(gallery: Path, tmp_path: Path, capsys) -> None:
     assert match["similarity"] == pytest.approx(1, abs=1e-3)
 
 
+def test_a_name_is_no_formula_in_an_exported_table(gallery: Path, tmp_path: Path, capsys) -> None:
+    name = '=HYPERLINK("http://x","open")'
+    out = tmp_path / "out"
+    facts_of(capsys, "gallery", "export", gallery, "--out", out)
+    table = (out / "gallery.csv").read_text().replace(",S01,", ",\"'" + name.replace('"', '""') + '",')
+    (out / "gallery.csv").write_text(table)
+    facts_of(capsys, "gallery", "import", tmp_path / "new.skg", out)
+    assert name in {person for person, *_ in who(capsys, tmp_path / "new.skg")}
+    facts_of(capsys, "gallery", "export", tmp_path / "new.skg", "--out", tmp_path / "again")
+    assert (tmp_path / "again/gallery.csv").read_text() == table
+
+
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [

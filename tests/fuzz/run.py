@@ -53,6 +53,8 @@ IDLE_S = 10.0
 BLOCK = 200
 GUARD_MB = 2500
 """Address space beyond what a process begins with: nothing takes the whole machine."""
+MIN_REFUSED = 100
+"""A target that accepts none of so many inputs tests nothing behind its first check, which is a problem."""
 READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
@@ -433,6 +435,11 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _summary(runner: Runner, problems: list[str], seconds: float) -> dict[str, Any]:
     rows = {name: vars(tally) for name, tally in runner.tallies.items()}
+    problems = problems + [
+        f"{name}: none of {row['refused']} inputs was accepted: all fail at its first check; give it other samples"
+        for name, row in rows.items()
+        if row["accepted"] == 0 and row["refused"] >= MIN_REFUSED
+    ]
     inputs = sum(row["accepted"] + row["refused"] + len(row["findings"]) for row in rows.values())
     return {
         "inputs": inputs,

@@ -494,43 +494,51 @@ EXCLUDED = b"subject,finger,session,reason\nS01,right_index,1,wet\nS02,left_inde
 
 def _scores(folder: Path, files: Files) -> None:
     read_scores(folder / "scores.csv")
-    (first, *_), _, _ = _read_systems([folder / "scores.csv"], turn=True)
-    read_exclusions(folder / "excluded.csv")
-    _read_exclusion_list(folder / "excluded.csv", first)
+    _read_systems([folder / "scores.csv"], turn=True)
+
+
+def _excluded(folder: Path, files: Files) -> None:
+    (folder / "scores.csv").write_bytes(SCORES)
+    try:
+        (first, *_), _, _ = _read_systems([folder / "scores.csv"], turn=True)
+        read_exclusions(folder / "excluded.csv")
+        _read_exclusion_list(folder / "excluded.csv", first)
+    finally:
+        (folder / "scores.csv").unlink()
 
 
 # --- settings, networks, keys ------------------------------------------------------------------------------------
 
 
-def _settings(folder: Path, files: Files) -> object:
-    def of(name: str) -> None:
-        override(preset_settings("metric"), read_changes(folder / name, ()))
-
-    def set_() -> None:
-        lines = files.get("set")
-        for line in (lines if isinstance(lines, bytes) else b"").decode("utf-8", "replace").split("\n"):
-            parse_assignment(line)
-            override(preset_settings("metric"), read_changes(None, [line]))
-
-    return _any(lambda: of("x.json"), lambda: of("x.toml"), set_)
+def _settings(name: str) -> Callable[[Path, Files], object]:
+    return lambda folder, files: override(preset_settings("metric"), read_changes(folder / name, ()))
 
 
-def _setting_files() -> list[Files]:
-    document: dict[str, Any] = {
-        "knit": {"method": "crossover"},
-        "height": {"padding": "mirror"},
-        "metric": {"coarse_steps": 5},
-    }
-    document |= {"skin": {"invert_blur": None, "scattering_per_mm": [3.4, 4.1, 5.2, 2.2]}, "normals.rounds": 2}
-    toml = b'cut_at_crease = true\n[knit]\nmethod = "crossover"\n[height]\nmethod = "poisson"\n[height.poisson]\n'
-    toml += b"max_iterations = 200\n[metric]\ncoarse_steps = 5\n"
-    return [
-        {
-            "x.json": json.dumps(document).encode(),
-            "x.toml": toml,
-            "set": b"knit.method=crossover\nnormals.rounds=2\nmetric.coarse_steps=5\nlights.balance=true",
-        }
-    ]
+def _assignments(folder: Path, files: Files) -> None:
+    lines = files.get("set")
+    for line in (lines if isinstance(lines, bytes) else b"").decode("utf-8", "replace").split("\n"):
+        parse_assignment(line)
+        override(preset_settings("metric"), read_changes(None, [line]))
+
+
+_SETTINGS: dict[str, Any] = {
+    "knit": {"method": "crossover"},
+    "height": {"padding": "mirror"},
+    "metric": {"coarse_steps": 5},
+    "skin": {"invert_blur": None, "scattering_per_mm": [3.4, 4.1, 5.2, 2.2]},
+    "normals.rounds": 2,
+}
+_TOML = b"""cut_at_crease = true
+[knit]
+method = "crossover"
+[height]
+method = "poisson"
+[height.poisson]
+max_iterations = 200
+[metric]
+coarse_steps = 5
+"""
+_SET = b"knit.method=crossover\nnormals.rounds=2\nmetric.coarse_steps=5\nlights.balance=true"
 
 
 def _networks() -> list[Files]:
@@ -956,8 +964,11 @@ TARGETS = (
     Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
-    Target("scores", lambda: [{"scores.csv": SCORES, "excluded.csv": EXCLUDED}], _scores),
-    Target("settings", _setting_files, _settings),
+    Target("scores", lambda: [{"scores.csv": SCORES}], _scores),
+    Target("exclusions", lambda: [{"excluded.csv": EXCLUDED}], _excluded),
+    Target("settings-json", lambda: [{"x.json": json.dumps(_SETTINGS).encode()}], _settings("x.json")),
+    Target("settings-toml", lambda: [{"x.toml": _TOML}], _settings("x.toml")),
+    Target("settings-set", lambda: [{"set": _SET}], _assignments),
     Target("network", _networks, _of_files("x.onnx", load_network), _network_repaired),
     Target("key", lambda: _each("key", b"ab" * 32 + b"\n", b"correct horse", bytes(range(200, 232))), _keys),
     Target("gallery", lambda: _each("x.skg", _gallery(None)), _opened(None)),

@@ -108,6 +108,10 @@ def test_raw_is_linear_and_on_one_scale(tmp_path: Path) -> None:
         (b"nothing", "none of JPEG"),
         (b"RIFF\x20\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\xff\xff\xff\xff\xff\xff", "claims 16777216 x 16777216"),
         (b"RIFF\x20\0\0\0WEBPVP8L\x0a\0\0\0\x2f\xff\x3f\0\0", "cannot be decoded"),
+        (
+            b"RIFF\x14\0\0\0WEBPVP8L\x08\0\0\0\x2f\x0f\xe7\xc3\x09\0\0\0",
+            "10000 x 10000 pixels in 28 bytes, .* no photo",
+        ),
         (b"BM" + bytes(26) + b"\x18\0\0\0" + bytes(24), "cannot be decoded"),
         (b"BM" + bytes(16) + b"\xff\xff\0\0\xff\x0f\0\0\x01\0\x18\0" + bytes(24), "claims|MB|truncated"),
         (b"\0\0\0\x18ftypheic" + bytes(40), "cannot be decoded|pip install"),
@@ -172,6 +176,9 @@ def test_names_in_the_lights_file(folder: Path) -> None:
     assert found.skipped == ("p8.png (not in lights.txt)", "p9.png (not in lights.txt)")
     (folder / "lights.txt").write_text("p99.png 0 0 1")
     with pytest.raises(BadInput, match=r"names 'p99\.png', but there is no such photograph"):
+        capture_from_photographs(folder)
+    (folder / "lights.txt").write_text("\n".join([*lines, "p12 0.3 0.1 1"]))
+    with pytest.raises(BadInput, match=r"p12\.png is named twice"):
         capture_from_photographs(folder)
     for text, words in (("a 0 0 1\n1 0 1", "some of its lines"), ("a 0 0 1\na 1 0 1", "twice"), ("0 0 1 7", "more")):
         (folder / "lights.txt").write_text(text)

@@ -30,6 +30,13 @@ def test_label_and_score_are_enough(tmp_path: Path) -> None:
     assert found.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def test_names_that_were_written_as_texts_come_back(tmp_path: Path) -> None:
+    file = tmp_path / "scores.csv"
+    file.write_text("label,score,finger_a,finger_b\n1,0.5,'=a,'tis\n0,-0.5,@b,b\n")
+    found = read_scores(file)
+    assert set(found.ids["finger"][1]) == {"=a", "'tis", "@b", "b"}
+
+
 def test_everything_there_is(tmp_path: Path) -> None:
     path = write(
         tmp_path,

@@ -170,3 +170,9 @@ def test_the_codec_may_take_no_more_memory_and_time_than_an_image_needs(
     with pytest.raises(BadInput, match="cannot be decoded"):
         decode_wsq(sound)
     assert words in ended[0].stderr and ended[0].returncode in (signals or (1,))
+
+
+def test_the_resolution_in_a_comment_is_found_in_one_pass() -> None:
+    assert wsq_image._ppi(b"NIST_COM 3\nPPI 500\nPPI 1000\nLOSSY 1") == 1000
+    assert wsq_image._ppi(b"PPI 500\nNIST_COM 3\nPPI 123456") is None
+    assert wsq_image._ppi(b"NIST_COM \n" * 200_000) is None  # hours, if every line is followed to the end

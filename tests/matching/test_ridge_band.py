@@ -137,3 +137,5 @@ def test_bad_input_is_refused() -> None:
         print_band(np.zeros((5, 5), np.uint8), -1.0)
     with pytest.raises(BadInput, match="coherence"):
         RidgeBandSettings(coherence=1.0)
+    with pytest.raises(BadInput, match="5000 x 5000 pixels, more than any finger"):  # 2.4 GB from a small archive
+        ridge_band(relief, mask, 0.05, relief, np.diag([0.01, 0.01, 1.0]), (10_000, 10_000))

@@ -37,6 +37,35 @@ def test_one_changed_byte_is_noticed(copy: Path) -> None:
         load_network(copy)
 
 
+def message(*fields: tuple[int, bytes | int | str]) -> bytes:
+    """A message of Protocol Buffers, of numbers and parts below 2^14."""
+    made = b""
+    for number, value in fields:
+        body = value.encode() if isinstance(value, str) else b"" if isinstance(value, int) else value
+        count = value if isinstance(value, int) else len(body)
+        made += bytes([number << 3 | (0 if isinstance(value, int) else 2), count & 127 | 128, count >> 7]) + body
+    return made
+
+
+def test_data_outside_the_file_are_refused(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values in a file that the card's hash does not cover, looked for where the program was started."""
+    sides = [(1, side) for side in (1, 1, 64, 64)]
+    image = message((1, message((1, 1), (2, message(*[(1, message(side)) for side in sides])))))
+    place = message((1, "location"), (2, "values"))
+    outside = message(*sides, (2, 1), (8, "w"), (13, place), (14, 1))
+    node = message((1, "x"), (1, "w"), (2, "y"), (4, "Add"))
+    ends = [(11, message((1, "x"), (2, image))), (12, message((1, "y"), (2, image)))]
+    graph = message((1, node), (2, "g"), (5, outside), *ends)
+    data = message((1, 8), (7, graph), (8, message((1, ""), (2, 17))))
+    copy.write_bytes(data)
+    facts = {"channels_in": 1, "channels_out": 1, "stride": 1, "reach": 0}
+    copy.with_suffix(".json").write_bytes(card_bytes("net", data, facts))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "values").write_bytes(bytes(4 * 64 * 64))
+    with pytest.raises(BadInput, match="may refer to data outside its file"):
+        load_network(copy)
+
+
 def test_missing_files_are_named(copy: Path, tmp_path: Path) -> None:
     copy.with_suffix(".json").unlink()
     with pytest.raises(BadInput, match=r"the card '.*net\.json' cannot be read"):

@@ -114,6 +114,8 @@ def test_no_scale_is_refused() -> None:
         plane_map(0.0, np.eye(3), (10, 10))
     with pytest.raises(BadInput, match="ppi"):
         plane_map(0.1, np.eye(3), (10, 10), ppi=0)
+    with pytest.raises(BadInput, match="19685 x 19685 pixels, more than any finger"):  # else 20 GB
+        plane_map(0.1, np.eye(3), (10_000, 10_000))
 
 
 def test_flat_skin_is_refused(laid: PrintMap) -> None:

@@ -125,3 +125,12 @@ def test_nonsense_is_refused() -> None:
         surface_grid(flat, mask, 0.06, np.eye(3), (40, 40))
     with pytest.raises(BadInput, match="pitch_mm"):
         surface_grid(flat, ~mask, float("nan"), np.eye(3), (40, 40))
+    wide = np.zeros((300, 300), np.float32)
+    with pytest.raises(BadInput, match="1520 mm long, more than any finger"):  # else a grid of gigabytes
+        surface_grid(wide, wide == 0, 5.0, np.eye(3), wide.shape)
+    with pytest.raises(BadInput, match="pitch_mm"):
+        surface_grid(wide, wide == 0, 1e-4, np.eye(3), wide.shape)
+    with pytest.raises(BadInput, match="too small"):
+        surface_grid(flat, np.ones_like(mask), 0.001, np.eye(3), flat.shape)
+    with pytest.raises(BadInput, match="no finite height"):
+        surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, wide * np.float32(np.nan), wide)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import stat
@@ -18,6 +19,7 @@ import pytest
 from viewer_server import started
 
 from splitknit.cli.main import main
+from splitknit.gallery import KEY_VARIABLE
 from splitknit.gallery.entry import Entry, NewCapture
 from splitknit.gallery.gallery import Gallery
 from splitknit.io.npz import write_npz
@@ -130,11 +132,13 @@ def test_a_gallery_shows_its_people(tmp_path: Path) -> None:
         running.communicate(timeout=30)
 
 
-def test_the_browser_s_command_line_does_not_hold_the_token(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_browser_gets_neither_the_token_nor_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or True)
+    monkeypatch.setenv(KEY_VARIABLE, "secret")
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or KEY_VARIABLE not in os.environ)
     with opened_page("http://127.0.0.1:1/token/") as done:
         assert done
+        assert os.environ[KEY_VARIABLE] == "secret"
         assert "token" not in opened[0]
         page = Path(unquote(urlparse(opened[0]).path))
         assert stat.S_IMODE(page.stat().st_mode) == 0o600

@@ -35,7 +35,7 @@ SUFFIX = ".parquet"
 _KEY = b"splitknit"
 _MAX_BYTES = 2_000_000_000
 """Of a file and of its columns: surfaces of forty captures."""
-_MAX_ROWS = 10_000_000
+_MAX_ROWS, _MAX_COLUMNS = 10_000_000, 1000
 _TEXTS = {"capture", "subject", "finger", "session", "failure", "input_sha256", "a", "b"}
 _FLAGS = {"acquired", "genuine", "compared"}
 _PAYLOADS = {"template", "print", "images", "minutiae", "minutiae3d", "surface_code"}
@@ -87,22 +87,43 @@ def read_chunk(path: Location, columns: Sequence[str] | None = None, needed: Seq
     BadInput
         If it is damaged, too large, or a column is missing or of another type.
     """
-    pq = load("pyarrow.parquet", "batch")
-    wanted = None if columns is None else list(dict.fromkeys(columns))
-    with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)), pq.ParquetFile(stream) as file:
-        facts = file.metadata
+    pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
+    with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
+        with pq.ParquetFile(stream) as file:
+            facts, schema = file.metadata, file.schema_arrow
+            leaves = [file.schema.column(k) for k in range(len(file.schema))]
         # the sizes of single columns are not asked for: pyarrow ends the process where their statistics are damaged
         size = sum(facts.row_group(k).total_byte_size for k in range(facts.num_row_groups))
-        require(facts.num_rows <= _MAX_ROWS and size <= _MAX_BYTES, f"'{path}' is too large; {_REMEDY}.")
-        table = file.read(columns=wanted)
-        table.validate(full=True)
-        names = table.column_names
-        missing = [name for name in columns or needed if name not in names]
+        sizes = facts.num_rows <= _MAX_ROWS and size <= _MAX_BYTES and len(leaves) <= _MAX_COLUMNS
+        require(sizes, f"'{path}' is too large; {_REMEDY}.")
+        missing = [name for name in columns or needed if name not in schema.names]
         require(not missing, f"'{path}' holds no column '{''.join(missing[:1])}': it is of another version; {_REMEDY}.")
-        sound = len(set(names)) == len(names) and all(table.schema.field(one).type == column_type(one) for one in names)
-        whole = all(table.column(one).null_count == 0 for one in names if one in _NEVER_NULL)
-        require(sound and whole, _damaged(path))
-    return table.replace_schema_metadata(None)
+        names = list(dict.fromkeys(columns or schema.names))
+        sound = len(set(schema.names)) == len(schema.names)
+        require(sound and all(schema.field(one).type == column_type(one) for one in names), _damaged(path))
+        # a value that is stored once can be in every row: texts are counted before they are written out, and what is
+        # large comes row by row
+        texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY" and leaf.path not in _PAYLOADS]
+        schema = pa.schema([schema.field(name) for name in names])
+        table, left = [schema.empty_table()], _MAX_BYTES
+        with pq.ParquetFile(stream, read_dictionary=texts) as file:
+            for batch in file.iter_batches(1 if _PAYLOADS.intersection(names) else 1 << 16, columns=names):
+                left -= sum(map(_decoded_bytes, batch.columns))
+                require(left >= 0, f"'{path}' is too large; {_REMEDY}.")
+                table.append(pa.table([batch.column(one.name).cast(one.type) for one in schema], schema))
+        read = pa.concat_tables(table)
+        read.validate(full=True)
+        require(all(read.column(one).null_count == 0 for one in names if one in _NEVER_NULL), _damaged(path))
+    return read.replace_schema_metadata(None)
+
+
+def _decoded_bytes(column: Any) -> int:
+    """Of a column whose texts may be kept once each, when they are written out."""
+    values = column.flatten() if hasattr(column, "flatten") and hasattr(column, "offsets") else column
+    if not hasattr(values, "dictionary"):
+        return int(column.nbytes)
+    pc = load("pyarrow.compute", "batch")
+    return 5 * len(column) + int(pc.sum(pc.binary_length(values.dictionary).take(values.indices)).as_py() or 0)
 
 
 def read_origin(path: Location) -> dict[str, Any]:

@@ -6,8 +6,6 @@ Scores of the store come back as :class:`splitknit.evaluation.scores.Scores`, an
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -53,6 +51,7 @@ from splitknit.evaluation.protocol import Comparisons
 from splitknit.evaluation.scores import Ids, Scores, ids_of
 from splitknit.io.atomic import hold, private_modes, sweep
 from splitknit.io.capture import read_capture
+from splitknit.io.csv_table import csv_text
 from splitknit.io.targets import check_file
 from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
@@ -97,12 +96,9 @@ def write_csv(path: Location, table: Any) -> None:
     for kind in _KINDS:
         columns |= {f"{kind}_a": [_names_of(one)[kind] for one in a], f"{kind}_b": [_names_of(one)[kind] for one in b]}
     columns |= {name: _numbers(table, name, compared) for name in own}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    text = csv_text([columns, *zip(*columns.values(), strict=True)])
     with whole_file(path) as stream:
-        stream.write(text.getvalue().encode("utf-8"))
+        stream.write(text.encode("utf-8"))
 
 
 @lru_cache(maxsize=4096)

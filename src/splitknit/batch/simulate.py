@@ -7,8 +7,6 @@ folders appear whole or not at all; what is finished is read off them.
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +20,7 @@ from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolm
 from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file, atomic_folder, hold, sweep
 from splitknit.io.capture import write_capture
+from splitknit.io.csv_table import csv_text
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text, plain_json, provenance, settings_hash
 from splitknit.io.targets import check_file
@@ -216,18 +215,15 @@ def _alone(file: Path) -> Iterator[None]:
 
 def _write_table(enrolment: Enrolment) -> None:
     """One line for each finished capture: its folder and the facts of its ``impression.json``."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for place in enrolment.places():
         file = enrolment.path(place) / IMPRESSION_FILE
         if file.is_file():
             rows.append({"folder": place.folder} | _facts_of(file))
-    text = io.StringIO()
-    if rows:
-        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n", extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(rows)
+    names = list(rows[0]) if rows else []
+    text = csv_text([names, *([row.get(name, "") for name in names] for row in rows)] if rows else [])
     with atomic_file(enrolment.folder / TABLE_FILE) as stream:
-        stream.write(text.getvalue().encode("utf-8"))
+        stream.write(text.encode("utf-8"))
 
 
 def _facts_of(file: Path) -> dict[str, Any]:

@@ -12,7 +12,6 @@ The thesis, section 4.3.2 and figure 5.1.
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
+from splitknit.io.csv_table import csv_text
 
 BANDS = ("white", "nir")
 LEDS_PER_BAND = 7
@@ -95,13 +95,11 @@ def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
 
 def write_tips(tips: Sequence[Tip]) -> str:
     """Return the table as text that :func:`read_tips` reads, pixels to two digits."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows: list[list[object]] = [list(COLUMNS)]
     for tip in tips:
         pixels = [f"{value:.2f}" for value in (*tip.nail_px, *tip.tip_px)]
-        writer.writerow([tip.band, tip.led, tip.nail, *pixels])
-    return stream.getvalue()
+        rows.append([tip.band, tip.led, tip.nail, *pixels])
+    return csv_text(rows)
 
 
 def pixels(tips: Sequence[Tip]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

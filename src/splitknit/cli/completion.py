@@ -27,7 +27,7 @@ def _run(program: argparse.ArgumentParser, options: argparse.Namespace) -> Outco
             folder = str(action.metavar) in ("DIR", "FOLDER")
             action.complete = shtab.DIRECTORY if folder else shtab.FILE  # type: ignore[attr-defined]
     script = shtab.complete(program, options.shell)
-    return {"shell": options.shell, "script": script}, [script]
+    return {"shell": options.shell, "script": script}, script.split("\n")
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:

@@ -124,12 +124,12 @@ def _guarded(options: argparse.Namespace) -> int:
     import json  # noqa: PLC0415
 
     from splitknit.cli.verb import one_line, run_verb  # noqa: PLC0415
-    from splitknit.errors import BadInput, Refused  # noqa: PLC0415
+    from splitknit.errors import BadInput, Refused, printable  # noqa: PLC0415
 
     try:
         facts, lines = run_verb(options)
         if facts or lines:  # `view` reports when it starts
-            _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(lines))
+            _say(json.dumps(facts, indent=1, allow_nan=False) if options.json else "\n".join(map(printable, lines)))
     except BadInput as error:
         if options.json and isinstance(error, Refused):
             with contextlib.suppress(BrokenPipeError):

@@ -77,8 +77,9 @@ def _suggestion(word: str, choices: Iterable[str]) -> str:
 
 def one_line(error: object) -> str:
     """Return an error's text on one line that moves no cursor: what it quotes may hold any character."""
-    text = " ".join(str(error).split()) or "no further words"
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    from splitknit.errors import printable  # noqa: PLC0415 - `--help` needs none of it
+
+    return printable(" ".join(str(error).split()) or "no further words")
 
 
 def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:
@@ -219,8 +220,10 @@ class Progress:
 
     def update(self, stage: str, fraction: float) -> None:
         """Report that `stage` is at work and `fraction` (0 to 1) of everything is done."""
+        from splitknit.errors import printable  # noqa: PLC0415
+
         if self._bar is not None:
-            self._bar.set_description_str(stage, refresh=False)
+            self._bar.set_description_str(printable(stage), refresh=False)
             self._bar.n = min(100.0, round(100.0 * fraction, 1))
             self._bar.refresh()
 

@@ -5,8 +5,6 @@ Where all are prints with minutiae, by ridges and minutiae.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +18,7 @@ from splitknit.evaluation.scores import Scores
 from splitknit.gallery.entry import session_order
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
+from splitknit.io.csv_table import csv_text
 from splitknit.io.provenance import file_hash
 from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.minutiae import minutiae_match
@@ -125,13 +124,11 @@ def _table(
     persons: Sequence[str],
     sessions: Sequence[str],
 ) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     kinds = ("finger", fingers), ("subject", persons), ("session", sessions)
-    writer.writerow(["label", "score", *(f"{name}_{side}" for name, _ in kinds for side in "ab")])
+    rows: list[list[object]] = [["label", "score", *(f"{name}_{side}" for name, _ in kinds for side in "ab")]]
     for a, b, genuine, value in zip(
         pairs.a.tolist(), pairs.b.tolist(), pairs.genuine.tolist(), score.tolist(), strict=True
     ):
         ids = [names[side] for _, names in kinds for side in (a, b)]
-        writer.writerow([int(genuine), "" if np.isnan(value) else repr(value), *ids])
-    return text.getvalue().encode("utf-8")
+        rows.append([int(genuine), "" if np.isnan(value) else repr(value), *ids])
+    return csv_text(rows).encode("utf-8")

@@ -24,6 +24,7 @@ from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.gallery.shards import Shards, write_shards
 from splitknit.io.atomic import atomic_folder
+from splitknit.io.csv_table import csv_text, plain_text
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
@@ -257,9 +258,7 @@ def export_gallery(
             "template_version": opened.template_version,
             "settings_sha256": opened.settings_sha256,
         }
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(_COLUMNS if person is None else (*_COLUMNS, "code"))
+    table: list[list[Any]] = [[*_COLUMNS, *(() if person is None else ("code",))]]
     with atomic_folder(out) as folder:
         folder.chmod(0o700)
         for number, one in enumerate((one for one in rows if one.row in templates), start=1):
@@ -270,8 +269,8 @@ def export_gallery(
                 image = f"images/{number:04d}.{_SUFFIX[one.entry.images]}"
                 _write(folder / image, kept[one.row])
             code = () if person is None else (codes.get(one.row, b"").hex(),)
-            table.writerow([name, *(getattr(one.entry, column) for column in _FIELDS), image, *code])
-        _write(folder / TABLE_FILE, text.getvalue().encode("utf-8"))
+            table.append([name, *(getattr(one.entry, column) for column in _FIELDS), image, *code])
+        _write(folder / TABLE_FILE, csv_text(table).encode("utf-8"))
         _write(folder / FACTS_FILE, json_text(about).encode("ascii"))
     return {"gallery": str(gallery), "out": str(out), "captures": len(rows), "images": len(kept)}
 
@@ -326,6 +325,7 @@ def _read_table(folder: Path) -> list[NewCapture]:
     data = read_bytes(file, _MAX_TABLE_BYTES)
     with refusing(f"'{file}' cannot be read as a table; export the gallery again."):
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
+        rows = [{key: plain_text(cell) if isinstance(cell, str) else cell for key, cell in row.items()} for row in rows]
     require(len(rows) > 0, f"'{file}' lists no finger.")
     _check_rows(rows, file)
     found = []

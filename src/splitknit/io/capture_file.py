@@ -114,7 +114,14 @@ def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
     for key in bands.keys():  # noqa: SIM118 - not a dict
         require(key in BANDS, f"{fields.name}: bands has '{ascii(key)[1:-1]}'; the bands are named white and nir.")
     require(bands.has("white"), f"{fields.name}: bands.white is missing; every capture has images under white light.")
-    return {key: _band(bands.child(key), folder, rig, key) for key in BANDS if bands.has(key)}
+    plans = {key: _band(bands.child(key), folder, rig, key) for key in BANDS if bands.has(key)}
+    seen: set[Path] = set()
+    for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
+        for name, file in zip(plan.names, plan.files, strict=True):
+            place = file.resolve()
+            require(place not in seen, f"{fields.name}: {bands.path(key)}.images names {name!a} twice.")
+            seen.add(place)
+    return plans
 
 
 def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
@@ -135,16 +142,12 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
     )
     _check_light_list(rig, band, leds, f"{fields.name}: {fields.path('leds')}")
     entries = [_entry(fields, item, folder, f"{fields.path('images')}[{k}]") for k, item in enumerate(images)]
-    names = [entry.name for entry in entries]
-    if len(set(names)) < len(names):
-        twice = next(name for k, name in enumerate(names) if name in names[:k])
-        raise BadInput(f"{fields.name}: {fields.path('images')} names {twice!a} twice.")
     ambient = None
     if fields.has("ambient"):
         ambient = _entry(fields, fields.get("ambient"), folder, fields.path("ambient"))
     return BandPlan(
         files=tuple(entry.file for entry in entries),
-        names=tuple(names),
+        names=tuple(entry.name for entry in entries),
         leds=leds,
         exposure=np.array([1.0 if entry.exposure is None else entry.exposure for entry in entries]),
         black_level=np.array([0.0 if entry.black_level is None else entry.black_level for entry in entries]),

@@ -316,6 +316,9 @@ def _assembled(  # noqa: PLR0917
 ) -> tuple[Capture, list[str]]:
     """The capture, and notes on it."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
+    places = [file.resolve() for file in files]
+    twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
+    require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
     require(material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{material}'.")
     require(encoding in ("linear", "srgb", None), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
     linear = [file.name for file in files if file.suffix.lower() in RAW_SUFFIXES]

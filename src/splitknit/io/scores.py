@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
+from splitknit.io.csv_table import plain_text
 
 IDS = ("finger", "subject", "session")
 COLUMNS = ("label", "score", *(f"{kind}_{side}" for kind in IDS for side in "ab"), "system")
@@ -152,13 +153,15 @@ def _rows(data: bytes, name: str) -> Iterator[tuple[int, list[str]]]:
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise BadInput(f"{name} is not a CSV file: line {line} is not text in UTF-8.") from error
-    columns, before = 0, 0
+    columns, before, restored = 0, 0, b"'" in data
     reader = csv.reader(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig", newline=""), strict=True)
     try:
         for row in reader:
             line, before = before + 1, reader.line_num
             if not row:
                 continue
+            if restored:
+                row = [plain_text(cell) for cell in row]  # noqa: PLW2901
             if columns == 0:
                 columns = len(row)
                 yield line, _header(row, name, line)

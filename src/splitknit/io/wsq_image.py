@@ -13,6 +13,7 @@ FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biome
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import subprocess
 import sys
@@ -122,6 +123,7 @@ def _run(task: str, pixels: int, data: bytes) -> bytes | None:
             capture_output=True,
             timeout=TIMEOUT_S,
             check=False,
+            env={name: value for name, value in os.environ.items() if not name.startswith("SPLITKNIT_")},  # no keys
         )
     except subprocess.TimeoutExpired:
         return None
@@ -151,6 +153,7 @@ _TABLES = frozenset({0xA4, 0xA5, 0xA6, 0xA7, 0xA8})
 """Filters, quantisers, Huffman codes, restart interval, comment."""
 _COMMENT = 0xA8
 _MARKER_IN_BLOCK = re.compile(rb"\xff[^\x00\xa9-\xff]", re.DOTALL)
+_PPI_LINE = re.compile(rb"^PPI ([0-9]{1,5})$", re.MULTILINE)
 _MAX_PIXELS = 25_000_000
 
 
@@ -215,5 +218,8 @@ def _frame(body: bytes, name: str) -> tuple[int, int]:
 
 
 def _ppi(comment: bytes) -> int | None:
-    found = re.search(rb"^NIST_COM .*^PPI ([0-9]{1,5})$", comment, re.MULTILINE | re.DOTALL)
-    return int(found.group(1)) if found else None
+    """The last line ``PPI n`` after the line that begins with ``NIST_COM``; each byte is looked at a fixed number of
+    times."""
+    head = re.search(rb"^NIST_COM ", comment, re.MULTILINE)
+    stated = _PPI_LINE.findall(comment, head.end()) if head else []
+    return int(stated[-1]) if stated else None

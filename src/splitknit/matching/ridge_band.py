@@ -22,6 +22,8 @@ AnyArray = np.ndarray[Any, Any]
 MM_PER_INCH = 25.4
 _FINEST_MM, _COARSEST_MM, _LONGEST_MM = 1e-3, 10.0, 500.0
 """Pixels and surfaces beyond these are no finger's, and need grids and windows that fill the memory."""
+_LARGEST_PX = 8_000_000
+"""Of a ridge band and what lies beside the finger: 280 x 280 mm; it takes 100 bytes a pixel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +131,12 @@ def ridge_band(  # noqa: PLR0917
     require(
         max(size) * pitch_mm <= _LONGEST_MM,
         f"the surface is {max(size) * pitch_mm:.0f} mm long, more than any finger; check its pitch ({pitch_mm:g} mm).",
+    )
+    grid = [round(side * pitch_mm / settings.pitch_mm) for side in size]
+    require(
+        grid[0] * grid[1] <= _LARGEST_PX,
+        f"the ridge band would have {grid[0]} x {grid[1]} pixels, more than any finger's; check the pitch of the "
+        f"surface ({pitch_mm:g} mm).",
     )
     columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, settings)
 

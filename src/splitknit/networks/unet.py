@@ -147,7 +147,21 @@ def _load(name: str) -> Network:
 
 
 def network_of(card: Card, weights: bytes) -> Network:
-    """Prepare weights that are in memory."""
+    """Prepare weights that are in memory.
+
+    Raises
+    ------
+    BadInput
+        If they are not those of such a network, or may lie in part outside `weights`: in a file that no hash covers,
+        or at an address in memory. ONNX keeps that place under the key ``location`` (onnx.proto,
+        TensorProto.external_data), a string that is stored as it is, so a network without these bytes has none;
+        ONNX Runtime's own format (``ORTM``) has further ways.
+    """
+    require(
+        b"location" not in weights and weights[4:8] != b"ORTM",
+        f"network '{card.name}' may refer to data outside its file, which the SHA-256 of its card does not cover; save "
+        "it as one ONNX file, and name no part of it 'location'.",
+    )
     onnxruntime = _onnxruntime()
     options = onnxruntime.SessionOptions()
     # its threads share the values of a result, never the terms of a sum: the same bits for any number of them

@@ -118,6 +118,8 @@ NOWHERE = -1e6
 """Where a print's pixel lies in the input if it shows nothing."""
 _STEP_MM = 0.25
 """Of the coarse grid on the print on which the inverse is found."""
+_LARGEST_PX = 25_000_000
+"""Of a print: 250 x 250 mm at 500 ppi."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +181,7 @@ def plane_map(
     """
     _check_scale(pitch_mm, ppi)
     step = MM_PER_INCH / ppi / pitch_mm
-    size = (max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
+    size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
     upright_from_print = np.array(
         [
             [-step, 0.0, (upright_size[1] - 1) / 2 + step * (size[1] - 1) / 2],
@@ -221,8 +223,7 @@ def unrolled_map(
     require(bool(facing.any()), "the finger hardly faces the camera; capture it again with its pad towards it.")
     used = flat[facing]
     low, high = used.min(axis=0) - margin_mm, used.max(axis=0) + margin_mm
-    require(bool((high - low < 200.0).all()), "the finger is laid out over more than 200 mm; check its scale.")
-    size = (int(np.ceil((high[1] - low[1]) * px_per_mm)), int(np.ceil((high[0] - low[0]) * px_per_mm)))
+    size = _checked_size(*(int(np.ceil(length)) for length in (high - low)[::-1] * px_per_mm))
     middle = 0.5 * (low + high)
     print_of_grid = np.stack(
         [
@@ -233,6 +234,14 @@ def unrolled_map(
     )
     columns, rows = _dense_inverse(print_of_grid, grid, size, _STEP_MM * px_per_mm, slant_deg)
     return PrintMap(kind, ppi, columns, rows, grid.input_from_grid, print_of_grid)
+
+
+def _checked_size(rows: int, columns: int) -> tuple[int, int]:
+    require(
+        rows * columns <= _LARGEST_PX,
+        f"the print would have {rows} x {columns} pixels, more than any finger's; check the scale of its input.",
+    )
+    return rows, columns
 
 
 def _check_scale(pitch_mm: float, ppi: float) -> None:

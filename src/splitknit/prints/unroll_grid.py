@@ -27,6 +27,9 @@ _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 
 _WINDOW_MM = 0.3
 """Standard deviation of the Gaussian window of the local fits."""
+_FINEST_MM, _LONGEST_MM, _FARTHEST_MM = 1e-3, 200.0, 1e6
+"""Pitch and length of a surface that can be a finger's, and what can be a place of it."""
+_TOO_SMALL = "the mask is too small to be unrolled: it must be some millimetres wide."
 RINGS = 3
 """Nodes outside the mask that are extrapolated."""
 
@@ -89,20 +92,26 @@ def surface_grid(  # noqa: PLR0917
         If the mask is empty, too small for a surface, or the pitch is not positive.
     """
     settings = settings or GridSettings()
-    require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
+    require(
+        _FINEST_MM <= pitch_mm < _LONGEST_MM,
+        f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_MM:g}, not {pitch_mm}.",
+    )
     mask = check_mask(mask, (shape_mm.shape[0], shape_mm.shape[1]))
-    mask = mask & np.isfinite(shape_mm)
+    fields = [shape_mm] if x_mm is None or y_mm is None else [shape_mm, x_mm, y_mm]
+    for field in fields:
+        mask = mask & (np.abs(field) < _FARTHEST_MM)  # nor where it is NaN
     require(bool(mask.any()), "the surface has no finite height inside its mask; reconstruct the capture again.")
     step = settings.pitch_mm / pitch_mm
     upright_from_input = np.asarray(np.linalg.inv(input_from_upright), dtype=np.float64)
     left, top, right, bottom = _bounds(mask, upright_from_input, upright_size)
+    longest = max(bottom - top, right - left) * pitch_mm
+    require(longest < _LONGEST_MM, f"the surface is {longest:.0f} mm long, more than any finger; check its scale.")
     margin = (RINGS + 1) * step
     size = (int(np.ceil((bottom - top + 2 * margin) / step)) + 1, int(np.ceil((right - left + 2 * margin) / step)) + 1)
     upright_from_grid = np.array([[step, 0.0, left - margin], [0.0, step, top - margin], [0.0, 0.0, 1.0]])
     input_from_grid = input_from_upright @ upright_from_grid
-    fields = [shape_mm] if x_mm is None or y_mm is None else [shape_mm, x_mm, y_mm]
     values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size, _WINDOW_MM)
-    require(int(inside.sum()) >= 16, "the mask is too small to be unrolled: it must be some millimetres wide.")
+    require(int(inside.sum()) >= 16, _TOO_SMALL)
     if len(values) == 1:
         node = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2)
         place = node @ input_from_grid[:2, :2].T + input_from_grid[:2, 2]
@@ -173,6 +182,7 @@ def _fits(  # noqa: PLR0917
     rows, columns = _box(mask, factor)
     inside = mask[rows, columns]
     height, width = (n // factor for n in inside.shape)
+    require(min(height, width) > 0, _TOO_SMALL)
     weight = _binned(inside.astype(np.float32), (height, width), factor) > 0.99  # whole blocks only: no shifted means
     sigma = window_mm / (pitch_mm * factor)
     reach = int(np.ceil(3.0 * sigma))

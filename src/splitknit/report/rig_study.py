@@ -5,8 +5,6 @@ Its charts are SVG: a heat map over height and radius, a scatter of the Pareto f
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
+from splitknit.io.csv_table import csv_text
 from splitknit.io.pictures import colour
 from splitknit.report import render
 from splitknit.report.charts import INK, SERIES_COLOURS
@@ -271,9 +270,7 @@ def table(records: Records, summary: Mapping[str, Any]) -> bytes:
     figures = list(dict.fromkeys(name for one in records for name in (one["mean"] or {})))
     compared = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")
     names = ["name", *AXES, "volume_l", "status", "reason", *figures, *compared, "pareto"]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, names, lineterminator="\n")
-    writer.writeheader()
+    rows: list[list[Any]] = [names]
     for one in records:
         candidate = _candidate_of(one)
         row: dict[str, Any] = {"name": candidate.name, "volume_l": f"{candidate.volume_l:.4f}"}
@@ -284,8 +281,8 @@ def table(records: Records, summary: Mapping[str, Any]) -> bytes:
         if its is not None:
             row |= _rounded({name: its[name] for name in compared})
             row["pareto"] = candidate.name in summary["pareto"]
-        writer.writerow(row)
-    return text.getvalue().encode()
+        rows.append([row.get(name, "") for name in names])
+    return csv_text(rows).encode()
 
 
 def charts(records: Records, summary: Mapping[str, Any]) -> dict[str, Markup]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import html
-import io
 import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -15,6 +13,7 @@ from splitknit import __version__
 from splitknit.capture.pins import led_names, pins_of
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
+from splitknit.io.csv_table import csv_text
 from splitknit.io.provenance import json_text
 from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
@@ -553,11 +552,9 @@ def _facts(circuit: Circuit, out: Path) -> dict[str, Any]:
 
 
 def _parts_csv(circuit: Circuit) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(PARTS_COLUMNS)
+    rows: list[list[Any]] = [list(PARTS_COLUMNS)]
     for line in _bill_of_materials(circuit):
         order = line.order
         row = [line.quantity, line.value, order.part, *order.alternatives, order.check, line.footprint]
-        writer.writerow([*row, " ".join(line.references)])
-    return stream.getvalue()
+        rows.append([*row, " ".join(line.references)])
+    return csv_text(rows)

@@ -218,10 +218,14 @@ def opened_page(url: str) -> Iterator[bool]:
         leads += f'<meta http-equiv="refresh" content="0;url={html.escape(url, quote=True)}"><title>splitknit</title>'
         with os.fdopen(os.open(page, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "w", encoding="utf-8") as stream:
             stream.write(leads)
+        # keys are no business of the browser, nor of what it starts
+        kept = {name: os.environ.pop(name) for name in [*os.environ] if name.startswith("SPLITKNIT_")}
         try:
             done = webbrowser.open(page.as_uri())
         except webbrowser.Error:
             done = False
+        finally:
+            os.environ.update(kept)
         yield done
 
 
