@@ -179,3 +179,11 @@ def test_who_opened_a_gallery_is_put_down_where_that_is_wanted(kept: Path, capsy
     log.symlink_to(kept / "elsewhere")
     assert "the access log" in refusal_of(capsys, "gallery", "list", file)
     assert not (kept / "elsewhere").exists()
+
+
+def test_a_name_that_tables_hold_as_text_is_found(kept: Path, capsys) -> None:
+    table = kept / "plain" / "gallery.csv"
+    table.write_text(table.read_text().replace(",S01,", ",'=S01,"))  # as tables hold the name =S01
+    facts_of(capsys, "forget", "--person", "=S01", kept / "plain", "--yes")
+    assert "S01" not in table.read_text()
+    assert len(list((kept / "plain" / "templates").iterdir())) == 2

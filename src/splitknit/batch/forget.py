@@ -36,6 +36,7 @@ from splitknit.gallery.manage import TABLE_FILE, index_gallery
 from splitknit.gallery.records import FACTS_FILE
 from splitknit.gallery.shards import files_of_shards
 from splitknit.io.atomic import MANIFEST, atomic_file, manifest_of
+from splitknit.io.csv_table import plain_text
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text
 
@@ -239,11 +240,11 @@ def _table(file: Path, names: Collection[str], *, files: bool = False) -> Iterat
     text = read_bytes(file, _MAX_TABLE).decode("utf-8-sig", "replace")
     rows = list(csv.reader(io.StringIO(text, newline="")))
     columns = [k for k, name in enumerate(rows[0] if rows else ()) if name in _WHO]
-    gone = [row for row in rows[1:] if any(k < len(row) and row[k] in names for k in columns)]
+    gone = [row for row in rows[1:] if any(k < len(row) and plain_text(row[k]) in names for k in columns)]
     holders = [rows[0].index(name) for name in ("template", "image") if files and name in rows[0]] if rows else []
 
     def erase() -> None:
-        for name in (row[k] for row in gone for k in holders if row[k]):
+        for name in (plain_text(row[k]) for row in gone for k in holders if row[k]):
             wipe(_inside(file.parent, name))
         kept = io.StringIO()
         csv.writer(kept, lineterminator="\n").writerows(row for row in rows if row not in gone)
