@@ -331,6 +331,18 @@ def known(work: Path, fields: int, draws: int) -> dict[str, Any]:
         "probes": PROBED,
         "first": {},
     }
+    # who knows no finger: one axis for each eigenvalue, signs by the third moments
+    skew = [
+        np.mean(part**3, axis=0)
+        for part in ((fine - fine.mean(axis=0)) @ axes_f, (others - others.mean(axis=0)) @ axes_c)
+    ]
+    turned_fine = (fine - fine.mean(axis=0)) @ (axes_f * np.sign(skew[0] * skew[1]))
+    for kind, probes in (("same code", own), ("other capture", again)):
+        probed = rng.choice(len(own), draws * PROBED, replace=False)
+        products = (probes[probed] - others.mean(axis=0)) @ axes_c @ turned_fine.T
+        ranks = 1 + (products > products[np.arange(len(probed)), probed][:, None]).sum(axis=1)
+        found[f"none known, {kind}"] = {str(k): round(float((ranks <= k).mean()), 4) for k in (1, 100)}
+        print(kind, found[f"none known, {kind}"], flush=True)
     for count in (3, 5, 10, 20, 30, 50, 100, 192):
         hits: dict[str, list[float]] = {}
         for _ in range(draws):

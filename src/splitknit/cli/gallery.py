@@ -46,7 +46,9 @@ def add_gallery_verbs(verbs: Any) -> None:
         "--shards", type=Path, default=None, metavar="DIR", help="keep them here as well, for searches through millions"
     )
     indexed.add_argument(
-        "--renew", action="store_true", help="transform all in --shards anew: a stolen copy is worthless beside them"
+        "--renew",
+        action="store_true",
+        help="transform all in --shards anew: a stolen copy cannot be compared with them",
     )
     changed = _kind(kinds, "rekey", "encrypt it, change its key, or take the encryption away", _rekey)
     changed.add_argument(

@@ -1,10 +1,10 @@
 """Renewable codes: the code of a finger under a key, as short bits and as small integers.
 
 A code of :mod:`splitknit.matching.code` is a direction. Here it is turned by an orthogonal matrix that only the key
-determines, which keeps every angle between codes under one key, and leaves nothing to compare between two keys. Under
-another key the same code gives another file, so that one that was stolen is worthless beside the new one, without a new
-capture. What a search compares first is the signs of the turned numbers, and of two more turns: `BITS` bits whose
-Hamming distance follows the angle.
+determines, which keeps every angle between codes under one key. Under another key the same code gives another file, so
+that one that was stolen cannot be compared with the new one, without a new capture. Who knows the codes of about five
+fingers, and how codes are distributed, can estimate the matrix. What a search compares first is the signs of the turned
+numbers, and of two more turns: `BITS` bits whose Hamming distance follows the angle.
 
 References
 ----------
