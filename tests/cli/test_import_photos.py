@@ -155,7 +155,10 @@ def test_the_ridges_give_the_scale(result: Path, photos: Path, capsys) -> None:
         (["PHOTOS", "--mask", "x.png"], "--mask goes with --images"),
         (["--images", "PHOTOS", "--px-per-mm", "0"], "--px-per-mm must be"),
         (["--images", "PHOTOS", "--px-per-mm", "9", "--ridge-period", "1"], "choose one"),
-        (["--images", "PHOTOS", "--ridge-period", "7"], "0.2 to 1 mm apart, not 7"),
+        (
+            ["--images", "PHOTOS", "--ridge-period", "7"],
+            "is 7 mm, where only 0.2 to 1 mm is possible: check --ridge-period",
+        ),
         (["--images", "PHOTOS", "--lights", "PHOTOS/none.txt"], "does not exist"),
         (["--images", "PHOTOS/none"], "not a folder"),
         (["--images", "PHOTOS", "--rig", "rig.json"], "rig.json does not exist"),
