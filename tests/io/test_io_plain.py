@@ -219,7 +219,7 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
         capture_from_photographs(tmp_path, px_per_mm=10.0, encoding="srgb", background=13, max_megapixels=limit)
         for limit in (None, 120 * 120 / 4e6)
     )
-    assert any("reduced to 0.0 (--max-size)" in note for note in small.notes)
+    assert any("of 0.0144 megapixels were reduced to 0.0036 (--max-size)" in note for note in small.notes)
     camera = small.capture.rig.camera
     assert (camera.image_size, camera.px_per_mm, small.capture.encoding) == ((60, 60), 5.0, "linear")
     assert small.capture.mask[:30].all() and not small.capture.mask[30:].any()

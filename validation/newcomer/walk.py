@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTRAS = {"photographs": "", "prints": "[minutiae,records]", "rig": ""}
@@ -75,6 +76,18 @@ def photographs(folder: Path) -> Iterator[Step]:
     yield Step("print pixels --out wrong", 2, "--px-per-mm")  # no scale, no print
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out photos", 2, "photos")  # nothing of the user's is replaced
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out surface", makes="surface/phalange.ply")
+    (folder / "ball").mkdir()
+    y, x = np.mgrid[1:-1:240j, -1:1:240j] / 0.9
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    for k, line in enumerate(LIGHTS.splitlines()):  # a matt ball, as a telephone writes it
+        a, b, c = np.array(line.split(), float) / np.linalg.norm(np.array(line.split(), float))
+        shade = 0.8 * np.clip(a * x + b * y + c * z, 0, 1) * (z > 0)
+        cv2.imwrite(str(folder / "ball" / f"{k}.jpg"), np.uint8(255 * shade ** (1 / 2.2)))
+    yield Step(
+        "calibrate lights --sphere grey --images ball --out found.txt", says="--lights found.txt", makes="found.txt"
+    )
+    by_ball = "reconstruct --images photos --lights found.txt --material skin --px-per-mm 22.7"
+    yield Step(f"{by_ball} --out by_ball", makes="by_ball/phalange.ply")
     mirrored = [" ".join([str(-float(x)), y, z]) for x, y, z in (line.split() for line in LIGHTS.splitlines())]
     (folder / "mirrored.txt").write_text("\n".join(mirrored) + "\n")
     yield Step(

@@ -24,6 +24,7 @@ from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
 from splitknit.model import Band, Capture, PixelArray, Rig
+from splitknit.steps import let_go
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,6 +295,7 @@ def _write_images(folder: Path, images: list[tuple[str, PixelArray]]) -> None:
     def write(item: tuple[str, PixelArray]) -> None:
         name, pixels = item
         (folder / name).write_bytes(encode_image(pixels, Path(name).suffix))
+        let_go(pixels)
 
     with ThreadPoolExecutor(ImageSettings().workers) as pool:
         list(pool.map(write, images))

@@ -21,6 +21,7 @@ from splitknit.io.atomic import atomic_file
 from splitknit.io.png import check_size
 from splitknit.model import PixelArray
 from splitknit.settings import Checked, Limits
+from splitknit.steps import large_array, let_go
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,8 @@ class _ImageInfo:
 
 
 DEFAULTS = ImageSettings()
+_MAPPED_BYTES = 1_000_000_000
+"""Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16 bits takes 0.7 GB."""
 STACK_BYTES = 4_000_000_000
 """Of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour."""
 
@@ -163,7 +166,8 @@ class StackReader:
             f"{files[0]} and the images with it take {self._bytes} bytes once decoded, more than the {STACK_BYTES} "
             "that are read at once; reduce them, or name fewer.",
         )
-        stack = np.empty((len(files), *size, info.channels), dtype=info.dtype)
+        shape = (len(files), *size, info.channels)
+        stack = large_array(shape, info.dtype) if self._bytes > _MAPPED_BYTES else np.empty(shape, dtype=info.dtype)
         for k, file in enumerate(files):
             data = first if k == 0 else None
             job = self._pool.submit(self._read, file, data, info, str(files[0]), stack[k], expected_by)
@@ -188,6 +192,7 @@ class StackReader:
             f"{name} is {info.words}, but {first} is {like.words}; all images of a band must agree.",
         )
         decode_image(data, name, out, self._settings)
+        let_go(out)
         return hashlib.sha256(data).hexdigest()
 
 

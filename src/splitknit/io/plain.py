@@ -335,6 +335,11 @@ def _assembled(  # noqa: PLR0917
         encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig.light_vectors()))
         notes.append(note)
     reading = _Reading(files, encoding, max_megapixels)
+    camera = _camera_of(rig.camera, reading, px_per_mm)
+    require(
+        camera.scale_known or all(led.position_mm is None for led in leds),
+        "lights at places in mm need the scale of the photographs; give --px-per-mm, or directions of the lights.",
+    )
     if announce is not None and (cost := reading.cost()):
         announce(cost)
     stack, turn, hashes = reading.stack()
@@ -349,15 +354,10 @@ def _assembled(  # noqa: PLR0917
     encoding = reading.encoding_after
     if reading.factor > 1:
         notes.append(
-            f"the photographs of {reading.megapixels:.1f} megapixels were reduced to "
-            f"{pixels[0, ..., 0].size / 1e6:.1f} (--max-size), by means over {reading.factor:g} x "
+            f"the photographs of {reading.megapixels:.3g} megapixels were reduced to "
+            f"{pixels[0, ..., 0].size / 1e6:.3g} (--max-size), by means over {reading.factor:g} x "
             f"{reading.factor:g} pixels."
         )
-    camera = _camera_of(rig.camera, reading, px_per_mm)
-    require(
-        camera.scale_known or all(led.position_mm is None for led in leds),
-        "lights at places in mm need the scale of the photographs; give --px-per-mm, or directions of the lights.",
-    )
     band = Band(
         name="white",
         pixels=pixels,
