@@ -214,8 +214,8 @@ def doubts_of_lights(fit: LightFit, names: Sequence[str] = ()) -> tuple[str, ...
                 f"{100 * fit.residual_in_order:.0f} % would in another order: {words}.",
             )
         return (
-            "the photographs seem to be under other lights than those they are given, shifted or reversed along the ring: "
-            f"only in another order do one convex surface's slopes follow from them; {words}.",
+            "the photographs seem to be under other lights than those they are given, shifted or reversed along the "
+            f"ring: only in another order do one convex surface's slopes follow from them; {words}.",
         )
     if fit.frame != "right-up":
         return (_frame_words(fit.frame),)
