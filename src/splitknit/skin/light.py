@@ -61,14 +61,16 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
         flat = fields.reshape(-1, *low.shape)
         large = np.empty((len(flat), *grid.shape), dtype=np.float32)
         for one, field in zip(large, flat, strict=True):
-            inner = cv2.resize(field, size, interpolation=cv2.INTER_LINEAR)
-            one[: size[1], : size[0]] = inner
-            one[size[1] :, : size[0]] = inner[-1]
+            cv2.resize(field, size, dst=one[: size[1], : size[0]], interpolation=cv2.INTER_LINEAR)
+            one[size[1] :, : size[0]] = one[size[1] - 1, : size[0]]
             one[:, size[0] :] = one[:, size[0] - 1 : size[0]]
         return large.reshape(*fields.shape[:-2], *grid.shape)
 
-    seen = np.maximum(enlarge(trust), np.float32(1e-3)) * grid.mask
-    return Lighting(enlarge(light.vectors), np.maximum(enlarge(light.entering), np.float32(0.2)), seen)
+    seen, entering = enlarge(trust), enlarge(light.entering)
+    np.maximum(seen, np.float32(1e-3), out=seen)
+    seen *= grid.mask
+    np.maximum(entering, np.float32(0.2), out=entering)
+    return Lighting(enlarge(light.vectors), entering, seen)
 
 
 def slant_of(surface_mm: FloatArray, pitch_mm: float) -> FloatArray:

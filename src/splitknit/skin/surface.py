@@ -244,7 +244,7 @@ class MetricSettings(Checked):
     """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
     shape_network: str = "shape"
     """The same for what mends the shape in the last round; empty: none."""
-    tile_px: int = 512
+    tile_px: int = 704
     """Side in pixels of a square as large as what the network works on at once; memory grows with its square."""
     by_colour: ColourSettings = field(default_factory=ColourSettings)
     """The second way."""

@@ -167,9 +167,12 @@ def fields_network(widths: Sequence[int], fields: int, outputs: int) -> Any:
                 image = stage(nn.functional.max_pool2d(image, 2) if number else image)
                 kept.append(image)
             kept.pop()
-            for stage in self.up:
+            for stage, coarse in zip(self.up, reversed(widths[1:]), strict=True):
                 image = nn.functional.interpolate(image, scale_factor=2, mode="nearest")
-                image = stage(torch.cat([image, kept.pop()], dim=1))
+                # beside what the level had: two sums instead of joined maps, which take a third of all memory
+                weight, bias = (part.float() for part in (stage[0].weight, stage[0].bias))
+                above = nn.functional.conv2d(image, weight[:, :coarse], padding=1)
+                image = stage[1:](above + nn.functional.conv2d(kept.pop(), weight[:, coarse:], bias, padding=1))
             return self.out(image)
 
     return FieldsNetwork()
