@@ -232,7 +232,8 @@ def _taken(step: Step, walk: str, python: Path, folder: Path, lines: list[str]) 
     said = (done.stdout + done.stderr).strip()
     good = done.returncode == step.code and step.says in said and (folder / walk / step.makes).exists()
     if step.code:
-        refusal = [line for line in said.splitlines() if not line.startswith("See 'splitknit ")]
+        # on standard output there may be what `forget` found before it asked
+        refusal = [line for line in done.stderr.splitlines() if not line.startswith("See 'splitknit ")]
         good &= len(refusal) == 1 and "Traceback" not in said
     shown = [f"    $ splitknit {step.command}", *(f"    {line}" for line in said.splitlines())]
     if not good:
