@@ -1,4 +1,4 @@
-"""Write the figures of ``results.json`` into ``docs/experiments/accuracy.md`` and the README, between their marks.
+"""Write the figures of ``results.json`` into ``docs/experiments/accuracy.md``, between its marks.
 
 python validation/accuracy/report.py            # writes
 python validation/accuracy/report.py --check    # exit code 1 if the page does not show what results.json holds
@@ -27,7 +27,6 @@ PAGES = {
         "variations",
         "singles",
     ),
-    ROOT / "README.md": ("run", "targets"),
 }
 """The marks of every page."""
 ORDER = ("metric", "snk", "pr", "ea", "pr-split", "ea-split")
