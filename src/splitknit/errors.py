@@ -178,8 +178,8 @@ def refuse_links(path: str | os.PathLike[str]) -> None:
             link = next((part for part in reversed(inside) if part.is_symlink()), None)
             require(
                 link is None,
-                f"'{path if link == whole else link}' is a link inside a folder, which is not followed; put the file or "
-                "folder itself there.",
+                f"'{path if link == whole else link}' is a link inside a folder, which is not followed; put the file "
+                "or folder itself there.",
             )
             return
         inside.append(parent)

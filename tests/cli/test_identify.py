@@ -220,7 +220,7 @@ def test_codes_in_shards_under_a_key_that_is_renewed(gallery: Path, probe: Path,
     (shards / "codes-000000.skc").symlink_to(own)  # in a folder that came from someone else
     content = own.read_bytes()
     for words in (("index", file), ("index", file, "--renew")):
-        assert "is a link inside a folder" in refusal_of(capsys, "gallery", *words, *with_key)
+        assert "is a link, through which nothing is written" in refusal_of(capsys, "gallery", *words, *with_key)
     assert own.read_bytes() == content
     own.replace(shards / "codes-000000.skc")
     before = {one.name: one.read_bytes() for one in shards.iterdir()}

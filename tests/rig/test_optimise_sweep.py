@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -56,7 +57,9 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         sweep(tmp_path / "out", RIGS, STUDY)
     assert len(list((tmp_path / "out" / "candidates").iterdir())) == 2
-    (tmp_path / "out" / "candidates" / ".x.json.0123.tmp").write_text("{")  # a kill leaves this
+    left = tmp_path / "out" / "candidates" / ".splitknit-0123456789ab.tmp"
+    left.mkdir()
+    (left / "new").write_text("{")  # a kill leaves this
     (tmp_path / "out" / "candidates" / f"{RIGS[1].name}.json").write_text("{half")  # a disk left this
     again = Counted()
     monkeypatch.setattr(module, "evaluate", again)
@@ -65,7 +68,7 @@ def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     assert again.asked == [RIGS[1].name, RIGS[2].name, RIGS[3].name]
     assert seen[0] == ("resuming", 0.25) and seen[-1] == (RIGS[3].name, 1.0)
     assert found == expected
-    (tmp_path / "out" / "candidates" / ".x.json.0123.tmp").unlink()
+    shutil.rmtree(left)
     assert _tree(tmp_path / "out") == _tree(tmp_path / "whole")
     sweep(tmp_path / "out", RIGS, STUDY)
     assert len(again.asked) == 3, "nothing is done twice"

@@ -26,8 +26,8 @@ import splitknit
 from splitknit.finger.locate import reduced
 from splitknit.imaging.band import linear_stack
 from splitknit.io.images import read_image
+from splitknit.io.light_list import read_lights_txt
 from splitknit.io.npz import read_npz
-from splitknit.io.plain import read_lights_txt
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric.frames import LightFit, fit_lights
 from splitknit.photometric.lambertian import lambertian

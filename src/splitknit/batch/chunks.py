@@ -106,7 +106,7 @@ def read_chunk(path: Location, columns: Sequence[str] | None = None, needed: Seq
         texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY" and leaf.path not in _PAYLOADS]
         schema = pa.schema([schema.field(name) for name in names])
         table, left = [schema.empty_table()], _MAX_BYTES
-        with pq.ParquetFile(stream, read_dictionary=texts) as file:
+        with pq.ParquetFile(stream, metadata=facts, read_dictionary=texts) as file:
             for batch in file.iter_batches(1 if _PAYLOADS.intersection(names) else 1 << 16, columns=names):
                 left -= sum(map(_decoded_bytes, batch.columns))
                 require(left >= 0, f"'{path}' is too large; {_REMEDY}.")

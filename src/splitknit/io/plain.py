@@ -470,7 +470,8 @@ class _Reading:
         over = 1.0 if max_megapixels is None else self.megapixels / max_megapixels
         self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
         """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
-        require(min(rows, columns) // self.factor >= 16, "--max-size leaves less than 16 pixels a side; give more.")
+        large = self.factor == 1 or min(rows, columns) // self.factor >= 16
+        require(large, "--max-size leaves less than 16 pixels a side; give more.")
         floats = self.first.pixels.dtype.kind == "f"
         self.encoding_after = encoding if self.factor == 1 or floats else "linear"
         self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
