@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import io
 import os
 import stat
@@ -59,6 +60,17 @@ def require(condition: bool, message: str) -> None:
     """Raise :class:`BadInput` with `message` unless `condition` holds."""
     if not condition:
         raise BadInput(message)
+
+
+def import_extra(module: str, message: str) -> Any:
+    """Import a package that not every installation has; BadInput with `message`, how to get it, if that fails.
+
+    ``{error}`` in the message becomes Python's reason.
+    """
+    try:
+        return importlib.import_module(module)
+    except (ImportError, OSError) as error:
+        raise BadInput(message.format(error=error)) from error
 
 
 def naming(path: object, work: Callable[[], T]) -> T:

@@ -1,5 +1,6 @@
 """The reference for the twin: flat skin against the table of walks and a walk of its own, glare against the formula."""
 
+import importlib
 import importlib.util
 import os
 from dataclasses import replace
@@ -224,7 +225,7 @@ def test_missing_mitsuba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatc
         raise ImportError(name)
 
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libLLVM.so.19.1")
-    monkeypatch.setattr(reference.importlib, "import_module", missing)
+    monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(BadInput, match="its extra 'reference'"):
         render_crop(FLAT, WINDOW, LEDS, BLUE)
 

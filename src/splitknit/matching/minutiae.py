@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, import_extra, require
 from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -356,14 +356,11 @@ def installed() -> bool:
 
 
 def _module() -> Any:
-    try:
-        import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - 40 MB
-    except (ImportError, OSError) as error:
-        raise BadInput(
-            "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit[minutiae]' there; elsewhere "
-            "compare with the method ridge."
-        ) from error
-    return nbis
+    return import_extra(
+        "nbis",
+        "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit[minutiae]' there; elsewhere "
+        "compare with the method ridge.",
+    )
 
 
 @lru_cache(maxsize=2)

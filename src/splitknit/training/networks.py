@@ -9,14 +9,13 @@ last convolution; the regression. The U-Net of the `metric` networks is smaller:
 from __future__ import annotations
 
 import copy
-import importlib
 import io
 import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from splitknit.errors import BadInput
+from splitknit.errors import import_extra
 
 _OPSET = 17
 
@@ -29,13 +28,10 @@ def load_torch() -> Any:
     BadInput
         If it is not installed.
     """
-    try:
-        return importlib.import_module("torch")
-    except ImportError as error:
-        raise BadInput(
-            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: "
-            "make install EXTRAS=train."
-        ) from error
+    message = (
+        "training needs torch, which cannot be imported ({error}); in splitknit's folder: make install EXTRAS=train."
+    )
+    return import_extra("torch", message)
 
 
 def unet(
