@@ -281,8 +281,7 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     require(bool(finite.all()), f"{name} contains NaN or infinite values.")
     if count is not None:
         require(
-            array.shape[0] == count,
-            f"{name} and images differ in number: {array.shape[0]} lights for {count} images.",
+            array.shape[0] == count, f"{name} and images differ in number: {array.shape[0]} lights for {count} images."
         )
     require(array.shape[0] >= 3, f"photometric stereo needs at least 3 lights, but {name} holds {array.shape[0]}.")
     norms = np.linalg.norm(array, axis=1)

@@ -200,11 +200,7 @@ class PiCamera(Closing):
     """A :class:`splitknit.devices.Camera` on picamera2."""
 
     def __init__(
-        self,
-        picamera2: Any,
-        settings: PiCameraSettings | None = None,
-        *,
-        now_ns: Callable[[], int] | None = None,
+        self, picamera2: Any, settings: PiCameraSettings | None = None, *, now_ns: Callable[[], int] | None = None
     ) -> None:
         """Open and start the camera.
 

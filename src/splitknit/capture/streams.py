@@ -297,10 +297,7 @@ class _GenICam:
             if hasattr(nodes, name):
                 getattr(nodes, name).value = value
         offered = [name for name in _FORMATS if name in nodes.PixelFormat.symbolics]
-        require(
-            len(offered) > 0,
-            "the GenICam camera offers no pixel format of " + ", ".join(sorted(_FORMATS)) + ".",
-        )
+        require(len(offered) > 0, "the GenICam camera offers no pixel format of " + ", ".join(sorted(_FORMATS)) + ".")
         nodes.PixelFormat.value = offered[0]
         nodes.TriggerMode.value, nodes.TriggerSource.value = "On", "Software"
         self._order = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(offered[0][5:7], "")

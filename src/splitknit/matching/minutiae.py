@@ -197,11 +197,7 @@ _LOCK = threading.Lock()
 
 
 def extract(
-    print_image: NDArray[np.uint8],
-    ppi: float = PPI,
-    enhance: bool = False,
-    *,
-    edge_mm: float | None = None,
+    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool = False, *, edge_mm: float | None = None
 ) -> Minutiae:
     """Find the minutiae of a print with mindtct.
 

@@ -154,8 +154,7 @@ def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
         way[..., 2] > dimensions.camera_height_mm - camera.barrel_front_mm
     )
     require(
-        not bool(lens.any()),
-        f"the light of LED {hole.index} would be cut by the lens; move the LED outwards or down.",
+        not bool(lens.any()), f"the light of LED {hole.index} would be cut by the lens; move the LED outwards or down."
     )
 
 

@@ -44,13 +44,7 @@ STEERED = 0.85
 
 
 def _walk(
-    crop: ReferenceScene,
-    seen: Seen,
-    medium: tuple[float, float],
-    *,
-    walks: int,
-    seed: int,
-    spread_rad: float | None,
+    crop: ReferenceScene, seen: Seen, medium: tuple[float, float], *, walks: int, seed: int, spread_rad: float | None
 ) -> tuple[list[Any], Any, Any]:
     """Walk `walks` times from each seen point; return the lights' sums, the light that left, and the steps, by lane.
 
