@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
 import io
 import os
 import stat
@@ -62,13 +61,14 @@ def require(condition: bool, message: str) -> None:
         raise BadInput(message)
 
 
-def import_extra(module: str, message: str) -> Any:
-    """Import a package that not every installation has; BadInput with `message`, how to get it, if that fails.
+@contextlib.contextmanager
+def importing(message: str) -> Iterator[None]:
+    """Turn the failure of an import in the block, of a package that not every installation has, into BadInput.
 
-    ``{error}`` in the message becomes Python's reason.
+    `message` says how to get it; ``{error}`` in it becomes Python's reason.
     """
     try:
-        return importlib.import_module(module)
+        yield
     except (ImportError, OSError) as error:
         raise BadInput(message.format(error=error)) from error
 

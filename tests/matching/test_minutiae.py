@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import builtins
 import itertools
 
 import cv2
@@ -191,14 +191,14 @@ def test_bad_prints_are_refused(image: np.ndarray, ppi: float, words: str) -> No
 def test_where_nbis_py_is_missing_one_sentence_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     from splitknit.matching import minutiae
 
-    real = importlib.import_module
+    real = builtins.__import__
 
     def refusing(name, *rest, **named):
         if name == "nbis":
             raise OSError("GLIBC_2.34 not found")
         return real(name, *rest, **named)
 
-    monkeypatch.setattr(importlib, "import_module", refusing)
+    monkeypatch.setattr(builtins, "__import__", refusing)
     minutiae._extractor.cache_clear()
     with pytest.raises(BadInput, match=r"x86-64 Linux.*method ridge\.$"):
         extract(np.zeros((90, 90), np.uint8))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from splitknit.batch.objects import Location, files_below, stored_file, whole_file
-from splitknit.errors import import_extra, refusing, require
+from splitknit.errors import importing, refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json
 
@@ -22,8 +23,8 @@ def load(module: str, extra: str) -> Any:
         If it is not installed.
     """
     package = module.partition(".")[0]
-    remedy = f"pip install 'splitknit[{extra}]'."
-    return import_extra(module, f"this needs {package}, which cannot be imported ({{error}}); {remedy}")
+    with importing(f"this needs {package}, which cannot be imported ({{error}}); pip install 'splitknit[{extra}]'."):
+        return importlib.import_module(module)
 
 
 SUFFIX = ".parquet"

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.devices import Closing, ExposureRange, Frame
-from splitknit.errors import BadInput, import_extra, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.imaging.band import decode_table
 from splitknit.model import PixelArray
 
@@ -359,15 +359,15 @@ def open_genicam(number: int) -> Stream:
     BadInput
         If harvesters or a producer is missing, or there is no such camera.
     """
-    message = "harvesters, which drives GenICam cameras, is not installed; install the extra genicam."
-    harvesters = import_extra("harvesters.core", message)
+    with importing("harvesters, which drives GenICam cameras, is not installed; install the extra genicam."):
+        from harvesters.core import Harvester  # type: ignore[import-not-found]  # noqa: PLC0415 - optional
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     producers = sorted(file for folder in folders for file in folder.glob("*.cti"))
     require(
         len(producers) > 0,
         "no GenTL producer was found; install the camera maker's software, which sets GENICAM_GENTL64_PATH.",
     )
-    harvester = harvesters.Harvester()
+    harvester = Harvester()
     try:
         for file in producers:
             harvester.add_file(str(file))

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, import_extra, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -352,11 +352,12 @@ def installed() -> bool:
 
 
 def _module() -> Any:
-    return import_extra(
-        "nbis",
+    with importing(
         "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit[minutiae]' there; elsewhere "
-        "compare with the method ridge.",
-    )
+        "compare with the method ridge."
+    ):
+        import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - 40 MB
+    return nbis
 
 
 @lru_cache(maxsize=2)

@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from splitknit.errors import BadInput, import_extra, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.model import FloatArray
 from splitknit.networks.weights import Card, read_network
 
@@ -201,8 +201,9 @@ def _onnxruntime() -> Any:
         f"set the environment variable {NO_TELEMETRY}=1 before that import.",
     )
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
-    message = "networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
-    return import_extra("onnxruntime", message)  # heavy: only presets that need it pay
+    with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
+        import onnxruntime  # type: ignore[import-untyped]  # noqa: PLC0415 - heavy, and only presets that need it pay
+    return onnxruntime
 
 
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:

@@ -9,13 +9,14 @@ last convolution; the regression. The U-Net of the `metric` networks is smaller:
 from __future__ import annotations
 
 import copy
+import importlib
 import io
 import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from splitknit.errors import import_extra
+from splitknit.errors import importing
 
 _OPSET = 17
 
@@ -28,10 +29,10 @@ def load_torch() -> Any:
     BadInput
         If it is not installed.
     """
-    message = (
+    with importing(
         "training needs torch, which cannot be imported ({error}); in splitknit's folder: make install EXTRAS=train."
-    )
-    return import_extra("torch", message)
+    ):
+        return importlib.import_module("torch")
 
 
 def unet(
