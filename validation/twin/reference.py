@@ -12,6 +12,7 @@ seed alone.
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,12 +20,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from reference_scene import INSET_MM, ReferenceScene, Seen, build, see
 
-from splitknit.errors import import_extra, require
+from splitknit.errors import importing, require
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, diffuse_transmittance
-from splitknit.simulator.reference_scene import INSET_MM, ReferenceScene, Seen, build, see
 from splitknit.simulator.surface import Surface
 
 FAINT = 0.1
@@ -403,8 +404,8 @@ def _load(threads: int) -> tuple[Any, Any]:
             "the reference needs LLVM 19; install Debian's libllvm19, or name the library in DRJIT_LIBLLVM_PATH.",
         )
         os.environ["DRJIT_LIBLLVM_PATH"] = str(found[0])
-    message = "the reference needs Mitsuba 3; install splitknit with its extra 'reference'."
-    dr, mi = (import_extra(name, message) for name in ("drjit", "mitsuba"))
+    with importing("the reference needs Mitsuba 3; install splitknit with its extra 'reference'."):
+        dr, mi = (importlib.import_module(name) for name in ("drjit", "mitsuba"))
     mi.set_variant("llvm_ad_mono")
     dr.set_thread_count(threads)
     return mi, dr
