@@ -241,8 +241,7 @@ class GuardedLights(Closing):
         wanted = sorted(set(leds))
         for led in wanted:
             require(
-                0 <= led < self._count,
-                f"there is no LED {led}; the bank has {self._count}, 0 to {self._count - 1}.",
+                0 <= led < self._count, f"there is no LED {led}; the bank has {self._count}, 0 to {self._count - 1}."
             )
         require(len(wanted) > 0, "name at least one LED, or switch all off.")
         self._dark(keep=frozenset(wanted))  # before the next is lit: never two at once

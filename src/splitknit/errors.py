@@ -61,6 +61,18 @@ def require(condition: bool, message: str) -> None:
         raise BadInput(message)
 
 
+@contextlib.contextmanager
+def importing(message: str) -> Iterator[None]:
+    """Turn the failure of an import in the block, of a package that not every installation has, into BadInput.
+
+    `message` says how to get it; ``{error}`` in it becomes Python's reason.
+    """
+    try:
+        yield
+    except (ImportError, OSError) as error:
+        raise BadInput(message.format(error=error)) from error
+
+
 def naming(path: object, work: Callable[[], T]) -> T:
     """Let what stages refuse, which know arrays only, name the file."""
     try:
@@ -270,8 +282,7 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     require(bool(finite.all()), f"{name} contains NaN or infinite values.")
     if count is not None:
         require(
-            array.shape[0] == count,
-            f"{name} and images differ in number: {array.shape[0]} lights for {count} images.",
+            array.shape[0] == count, f"{name} and images differ in number: {array.shape[0]} lights for {count} images."
         )
     require(array.shape[0] >= 3, f"photometric stereo needs at least 3 lights, but {name} holds {array.shape[0]}.")
     norms = np.linalg.norm(array, axis=1)

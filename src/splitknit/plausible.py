@@ -34,10 +34,7 @@ class Plausible:
         """
         (low, high), (least, most) = self.usual, self.possible
         found = f"{self.what} is {value:.3g} {self.unit}" if value < 1e3 else f"{self.what} is {value:.0f} {self.unit}"
-        require(
-            least <= value <= most,
-            f"{found}, where only {least:g} to {most:g} {self.unit} is possible: {remedy}.",
-        )
+        require(least <= value <= most, f"{found}, where only {least:g} to {most:g} {self.unit} is possible: {remedy}.")
         return () if low <= value <= high else (f"{found}, where {low:g} to {high:g} {self.unit} is usual: {remedy}.",)
 
 

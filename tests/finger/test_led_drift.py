@@ -8,7 +8,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.imaging.band import linear_stack
-from splitknit.imaging.light_field import light_field
+from splitknit.imaging.light_field import light_vectors_at
+from splitknit.imaging.view import view_of
 from splitknit.model import Rig, default_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -34,7 +35,7 @@ class Scene:
         else:
             up = np.sqrt(np.maximum(radius_mm**2 - x**2 - y**2, 1e-6))
             z, self.normals = up - radius_mm, np.stack([x, y, up], axis=-1) / radius_mm
-        self.lights = np.concatenate([part for _, part in light_field(rig, z.astype(np.float32))], axis=2)
+        self.lights = light_vectors_at(rig, *view_of(rig.camera).points(z.astype(np.float32)))
         albedo = 0.5 + 0.2 * np.random.default_rng(1).random((rows, columns))
         self.clean = albedo * np.maximum(np.einsum("lchw,hwc->lhw", self.lights, self.normals), 0)
 
@@ -139,7 +140,7 @@ def test_skin_does_not_mislead(lights):
     z = np.where(mask, truth["shape_mm"], 0).astype(np.float32)
     vectors = rig.light_vectors()
     if lights == "near":
-        vectors = np.concatenate([part for _, part in light_field(rig, z)], axis=2)
+        vectors = light_vectors_at(rig, *view_of(rig.camera).points(z))
     stack = linear_stack(band, capture.encoding)
     calm = led_drift(stack, vectors, mask)
     assert calm.suspect is None and drift_words(calm, NAMES) == []

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.light_field import light_field
-from splitknit.imaging.view import _pixel_axes_mm
+from splitknit.imaging.light_field import light_vectors_at
+from splitknit.imaging.view import _pixel_axes_mm, view_of
 from splitknit.model import Camera, Led, Rig
 from splitknit.photometric.lambertian import lambertian
-from splitknit.photometric.near_light import NearLightSettings, near_light, near_light_weights, pseudo_normals
-from splitknit.photometric.robust import RobustSettings
+from splitknit.photometric.near_light import NearLightSettings, near_light, pseudo_normals
 
 SHAPE = (60, 80)
 
@@ -82,22 +81,8 @@ def test_better_than_distant_lights_even_on_a_flat_guess():
 
 def test_field_is_normalised_as_the_rigs_own_vectors():
     rig = make_rig(Camera(2.0, (1, 1)))
-    ((rows, field),) = light_field(rig, 0.0)
-    assert rows == slice(0, 1)
+    field = light_vectors_at(rig, *view_of(rig.camera).points(np.zeros((1, 1), dtype=np.float32)))
     assert np.allclose(field[:, :, 0, 0], rig.light_vectors(), atol=1e-6)
-
-
-def test_field_covers_all_rows_and_counts_nan_as_the_plane():
-    rig = make_rig(Camera(2.0, (700, 90)))
-    surface = np.full((700, 90), 3.0, dtype=np.float32)
-    surface[5, 7] = np.nan
-    parts = list(light_field(rig, surface))
-    assert [rows.start for rows, _ in parts[1:]] == [rows.stop for rows, _ in parts[:-1]]
-    field = np.concatenate([part for _, part in parts], axis=2)
-    assert field.shape == (7, 3, 700, 90)
-    assert np.isfinite(field).all()
-    plane = np.concatenate([part for _, part in light_field(rig, 0.0)], axis=2)
-    assert np.allclose(field[:, :, 5, 7], plane[:, :, 5, 7])
 
 
 def test_leds_that_share_an_exposure_add():
@@ -138,8 +123,7 @@ def test_perspective_rays_pass_through_the_apex(distortion):
     focal = 2.0 * 140
     matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
     rig = make_rig(Camera(2.0, SHAPE, model="perspective", matrix=matrix, distortion=distortion))
-    parts = list(light_field(rig, 10.0))
-    field = np.concatenate([part for _, part in parts], axis=2)
+    field = light_vectors_at(rig, *view_of(rig.camera).points(np.full(SHAPE, 10, dtype=np.float32)))
     x, y = _pixel_axes_mm(Camera(2.0, SHAPE))
     gx, gy = np.meshgrid(x, y)
     if distortion is not None:  # find where the distorted ray comes from, by iterating its model
@@ -192,11 +176,6 @@ def test_robust_weights_find_a_highlight():
     stack[2, 20:30, 30:50] *= 1.4
     got, _ = near_light(stack, rig, z)
     assert np.degrees(np.arccos(np.clip((got * normals).sum(-1), -1, 1)))[20:30, 30:50].mean() < 0.7
-    weights = near_light_weights(stack, rig, z, settings=RobustSettings())
-    assert weights[2, 20:30, 30:50].max() < 0.1
-    assert weights[:, :15].min() > 0.99
-    shared, _ = near_light(stack, rig, z, weights=weights)
-    assert np.abs(shared - got).max() < 1e-3
 
 
 def test_surface_may_be_nan_outside_the_mask_only():

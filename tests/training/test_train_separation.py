@@ -14,7 +14,6 @@ from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.separation.direct import direct_light
 from splitknit.simulator.light.skin import SkinRanges
-from splitknit.training import networks
 from splitknit.training.networks import load_torch, unet, unet_reach
 from splitknit.training.separation import SeparationSettings, SeparationTrainer, _learning_factor, _levelled
 from splitknit.training.separation_data import Patches, Photograph, SeparationData, photographs
@@ -160,7 +159,7 @@ def test_without_torch_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     def absent(name: str) -> Any:
         raise ImportError(f"No module named {name!r}")
 
-    monkeypatch.setattr(networks.importlib, "import_module", absent)
+    monkeypatch.setattr(importlib, "import_module", absent)
     with pytest.raises(BadInput, match="make install EXTRAS=train"):
         load_torch()
     monkeypatch.undo()

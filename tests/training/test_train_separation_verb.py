@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 from pathlib import Path
@@ -11,7 +12,7 @@ from splitknit.cli.main import build_parser, main
 from splitknit.cli.train import _command_line
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network
-from splitknit.training import networks, separation
+from splitknit.training import separation
 
 Captured = pytest.CaptureFixture[str]
 TINY = [
@@ -45,7 +46,7 @@ def test_without_torch_nothing_is_written(tmp_path: Path, monkeypatch: pytest.Mo
     def absent(name: str) -> Any:
         raise ImportError(f"No module named {name!r}")
 
-    monkeypatch.setattr(networks.importlib, "import_module", absent)
+    monkeypatch.setattr(importlib, "import_module", absent)
     assert main(["train", "separation", "--out", str(tmp_path / "out"), *TINY]) == 2
     said = capsys.readouterr()
     assert said.err.count("\n") == 1 and "make install EXTRAS=train" in said.err

@@ -6,7 +6,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import _packed_fields
+from splitknit.training.fields import FieldsTrainer, _packed_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
@@ -17,8 +17,9 @@ from splitknit.training.shape import (
     WHAT,
     ShapeSettings,
     _field_scale,
+    _judge_whole,
     _shape_losses,
-    _ShapeTrainer,
+    _shape_trainer,
 )
 
 torch = pytest.importorskip("torch")
@@ -40,7 +41,7 @@ def sample_of(seed: int) -> np.ndarray:
 SAMPLES = [sample_of(0), sample_of(1)]
 
 
-def weights_of(trainer: _ShapeTrainer) -> list[np.ndarray]:
+def weights_of(trainer: FieldsTrainer) -> list[np.ndarray]:
     return [part.numpy().copy() for part in trainer.network.state_dict().values()]
 
 
@@ -73,15 +74,15 @@ def test_an_error_that_changes_from_pixel_to_pixel_is_not_wide() -> None:
 
 
 def test_training_lowers_the_loss_and_betters_the_figures() -> None:
-    trainer = _ShapeTrainer(SETTINGS, SAMPLES)
+    trainer = _shape_trainer(SETTINGS, SAMPLES)
     heard: list[float] = []
-    before = trainer.judge(SAMPLES[0])
+    before = _judge_whole(trainer.run, SAMPLES[0], SETTINGS.stride)
     first = trainer.train(5)
     trainer.train(135)
     last = trainer.train(10, heard.append)
     for name in PARTS:
         assert last[name] < 0.5 * first[name], name
-    after = trainer.judge(SAMPLES[0])
+    after = _judge_whole(trainer.run, SAMPLES[0], SETTINGS.stride)
     assert after["after"] < 0.7 * before["after"] and after["after"] < 0.7 * after["before"]
     assert after["before"] == before["before"]
     assert heard == pytest.approx(np.arange(141, 151) / 150)
@@ -89,7 +90,7 @@ def test_training_lowers_the_loss_and_betters_the_figures() -> None:
 
 def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
     plain, decaying = (
-        _ShapeTrainer(ShapeSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES)
+        _shape_trainer(ShapeSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES)
         for decay in (0.0, 100.0)
     )
     np.testing.assert_array_equal(plain.network.scale.numpy(), _field_scale(SAMPLES, plain.settings))
@@ -103,18 +104,18 @@ def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
 def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     settings = ShapeSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=4, precision=precision)
-    whole = _ShapeTrainer(settings, SAMPLES)
+    whole = _shape_trainer(settings, SAMPLES)
     whole.train(6)
-    first = _ShapeTrainer(settings, SAMPLES)
+    first = _shape_trainer(settings, SAMPLES)
     first.train(3)
-    second = _ShapeTrainer(settings, SAMPLES)
+    second = _shape_trainer(settings, SAMPLES)
     second.restore(first.state())
     assert second.done == 3
     second.train(3)
     for one, other in zip(weights_of(whole), weights_of(second), strict=True):
         np.testing.assert_array_equal(one, other)
     assert not all(np.array_equal(*pair) for pair in zip(weights_of(whole), weights_of(first), strict=True))
-    other = _ShapeTrainer(
+    other = _shape_trainer(
         ShapeSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=5, wide_share=2.0), SAMPLES
     )
     with pytest.raises(BadInput, match=r"beyond_px, wide_share.*resume with the same"):
@@ -122,7 +123,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 
 
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
-    trainer = _ShapeTrainer(SETTINGS, SAMPLES)
+    trainer = _shape_trainer(SETTINGS, SAMPLES)
     trainer.train(20)
     weights, card = _packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train shape"})
     (tmp_path / f"{NAME}.onnx").write_bytes(weights)

@@ -28,13 +28,13 @@ import numpy as np
 import scipy.fft
 from compare import Array, binned
 from patches import PITCH_MM, middle, ridged_patch
+from reference import ReferenceSettings, reference_scene, render_glare, render_volume
 from run import HERE, OUT, source_hash
 
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.simulator.light.renderer import render_band
 from splitknit.simulator.light.skin import Channel, SkinSettings, load_walks
-from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume
 from splitknit.skin.diffusion import diffusion
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")

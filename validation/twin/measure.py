@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from compare import Array, Relief, binned, contrast, contrast_error, gain_of_relief, modulation, spread
 from patches import PITCH_MM, middle, ridged_patch
+from reference import ReferenceSettings, reference_scene, render_glare, render_volume
+from reference_scene import ReferenceScene
 
 from splitknit.model import FloatArray, Led, default_rig
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.light.renderer import render_band
 from splitknit.simulator.light.skin import Channel, ChannelOptics, SkinSettings, WalkTable, load_walks
-from splitknit.simulator.reference import ReferenceSettings, reference_scene, render_glare, render_volume
-from splitknit.simulator.reference_scene import ReferenceScene
 from splitknit.simulator.surface import Surface
 
 FIELD_MM = 10.0

@@ -124,9 +124,10 @@ def source_hash() -> str:
     """Hash of the twin's sources and of the scripts beside this one that measure."""
     digest = hashlib.sha256()
     package = Path(splitknit.simulator.__file__).parent
-    names = ("reference", "renderer", "lighting", "skin", "master_print", "ridges", "finger", "shape")
+    names = ("renderer", "lighting", "skin", "master_print", "ridges", "finger", "shape")
     files = [path for path in sorted(package.rglob("*.py")) if path.stem.startswith(names)]
-    for path in (*files, HERE / "compare.py", HERE / "measure.py", HERE / "patches.py"):
+    own = ("compare", "measure", "patches", "reference", "reference_scene")
+    for path in (*files, *(HERE / f"{name}.py" for name in own)):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from splitknit.batch.objects import Location, files_below, stored_file, whole_file
-from splitknit.errors import BadInput, refusing, require
+from splitknit.errors import importing, refusing, require
 from splitknit.io.fields import parse_json
 from splitknit.io.provenance import canonical_json
 
@@ -22,13 +22,9 @@ def load(module: str, extra: str) -> Any:
     BadInput
         If it is not installed.
     """
-    try:
+    package = module.partition(".")[0]
+    with importing(f"this needs {package}, which cannot be imported ({{error}}); pip install 'splitknit[{extra}]'."):
         return importlib.import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise BadInput(
-            f"this needs {package}, which cannot be imported ({error}); pip install 'splitknit[{extra}]'."
-        ) from error
 
 
 SUFFIX = ".parquet"

@@ -56,6 +56,10 @@ class Matcher(ABC):
     def compare(self, a: Any, b: Any) -> Values:
         """``similarity`` and the columns."""
 
+    def values(self, found: Any) -> Values:
+        """``similarity`` and the columns, where a method's result has fields of these names."""
+        return {name: float(getattr(found, name)) for name in ("similarity", *self.columns)}
+
     @abstractmethod
     def document(self) -> Any:
         """All settings."""
@@ -76,13 +80,7 @@ class _RidgeMatcher(Matcher):
         return Prepared(unpack(payload), self.settings) if payload else None
 
     def compare(self, a: Prepared, b: Prepared) -> Values:
-        found = ridge_match(a, b)
-        return {
-            "similarity": found.similarity,
-            "correlation": found.correlation,
-            "overlap_mm2": found.overlap_mm2,
-            "rotation_deg": found.rotation_deg,
-        }
+        return self.values(ridge_match(a, b))
 
     def document(self) -> Any:
         return self.settings
@@ -220,8 +218,7 @@ class _Minutiae3DMatcher(_SpaceMatcher):
         return PreparedMinutiae3D(found, self.settings) if found.acquired else None
 
     def compare(self, a: Any, b: Any) -> Values:
-        found = minutiae3d_match(a, b)
-        return {"similarity": found.similarity, "agreeing": float(found.agreeing)}
+        return self.values(minutiae3d_match(a, b))
 
 
 class _TetrahedraMatcher(_SpaceMatcher):
@@ -258,13 +255,7 @@ class _SurfaceCodeMatcher(Matcher):
         return None if found.empty else PreparedSurface(found, self.settings)
 
     def compare(self, a: Any, b: Any) -> Values:
-        found = surface_code_match(a, b)
-        return {
-            "similarity": found.similarity,
-            "distance": found.distance,
-            "overlap_mm2": found.overlap_mm2,
-            "rotation_deg": found.rotation_deg,
-        }
+        return self.values(surface_code_match(a, b))
 
     def document(self) -> Any:
         return {"surface_code": self.code, "surface_match": self.settings}

@@ -276,10 +276,7 @@ class CameraCalibration:
 
 
 def calibrate_camera(
-    corner_sets: Sequence[Any],
-    board: Board,
-    image_size: tuple[int, int],
-    names: Sequence[str] | None = None,
+    corner_sets: Sequence[Any], board: Board, image_size: tuple[int, int], names: Sequence[str] | None = None
 ) -> CameraCalibration:
     """Calibrate a camera by Zhang's method, with rejection of bad views.
 

@@ -222,10 +222,7 @@ class CardModel:
         assert exponent is not None
         tilt = tilts.reshape(-1, 2) / exponent[:, None] if order.aims else np.zeros((self.count, 2))
         return Answer(
-            brightness=np.exp(light),
-            exponent=exponent,
-            tilt=tilt,
-            lens=np.concatenate([lens, np.zeros(2 - len(lens))]),
+            brightness=np.exp(light), exponent=exponent, tilt=tilt, lens=np.concatenate([lens, np.zeros(2 - len(lens))])
         )
 
     def bounds(self, order: Order) -> tuple[Array, Array]:

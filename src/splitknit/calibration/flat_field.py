@@ -229,11 +229,7 @@ class FlatField:
 
 
 def fit_flat_field(
-    camera: Camera,
-    leds: Sequence[Led],
-    pixels: Any,
-    light: Any,
-    card: CardPlane | None = None,
+    camera: Camera, leds: Sequence[Led], pixels: Any, light: Any, card: CardPlane | None = None
 ) -> FlatField:
     """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands together.
 

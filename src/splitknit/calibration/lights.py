@@ -107,12 +107,7 @@ def nail_points(camera: Camera, nail_px: Points, height_mm: float, seen: str = "
 
 
 def by_circle(
-    tips: Sequence[Tip],
-    camera: Camera,
-    circle: Circle,
-    *,
-    known_height_mm: float | None = None,
-    seen: str = "tip",
+    tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None, seen: str = "tip"
 ) -> tuple[tuple[LedEstimate, ...], float]:
     """Find every LED by the thesis's construction.
 

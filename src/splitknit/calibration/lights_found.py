@@ -8,14 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibration.light_table import (
-    BANDS,
-    LEDS_PER_BAND,
-    Points,
-    Tip,
-    name_of_led,
-    pixels,
-)
+from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Points, Tip, name_of_led, pixels
 from splitknit.calibration.lights import Circle, LedEstimate, by_circle
 from splitknit.calibration.nail import STRAY_MM, JointFit, NailSettings, by_joint_fit
 from splitknit.errors import BadInput, require

@@ -276,9 +276,7 @@ def _noise(frame: PixelArray, dark: Dark | None) -> list[tuple[int, NDArray[np.f
     return [(c, *noise_samples(frame, c, black[c])) for c in range(frame.shape[2])]
 
 
-def _noise_models(
-    samples: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]],
-) -> dict[str, NoiseModel]:
+def _noise_models(samples: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]) -> dict[str, NoiseModel]:
     channels = sorted({c for c, _, _ in samples})
     names = ("red", "green", "blue") if len(channels) == 3 else ("grey",)
     found: dict[str, NoiseModel] = {}

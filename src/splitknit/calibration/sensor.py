@@ -147,8 +147,7 @@ def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     )
     ratio = float(times.max() / times.min())
     require(
-        ratio >= _MIN_RATIO,
-        f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_RATIO:g} at least is needed.",
+        ratio >= _MIN_RATIO, f"{name} spans a ratio of {ratio:.1f} in exposure, but {_MIN_RATIO:g} at least is needed."
     )
     stored[~(stored < _CLIP)] = np.nan
     seen = np.isfinite(stored).sum(axis=0) >= 3

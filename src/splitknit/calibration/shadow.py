@@ -81,11 +81,7 @@ def _hull_distance(places: Points, other: Points, radius: float, other_radius: f
 
 
 def _fit_shape(
-    darkness: FloatArray,
-    usable: BoolArray,
-    start: _Shape,
-    scale: _Scale,
-    common: tuple[float, float] | None = None,
+    darkness: FloatArray, usable: BoolArray, start: _Shape, scale: _Scale, common: tuple[float, float] | None = None
 ) -> _Shape:
     """Fit the shape to the darkness (H, W) about its outer part, by least squares.
 
@@ -245,10 +241,7 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
 
 
 def _second_fit(
-    first: Sequence[_Shape | None],
-    darkness: Sequence[FloatArray],
-    usable: BoolArray,
-    scale: _Scale,
+    first: Sequence[_Shape | None], darkness: Sequence[FloatArray], usable: BoolArray, scale: _Scale
 ) -> tuple[_Shape | None, ...]:
     """All shadows again with one bluntness of tip and one penumbra, for it is one nail."""
     found = [shape for shape in first if shape is not None]

@@ -139,11 +139,7 @@ class Enrolment:
 
 
 def open_enrolment(
-    folder: Path,
-    *,
-    subjects: int | None = None,
-    sessions: int | None = None,
-    fingers: Sequence[str] | None = None,
+    folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
 ) -> Enrolment:
     """Open an enrolment, or start one; what is not given is as the plan has it, or as in the thesis.
 
@@ -162,11 +158,7 @@ def open_enrolment(
 
 
 def plan_enrolment(
-    folder: Path,
-    *,
-    subjects: int | None = None,
-    sessions: int | None = None,
-    fingers: Sequence[str] | None = None,
+    folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
 ) -> Enrolment:
     """What :func:`open_enrolment` would open; nothing is written."""
     file = folder / PLAN_FILE

@@ -58,12 +58,7 @@ class CaptureOptions:
 
 
 def capture_to_folder(
-    devices: Opened,
-    out: Path,
-    options: CaptureOptions,
-    *,
-    subject: Mapping[str, Any],
-    progress: Progress = no_progress,
+    devices: Opened, out: Path, options: CaptureOptions, *, subject: Mapping[str, Any], progress: Progress = no_progress
 ) -> dict[str, Any]:
     """Capture a finger into the folder `out`; return the facts of ``session.json`` and more.
 
@@ -111,12 +106,7 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
         "bands": {band: len(one.leds) for band, one in session.bands.items()},
         "images": lit,
         "exposure": {
-            band: {
-                "exposure_s": one.exposure_s,
-                "gain": one.gain,
-                "brightest_led": one.brightest,
-                "level": one.level,
-            }
+            band: {"exposure_s": one.exposure_s, "gain": one.gain, "brightest_led": one.brightest, "level": one.level}
             for band, one in session.exposures.items()
         },
         "focus": asdict(session.focus),

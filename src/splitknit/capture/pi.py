@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from splitknit.capture.pins import pins_of
 from splitknit.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc, preview_pixels
 from splitknit.devices import Camera, Closing, ExposureRange, Frame, GuardedLights
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.model import Rig
 from splitknit.settings import Checked, Limits, check_fields
 
@@ -200,11 +200,7 @@ class PiCamera(Closing):
     """A :class:`splitknit.devices.Camera` on picamera2."""
 
     def __init__(
-        self,
-        picamera2: Any,
-        settings: PiCameraSettings | None = None,
-        *,
-        now_ns: Callable[[], int] | None = None,
+        self, picamera2: Any, settings: PiCameraSettings | None = None, *, now_ns: Callable[[], int] | None = None
     ) -> None:
         """Open and start the camera.
 
@@ -440,10 +436,8 @@ def _open_lights(rig: Rig) -> PiLightBank:
     or a line is in use.
     """
     pins = pins_of(rig)
-    try:
+    with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # noqa: PLC0415 - only a Pi has it
-    except ImportError as error:
-        raise BadInput(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}.") from error
     try:
         with warnings.catch_warnings():  # it warns of every library that it tries; one sentence is enough
             warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)

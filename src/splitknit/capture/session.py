@@ -266,9 +266,7 @@ def _meter(
             region = _region(seen, room, px_per_mm, camera.image_size[1], find_finger=find_finger)
         dark = typical_level(room, region, typical)
         _check_lit(
-            {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()},
-            dark,
-            names,
+            {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}, dark, names
         )
         exposures[band] = find_exposure(
             look, seen, region, dark, camera=camera.exposures, settings=settings, typical=typical

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.devices import Closing, ExposureRange, Frame
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.imaging.band import decode_table
 from splitknit.model import PixelArray
 
@@ -297,10 +297,7 @@ class _GenICam:
             if hasattr(nodes, name):
                 getattr(nodes, name).value = value
         offered = [name for name in _FORMATS if name in nodes.PixelFormat.symbolics]
-        require(
-            len(offered) > 0,
-            "the GenICam camera offers no pixel format of " + ", ".join(sorted(_FORMATS)) + ".",
-        )
+        require(len(offered) > 0, "the GenICam camera offers no pixel format of " + ", ".join(sorted(_FORMATS)) + ".")
         nodes.PixelFormat.value = offered[0]
         nodes.TriggerMode.value, nodes.TriggerSource.value = "On", "Software"
         self._order = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}.get(offered[0][5:7], "")
@@ -362,12 +359,8 @@ def open_genicam(number: int) -> Stream:
     BadInput
         If harvesters or a producer is missing, or there is no such camera.
     """
-    try:
+    with importing("harvesters, which drives GenICam cameras, is not installed; install the extra genicam."):
         from harvesters.core import Harvester  # type: ignore[import-not-found]  # noqa: PLC0415 - optional
-    except ImportError as error:
-        raise BadInput(
-            "harvesters, which drives GenICam cameras, is not installed; install the extra genicam."
-        ) from error
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     producers = sorted(file for folder in folders for file in folder.glob("*.cti"))
     require(

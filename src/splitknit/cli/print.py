@@ -80,7 +80,7 @@ def _words(facts: dict[str, Any]) -> list[str]:
     period = facts["ridge_period_mm"]["median"]
     lines = [
         f"Print ({facts['method']}) of {columns} x {rows} pixels at {facts['ppi']:g} ppi, {where}: "
-        f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart.",
+        f"{facts['ridge_area_mm2']:.0f} mm² of ridges, {period:.2f} mm apart."
     ]
     if "scale" in facts:
         lines.append(f"Please note: {facts['scale']}")

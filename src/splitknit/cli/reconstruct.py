@@ -134,12 +134,7 @@ def _reconstruct_to_folder(
         except BadInput as error:  # stages know arrays only
             raise BadInput(f"{source}: {error}") from error
     progress("done", 1.0)
-    return {
-        **facts,
-        "out": str(out),
-        "area_mm2": facts["result"]["area_mm2"],
-        "total_s": time.perf_counter() - started,
-    }
+    return {**facts, "out": str(out), "area_mm2": facts["result"]["area_mm2"], "total_s": time.perf_counter() - started}
 
 
 def _truth_of(capture: Capture) -> dict[str, Any] | None:

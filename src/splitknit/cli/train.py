@@ -77,12 +77,7 @@ def add_train(verbs: Any) -> None:
     _add_numbers(training, _SEPARATION)
     _add_machine(training, ("auto", "float32", "mixed"), "mixed: products in half precision; auto (default): on a GPU")
     for name, does, run, numbers in (
-        (
-            "relief",
-            "the network of the preset metric for relief and glare",
-            _run_relief,
-            _RELIEF_DATA + _RELIEF,
-        ),
+        ("relief", "the network of the preset metric for relief and glare", _run_relief, _RELIEF_DATA + _RELIEF),
         ("shape", "the network of the preset metric that corrects the shape", _run_shape, _SHAPE_DATA + _SHAPE),
     ):
         verb = new_verb(kinds, name, does, run)
@@ -183,7 +178,7 @@ def _run_shape(options: argparse.Namespace) -> Outcome:
     mean = facts["metrics"]["mean"]
     lines = [
         f"A network was trained for {settings.iterations} iterations in {facts['total_s']:.0f} s "
-        f"(fingers: {facts['data']['fingers_used']}; refused: {facts['refused']}).",
+        f"(fingers: {facts['data']['fingers_used']}; refused: {facts['refused']})."
     ]
     if None not in mean.values():
         lines.append(

@@ -124,10 +124,7 @@ def group(verbs: Any, name: str, does: str) -> Any:
 def add_preset(verb: argparse.ArgumentParser) -> None:
     """Add ``--preset`` for captures that are reconstructed on the way."""
     verb.add_argument(
-        "--preset",
-        choices=PRESETS,
-        default="metric",
-        help="how captures are reconstructed (default: metric)",
+        "--preset", choices=PRESETS, default="metric", help="how captures are reconstructed (default: metric)"
     )
 
 

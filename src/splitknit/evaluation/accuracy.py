@@ -126,11 +126,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
     figures |= _band_figures("ridge", ridge_band, true_band, band, window)
     figures |= _band_figures(
-        "height_band",
-        high_pass(height, inside, sigma),
-        high_pass(true_height, inside, sigma),
-        band,
-        window,
+        "height_band", high_pass(height, inside, sigma), high_pass(true_height, inside, sigma), band, window
     )
     return Comparison(
         preset=result.preset,

@@ -46,11 +46,7 @@ class ClaheSettings(Checked):
 
 
 def clahe(
-    image: FloatArray,
-    px_per_mm: float,
-    settings: ClaheSettings | None = None,
-    *,
-    mask: BoolArray | None = None,
+    image: FloatArray, px_per_mm: float, settings: ClaheSettings | None = None, *, mask: BoolArray | None = None
 ) -> FloatArray:
     """Equalise `image` in cells of 64 x 64 pixels (at 75.7 px/mm), or as the settings say, with limited contrast.
 

@@ -231,10 +231,7 @@ def _quality(  # noqa: PLR0917
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Quality figures and warnings of every band."""
     rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
-    window = (
-        slice(rows.start * binning, rows.stop * binning),
-        slice(columns.start * binning, columns.stop * binning),
-    )
+    window = (slice(rows.start * binning, rows.stop * binning), slice(columns.start * binning, columns.stop * binning))
     inside = outline[rows, columns]
     skin = capture.material == "skin"
 

@@ -435,11 +435,7 @@ def _clean(candidate: BoolArray, depth: FloatArray) -> BoolArray:
 
 
 def _fine_outline(
-    fine: FloatArray,
-    mask: BoolArray,
-    size: tuple[int, int],
-    px_per_mm: float,
-    samples: int = SAMPLES,
+    fine: FloatArray, mask: BoolArray, size: tuple[int, int], px_per_mm: float, samples: int = SAMPLES
 ) -> BoolArray:
     """Find the edge of the coarse `mask` on the `fine` copy and interpolate it to `size` (rows, columns)."""
     shape = fine.shape[:2]

@@ -360,11 +360,7 @@ _PINHOLE_MM2 = 1.0
 
 
 def photometric_mask(
-    stack: FloatArray,
-    finger: BoolArray,
-    px_per_mm: float,
-    *,
-    saturation: float | NDArray[np.float64] | None = None,
+    stack: FloatArray, finger: BoolArray, px_per_mm: float, *, saturation: float | NDArray[np.float64] | None = None
 ) -> BoolArray:
     """Drop pixels that too few lights reach; keep one component without pinholes. At full resolution.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.chunks import row_chunks
 from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, FloatArray, Led, Rig, Shade
 
@@ -123,47 +121,6 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
         where = column.reshape(-1)[part, None], flat[part, None]
         read[part] = cv2.remap(shade.fraction, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
     return read.reshape(row.shape)
-
-
-def light_field(
-    rig: Rig, surface_mm: Any, shape: tuple[int, int] | None = None, x_mm: Any = None, y_mm: Any = None
-) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield light vectors of all LEDs at the surface, some rows at a time: (rows, field (L, 3, h, W) float32).
-
-    Parameters
-    ----------
-    rig : Rig
-        `rig.leds[k]` lights image k.
-    surface_mm : (H, W) or a number
-        z of the surface in mm; NaN (no surface) counts as the finger plane.
-    shape : (H, W), needed only where `surface_mm` is a number and no axes are given; the camera's size by default
-    x_mm, y_mm : (W,), (H,), optional
-        Position of the pixels on the finger plane, for a window or binned images; the camera's own by default.
-
-    Yields
-    ------
-    rows : slice
-    field : (L, 3, h, W) float32
-        Direction towards the light times its relative irradiance.
-    """
-    size = _image_shape(rig, surface_mm, shape, x_mm, y_mm)
-    surface = surface_array(surface_mm, size)
-    view = seen_from(rig.camera, size, x_mm, y_mm)
-    for chunk in row_chunks(*size, len(rig.leds)):
-        z = np.nan_to_num(surface[chunk], nan=0.0).astype(np.float32)
-        yield chunk, light_vectors_at(rig, *view.points(z, chunk))
-
-
-def _image_shape(rig: Rig, surface_mm: Any, shape: tuple[int, int] | None, x_mm: Any, y_mm: Any) -> tuple[int, int]:
-    """(H, W) as the surface, the caller, the axes or the camera set it, in this order."""
-    if np.ndim(surface_mm) == 2:
-        rows, columns = np.shape(surface_mm)
-        return int(rows), int(columns)
-    if shape is not None:
-        return shape
-    if x_mm is not None and y_mm is not None:
-        return len(y_mm), len(x_mm)
-    return rig.camera.image_size
 
 
 def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:

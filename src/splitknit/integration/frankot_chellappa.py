@@ -33,11 +33,7 @@ WORKERS = 2
 
 
 def integrate_spectrum(
-    gradient_x: FloatArray,
-    gradient_y: FloatArray,
-    transfer: Transfer | None,
-    padding: str,
-    margin: int = 0,
+    gradient_x: FloatArray, gradient_y: FloatArray, transfer: Transfer | None, padding: str, margin: int = 0
 ) -> FloatArray:
     """Height (H, W) in pixels, mean undefined, from dz/dx and dz/dy (y up), zero outside the surface.
 
@@ -56,10 +52,7 @@ def integrate_spectrum(
 
 def _zero(column_slope: FloatArray, row_slope: FloatArray, transfer: Transfer | None, margin: int) -> FloatArray:
     height, width = column_slope.shape
-    size = (
-        scipy.fft.next_fast_len(height + margin, real=True),
-        scipy.fft.next_fast_len(width + margin, real=True),
-    )
+    size = (scipy.fft.next_fast_len(height + margin, real=True), scipy.fft.next_fast_len(width + margin, real=True))
     row_frequency = 2 * np.pi * scipy.fft.fftfreq(size[0])
     column_frequency = 2 * np.pi * scipy.fft.rfftfreq(size[1])
     # A real signal has no derivative at the highest frequency of an even length: sine there is zero at every sample.

@@ -310,11 +310,7 @@ class PoissonSettings(Checked):
 
 
 def poisson(
-    gradient_x: Any,
-    gradient_y: Any,
-    mask: Any = None,
-    weights: Any = None,
-    settings: PoissonSettings | None = None,
+    gradient_x: Any, gradient_y: Any, mask: Any = None, weights: Any = None, settings: PoissonSettings | None = None
 ) -> FloatArray:
     """Height whose neighbour differences are nearest, in the (weighted) least-squares sense, to the gradients.
 

@@ -212,11 +212,7 @@ class ProbeSettings(Checked):
         return np.flatnonzero(second | ((turn == 0) & ((right == 0) | (down == 0))))
 
     def _pairs(self) -> tuple[tuple[float, float], ...]:
-        return (
-            (self.turn_deg, _TURN_STEP_DEG),
-            (self.right_mm, _STEP_MM),
-            (self.down_mm, _STEP_MM),
-        )
+        return ((self.turn_deg, _TURN_STEP_DEG), (self.right_mm, _STEP_MM), (self.down_mm, _STEP_MM))
 
 
 def _steps(limit: float, step: float) -> NDArray[np.float64]:

@@ -52,10 +52,7 @@ class LeftOut:
 
 
 def left_out_pictures(
-    capture: Capture,
-    settings: FingerSettings,
-    chosen: LeaveOneOutSettings | None = None,
-    finger: Finger | None = None,
+    capture: Capture, settings: FingerSettings, chosen: LeaveOneOutSettings | None = None, finger: Finger | None = None
 ) -> Iterator[LeftOut]:
     """Photometric stereo without each white image in its turn: normals and albedo as prints.
 
@@ -99,10 +96,7 @@ def left_out_pictures(
         capture, finger = find_steady_finger(capture, settings)
     white, window = capture.bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
-    require(
-        len(stack) >= 4,
-        f"leaving out one image needs at least four of them, but the white band has {len(stack)}.",
-    )
+    require(len(stack) >= 4, f"leaving out one image needs at least four of them, but the white band has {len(stack)}.")
     mask = finger.mask[window]
     if settings.lights.balance and white.colours:
         stack = balanced(stack, capture.rig, white, mask)

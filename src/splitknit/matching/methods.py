@@ -136,11 +136,7 @@ def _usual_method(a: Side, b: Side) -> str:
 
 def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
     found = ridge_match(_template(a), _template(b), settings.ridge)
-    return {
-        "similarity": found.similarity,
-        "compared": found.compared,
-        **_laid(found),
-    }
+    return {"similarity": found.similarity, "compared": found.compared, **_laid(found)}
 
 
 def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -197,11 +197,7 @@ _LOCK = threading.Lock()
 
 
 def extract(
-    print_image: NDArray[np.uint8],
-    ppi: float = PPI,
-    enhance: bool = False,
-    *,
-    edge_mm: float | None = None,
+    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool = False, *, edge_mm: float | None = None
 ) -> Minutiae:
     """Find the minutiae of a print with mindtct.
 
@@ -356,13 +352,11 @@ def installed() -> bool:
 
 
 def _module() -> Any:
-    try:
+    with importing(
+        "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit[minutiae]' there; elsewhere "
+        "compare with the method ridge."
+    ):
         import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - 40 MB
-    except (ImportError, OSError) as error:
-        raise BadInput(
-            "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit[minutiae]' there; elsewhere "
-            "compare with the method ridge."
-        ) from error
     return nbis
 
 

@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box, warp
-from splitknit.matching.features import (
-    LbpSettings,
-    gabor_features,
-    hog_features,
-    lbp_features,
-    shape_context_features,
-)
+from splitknit.matching.features import LbpSettings, gabor_features, hog_features, lbp_features, shape_context_features
 from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields

@@ -168,10 +168,5 @@ def _listed(kept: list[tuple[float, float, float, int, int]], size: tuple[int, i
     order = np.lexsort((table[:, 2], y, x))
     fraction = np.rint(100.0 * table[:, 4] / pictures)
     return Minutiae(
-        x[order],
-        y[order],
-        table[order, 2],
-        table[order, 3].astype(np.uint8),
-        fraction[order].astype(np.uint8),
-        size,
+        x[order], y[order], table[order, 2], table[order, 3].astype(np.uint8), fraction[order].astype(np.uint8), size
     )

@@ -76,10 +76,7 @@ def mirror_shape_of(
     if detail_mm is not None:
         cut = 2.0 * np.pi * camera.pitch_mm / settings.detail_mm
         finer = crossover(
-            np.where(inside, detail_mm, np.float32(0)),
-            shape,
-            lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2),
-            inside,
+            np.where(inside, detail_mm, np.float32(0)), shape, lambda w: 1.0 - np.exp(-0.5 * (w / cut) ** 2), inside
         )
         shape = np.where(inside, finer, shape)
     kept = finger.mask.copy()

@@ -98,12 +98,7 @@ def _add_priors(  # noqa: PLR0917
 
 
 def _add_slopes(  # noqa: PLR0917
-    normal: Array,
-    right: Array,
-    state: State,
-    names: list[tuple[str, float]],
-    slopes: Slopes,
-    count: int,
+    normal: Array, right: Array, state: State, names: list[tuple[str, float]], slopes: Slopes, count: int
 ) -> None:
     """The skin's slopes across the finger, as far as squareness and shear answer to them."""
     chosen = [k for k, (name, _) in enumerate(names) if name in ("squareness", "shear", "shear_slope")]
@@ -345,12 +340,7 @@ def _linearised(state: State, front: Touching, mirrors: Mapping[str, SeenIn], na
         along, root = basis(w, count), basis(s, count)
         rows.append(
             np.column_stack(
-                [
-                    normal[:, :1] * along,
-                    normal[:, 2:] * along,
-                    (by_a * s)[:, None] * root,
-                    (by_b * s)[:, None] * root,
-                ]
+                [normal[:, :1] * along, normal[:, 2:] * along, (by_a * s)[:, None] * root, (by_b * s)[:, None] * root]
             )
         )
         residuals.append(residual)

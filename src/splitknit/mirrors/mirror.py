@@ -284,13 +284,7 @@ def _from_tip(mirror: Mirror, axis: Array) -> bool:
     return bool(abs(float(level @ axis)) > np.sqrt(0.5))
 
 
-def _by_thesis(
-    views: Views,
-    camera: Camera,
-    sides: Mapping[str, Mirror],
-    axis: Array,
-    front: Rows,
-) -> MirrorShape:
+def _by_thesis(views: Views, camera: Camera, sides: Mapping[str, Mirror], axis: Array, front: Rows) -> MirrorShape:
     """The thesis's method on the first lateral view."""
     name, mirror = next(iter(sides.items()))
     _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, ROW_MM)

@@ -193,10 +193,7 @@ def _smoothed(mask: BoolArray, low: Array, high: Array) -> NDArray[np.float32]:
     top, left = max(int(low[1]), 0), max(int(low[0]), 0)
     bottom, right = min(int(high[1]) + 1, height), min(int(high[0]) + 1, width)
     part = mask[top:bottom, left:right].astype(np.float32)
-    missing = (
-        (top - int(low[1]), int(high[1]) + 1 - bottom),
-        (left - int(low[0]), int(high[0]) + 1 - right),
-    )
+    missing = ((top - int(low[1]), int(high[1]) + 1 - bottom), (left - int(low[0]), int(high[0]) + 1 - right))
     return np.asarray(cv2.GaussianBlur(np.pad(part, missing), (0, 0), BLUR_PX), dtype=np.float32)
 
 

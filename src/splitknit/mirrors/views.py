@@ -88,11 +88,7 @@ def find_views(  # noqa: PLR0917
 
 
 def _rough_views(
-    image: FloatArray,
-    camera: Camera,
-    mirrors: Mapping[str, Mirror],
-    find_finger: FindFinger,
-    binning: int,
+    image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], find_finger: FindFinger, binning: int
 ) -> Views:
     """Views as `find_finger` sees them."""
     px_per_mm = camera.px_per_mm / binning

@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, importing, require
 from splitknit.model import FloatArray
 from splitknit.networks.weights import Card, read_network
 
@@ -201,12 +201,8 @@ def _onnxruntime() -> Any:
         f"set the environment variable {NO_TELEMETRY}=1 before that import.",
     )
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
-    try:
+    with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
         import onnxruntime  # type: ignore[import-untyped]  # noqa: PLC0415 - heavy, and only presets that need it pay
-    except ImportError as error:
-        raise BadInput(
-            f"networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."
-        ) from error
     return onnxruntime
 
 

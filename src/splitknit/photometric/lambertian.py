@@ -73,12 +73,7 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
 
 
 def _store(  # noqa: PLR0917
-    normals: FloatArray,
-    albedo: FloatArray,
-    chunk: slice,
-    here: Any,
-    unit: FloatArray,
-    length: FloatArray,
+    normals: FloatArray, albedo: FloatArray, chunk: slice, here: Any, unit: FloatArray, length: FloatArray
 ) -> None:
     """Write unit normals (3, n) and albedo (n,) of all pixels of a chunk of rows, where the mask `here` is true."""
     shape = here.shape

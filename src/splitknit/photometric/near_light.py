@@ -183,41 +183,6 @@ def pseudo_normals(  # noqa: PLR0917
     return result if channels else result[0]
 
 
-def near_light_weights(  # noqa: PLR0917
-    stack: Any,
-    rig: Rig,
-    surface_mm: Any,
-    mask: Any = None,
-    settings: RobustSettings | None = None,
-    x_mm: Any = None,
-    y_mm: Any = None,
-    view: View | None = None,
-) -> FloatArray:
-    """Weights (L, H, W) in [0, 1] for shadowed and glossy lights under near LEDs; zero outside the mask.
-
-    Parameters are those of :func:`near_light`.
-
-    Raises
-    ------
-    BadInput
-        As :func:`near_light`.
-    """
-    chosen = settings if settings is not None else RobustSettings()
-    scene = near_scene(check_stack(stack, least=3)[None], rig, surface_mm, mask, x_mm, y_mm, view)
-    _, count, rows, columns = scene.images.shape
-    result = np.zeros((count, rows, columns), dtype=np.float32)
-
-    def work(chunk: slice) -> None:
-        if not scene.mask[chunk].any():
-            return
-        here, lights, images = scene.cut(chunk)
-        _, used = robust_fit(images[0], lights, chosen)
-        result[:, chunk][:, here] = used
-
-    for_each_chunk(work, rows, columns, count)
-    return result
-
-
 def near_scene(  # noqa: PLR0917
     images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, x_mm: Any, y_mm: Any, given: View | None
 ) -> NearScene:

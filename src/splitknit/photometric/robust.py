@@ -173,28 +173,6 @@ def robust(
     Statistics A6 (1977), for the weights; S. Ikehata, D. Wipf, Y. Matsushita and K. Aizawa, "Robust photometric stereo
     using sparse regression", CVPR 2012, for the view of shadow and specular reflection as sparse errors.
     """
-    return _run(stack, lights, mask, settings, None)
-
-
-def light_weights(stack: Any, lights: Any, mask: Any = None, settings: RobustSettings | None = None) -> FloatArray:
-    """Weights (L, H, W) in [0, 1] that :func:`robust` gives every light; zero outside the mask.
-
-    Parameters are those of :func:`robust`.
-
-    Raises
-    ------
-    BadInput
-        As :func:`robust`.
-    """
-    count, rows, columns = np.shape(check_stack(stack, least=3))
-    weights = np.zeros((count, rows, columns), dtype=np.float32)
-    _run(stack, lights, mask, settings, weights)
-    return weights
-
-
-def _run(
-    stack: Any, lights: Any, mask: Any, settings: RobustSettings | None, weights: FloatArray | None
-) -> tuple[FloatArray, FloatArray]:
     chosen = settings if settings is not None else RobustSettings()
     images = check_stack(stack, least=3)
     count, rows, columns = images.shape
@@ -209,12 +187,10 @@ def _run(
         here = inside[chunk]
         if not here.any():
             return
-        g, used = robust_fit(gather(images, chunk, here), vectors, chosen)
+        g, _ = robust_fit(gather(images, chunk, here), vectors, chosen)
         unit, length = unit_normals(g)
         normals[chunk][here] = unit.T
         albedo[chunk][here] = length / np.float32(scale)
-        if weights is not None:
-            weights[:, chunk][:, here] = used
 
     for_each_chunk(work, rows, columns, count)
     return normals, albedo

@@ -52,11 +52,7 @@ class Enhanced:
     field: RidgeField
 
 
-def gabor_enhance(
-    image: NDArray[np.uint8],
-    ppi: float = 500.0,
-    inside: BoolArray | None = None,
-) -> Enhanced:
+def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
     """Enhance a print.
 
     Parameters
@@ -189,11 +185,7 @@ def _plane_waves(coefficients: NDArray[np.complex64], found: RidgeField, shape: 
     return wave[start : start + shape[0], start : start + shape[1]]
 
 
-def stft_enhance(
-    image: NDArray[np.uint8],
-    ppi: float = 500.0,
-    inside: BoolArray | None = None,
-) -> Enhanced:
+def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
     """Enhance a print in short windows, each filtered in its own spectrum; as :func:`gabor_enhance`.
 
     A window's spectrum is multiplied by a radial band about the local frequency and by a fan about the local direction,
@@ -362,9 +354,7 @@ def _tables() -> tuple[NDArray[np.uint8], NDArray[np.uint8], tuple[NDArray[np.ui
             if n * e * w == 0 and n * s * w == 0:
                 second[code] = 0
         for table, (a, b, far, side_a, side_b) in zip(
-            corners,
-            ((n, e, sw, nw, se), (e, s, nw, ne, sw), (s, w, ne, se, nw), (w, n, se, sw, ne)),
-            strict=True,
+            corners, ((n, e, sw, nw, se), (e, s, nw, ne, sw), (s, w, ne, se, nw), (w, n, se, sw, ne)), strict=True
         ):
             # two neighbours that touch each other diagonally: the pixel between them is not needed
             if a and b and n + e + s + w == 2 and not (far or side_a or side_b):

@@ -343,12 +343,7 @@ def _write_minutiae(  # noqa: PLR0917
     impression = "contactless" if made.even is None else "live_plain"
     view = finger_view(found, finger_quality, source.subject.get("finger"), impression)
     write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))
-    facts: dict[str, Any] = {
-        "written": True,
-        "sought_in": where,
-        "count": len(found.x_px),
-        "finger": view.finger,
-    }
+    facts: dict[str, Any] = {"written": True, "sought_in": where, "count": len(found.x_px), "finger": view.finger}
     if source.height_mm is not None or source.points_mm is not None:
         scale = print_map.ppi / 500.0
         places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
@@ -369,9 +364,7 @@ def _minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap
     """
     if source.points_mm is not None:
         return _on_chart(
-            source.points_mm,
-            print_map.input_from_print(places),
-            print_map.directions_in_input(places, directions_rad),
+            source.points_mm, print_map.input_from_print(places), print_map.directions_in_input(places, directions_rad)
         )
     assert source.height_mm is not None
     points = None if source.x_mm is None or source.y_mm is None else (source.x_mm, source.y_mm)

@@ -69,10 +69,7 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
         As :func:`read_print_file`, or if the file holds several.
     """
     found = read_print_file(path, input_ppi)
-    require(
-        len(found) == 1,
-        f"{path} holds {len(found)} prints; take them apart: splitknit import {path} --out DIR.",
-    )
+    require(len(found) == 1, f"{path} holds {len(found)} prints; take them apart: splitknit import {path} --out DIR.")
     return found[0]
 
 

@@ -54,11 +54,7 @@ class RidgeField:
         return np.where(self.mask, MM_PER_INCH / ppi / self.frequency_px, np.float32(np.nan)).astype(np.float32)
 
 
-def ridge_field(
-    image: NDArray[np.uint8],
-    ppi: float = 500.0,
-    inside: BoolArray | None = None,
-) -> RidgeField:
+def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print.
 
     Parameters

@@ -150,12 +150,7 @@ def blur(image: FloatArray, sigma: float) -> FloatArray:
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
     return relief_print(
-        surface.ridge_mm,
-        surface.mask,
-        1.0 / surface.pitch_mm,
-        surface.input_from_upright,
-        surface.upright_size,
-        ppi,
+        surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size, ppi
     )
 
 

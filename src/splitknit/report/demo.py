@@ -65,9 +65,4 @@ def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = n
         )
         write_report(target, report.html, report.facts)
     progress("done", 1.0)
-    return {
-        **report.facts,
-        "out": str(out),
-        "written": WRITTEN,
-        "total_s": time.perf_counter() - started,
-    }
+    return {**report.facts, "out": str(out), "written": WRITTEN, "total_s": time.perf_counter() - started}

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import importing, require
 from splitknit.io.pictures import normal_colours, on_paper, to_frame, upright_frame, upright_turn
 from splitknit.model import Reconstruction
 from splitknit.prints.ridges import surface_print
@@ -23,13 +23,11 @@ _INK = 250
 
 def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> Any:
     """Draw panels; see :meth:`splitknit.model.Reconstruction.plot`."""
-    try:
+    with importing(
+        "plot() needs matplotlib, which is not installed: in the environment of splitknit, "
+        "python -m pip install 'splitknit[plot]', or in its folder, make install EXTRAS=plot."
+    ):
         import matplotlib  # noqa: PLC0415, F401 - before anything is drawn
-    except ImportError as error:
-        raise BadInput(
-            "plot() needs matplotlib, which is not installed: in the environment of splitknit, "
-            "python -m pip install 'splitknit[plot]', or in its folder, make install EXTRAS=plot."
-        ) from error
     printed = result.scale_known and is_finger(result)
     has = PANELS if printed else PANELS[:-1]
     for panel in panels:

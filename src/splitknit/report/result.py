@@ -306,10 +306,7 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     groups = [("", plain_rows)] if plain_rows else []
     groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
     return [
-        {
-            "name": label(name),
-            "rows": [(label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows],
-        }
+        {"name": label(name), "rows": [(label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows]}
         for name, rows in groups
         if rows
     ]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import importing, read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.mesh import HEADER_BYTES, RECORD
 from splitknit.rig.dimension_checks import check_dimensions
@@ -90,10 +90,8 @@ class RigPart:
 
 def require_build123d() -> None:
     """Refuse with one sentence where build123d is not installed."""
-    try:
+    with importing("drawing parts needs build123d; in splitknit's folder: make install EXTRAS=rig."):
         import build123d  # noqa: F401, PLC0415 - large, and only parts need it
-    except ImportError as error:
-        raise BadInput("drawing parts needs build123d; in splitknit's folder: make install EXTRAS=rig.") from error
 
 
 def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None] | None = None) -> tuple[RigPart, ...]:

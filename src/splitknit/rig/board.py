@@ -302,12 +302,7 @@ class _Router:
         return paths
 
     def _shortest(
-        self,
-        net: str,
-        tree: set[Node],
-        goals: Mapping[Node, Pad],
-        blocked: BoolArray,
-        taken: Mapping[Node, str],
+        self, net: str, tree: set[Node], goals: Mapping[Node, Pad], blocked: BoolArray, taken: Mapping[Node, str]
     ) -> list[Node] | None:
         """Cheapest way from a tree to one of the goals; `blocked` (2, W, H): for tracks, for vias."""
         cost: dict[Node, float] = dict.fromkeys(tree, 0.0)

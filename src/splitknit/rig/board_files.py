@@ -297,7 +297,7 @@ def wiring_svg(board: Board, circuit: Circuit, rig: Rig) -> str:
         f'viewBox="0 0 {page[0]:.0f} {page[1]:.0f}" font-family="sans-serif" font-size="13" role="img" '
         'aria-label="Wiring of Raspberry Pi, LED board and LEDs">',
         f'<rect width="{page[0]:.0f}" height="{page[1]:.0f}" fill="white"/>',
-        _words(20, 34, "Wiring: Raspberry Pi, LED board, LEDs. Wire with the power off.", size=20),
+        words(20, 34, "Wiring: Raspberry Pi, LED board, LEDs. Wire with the power off.", size=20),
         f'<g transform="translate({left:g},{top:g}) scale({scale:g})">{_board_picture(board)}</g>',
     ]
     jack = next(p for p in board.parts if p.part.ref == "J2").at_mm
@@ -307,24 +307,24 @@ def wiring_svg(board: Board, circuit: Circuit, rig: Rig) -> str:
     parts += [
         # the adapter
         f'<rect x="30" y="{jack_y - 30:g}" width="120" height="60" rx="6" fill="#eeeeee" stroke="{_INK}"/>',
-        _words(90, jack_y - 4, f"{circuit.settings.supply_v:g} V adapter", "middle"),
-        _words(90, jack_y + 14, "centre +", "middle"),
+        words(90, jack_y - 4, f"{circuit.settings.supply_v:g} V adapter", "middle"),
+        words(90, jack_y + 14, "centre +", "middle"),
         f'<path d="M150,{jack_y:g} H{left - 8:g}" stroke="{_INK}" stroke-width="5" fill="none"/>',
         # the Pi
         f'<rect x="30" y="{top + height - 170:g}" width="150" height="170" rx="6" fill="#e6f2e6" stroke="{_INK}"/>',
-        _words(105, top + height - 60, "Raspberry Pi", "middle", size=15),
-        _words(105, top + height - 40, "own USB-C supply", "middle", fill=_QUIET),
+        words(105, top + height - 60, "Raspberry Pi", "middle", size=15),
+        words(105, top + height - 40, "own USB-C supply", "middle", fill=_QUIET),
         f'<rect x="44" y="{top + height - 158:g}" width="122" height="20" fill="#333333"/>',
         f'<circle cx="50" cy="{top + height - 142:g}" r="3.4" fill="white"/>',
-        _words(44, top + height - 116, "40 pins; pin 1 marked", fill=_QUIET, size=11),
+        words(44, top + height - 116, "40 pins; pin 1 marked", fill=_QUIET, size=11),
         # the cable goes under the board's lower row of parts
         f'<path d="M166,{top + height - 148:g} C 220,{top + height - 148:g} 200,{pin_1[1] - 10:g} {pin_1[0] - 44:g},'
         f'{pin_1[1] - 10:g}" stroke="#888888" stroke-width="14" fill="none" opacity="0.75"/>',
-        _words(20, top + height - 214, "ribbon cable, 40 ways,", fill=_QUIET),
-        _words(20, top + height - 198, "pin 1 to pin 1", fill=_QUIET),
-        _words(left, top + height + 24, "The board from its front. Red: tracks on the front; blue: on "
+        words(20, top + height - 214, "ribbon cable, 40 ways,", fill=_QUIET),
+        words(20, top + height - 198, "pin 1 to pin 1", fill=_QUIET),
+        words(left, top + height + 24, "The board from its front. Red: tracks on the front; blue: on "
                "the back, in the ground plane.", fill=_QUIET),
-        _words(left, top + height + 42, "A: anode, the LED's longer leg. Black edge of Q: its flat side. "
+        words(left, top + height + 42, "A: anode, the LED's longer leg. Black edge of Q: its flat side. "
                f"Each LED on its own pair of wires: D1 to D{len(circuit.channels)}.", fill=_QUIET),
     ]  # fmt: skip
     reach = max((math.hypot(led.position_mm[0], led.position_mm[1]) for led in rig.leds if led.position_mm), default=1)
@@ -340,14 +340,14 @@ def wiring_svg(board: Board, circuit: Circuit, rig: Rig) -> str:
         x, y, out = ring[0] + u, ring[1] - v, 1 + 34 / max(math.hypot(u, v), 1e-6)
         parts += [
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="9" fill="{_COLOURS[led.band]}" stroke="{_INK}"/>',
-            _words(ring[0] + u * out, ring[1] - v * out + 1, f"D{channel.number}", "middle", size=14),
-            _words(ring[0] + u * out, ring[1] - v * out + 14, channel.name, "middle", size=10, fill=_QUIET),
+            words(ring[0] + u * out, ring[1] - v * out + 1, f"D{channel.number}", "middle", size=14),
+            words(ring[0] + u * out, ring[1] - v * out + 14, channel.name, "middle", size=10, fill=_QUIET),
         ]
     parts += [
         f'<rect x="{ring[0] - 22:g}" y="{ring[1] - 18:g}" width="44" height="36" fill="#dddddd" stroke="{_INK}"/>',
-        _words(ring[0], ring[1] + 4, "camera", "middle", size=11),
-        _words(ring[0], top + 6, "The LEDs seen from the box, as the rig file has them", "middle"),
-        _words(ring[0], top + 24, "(top: the fingertip's side)", "middle", fill=_QUIET),
+        words(ring[0], ring[1] + 4, "camera", "middle", size=11),
+        words(ring[0], top + 6, "The LEDs seen from the box, as the rig file has them", "middle"),
+        words(ring[0], top + 24, "(top: the fingertip's side)", "middle", fill=_QUIET),
         "</svg>",
     ]
     return "\n".join(parts) + "\n"
@@ -387,9 +387,9 @@ def _board_picture(board: Board) -> str:
                 f'<rect x="{x + left:g}" y="{y + bottom - 0.5:g}" width="{right - left:g}" height="0.5" fill="{_INK}"/>'
             )
         if placed.part.ref == "J1":
-            parts.append(_words(x, y + 2.6, "pin 1", "middle", size=1.5))
+            parts.append(words(x, y + 2.6, "pin 1", "middle", size=1.5))
         if placed.part.ref == "C1":
-            parts.append(_words(x, y - 1.3, "+", "middle", size=2.2))
+            parts.append(words(x, y - 1.3, "+", "middle", size=2.2))
         if placed.part.ref == "D90":
             parts.append(
                 f'<rect x="{x + left + 0.5:g}" y="{y + top:g}" width="0.6" height="{bottom - top:g}" fill="{_INK}"/>'
@@ -399,11 +399,12 @@ def _board_picture(board: Board) -> str:
         if led:  # above or below, free of the pins
             outside = -1.9 if y < height / 2 else 2.9
             middle_y = y + outside
-            parts.append(_words(placed.pads[1].at_mm[0] + 1.0, middle_y, "A", "middle", size=1.3))
-        parts.append(_words(x + (left + right) / 2 - (0.6 if led else 0.0), middle_y, label, "middle", size=1.5))
+            parts.append(words(placed.pads[1].at_mm[0] + 1.0, middle_y, "A", "middle", size=1.3))
+        parts.append(words(x + (left + right) / 2 - (0.6 if led else 0.0), middle_y, label, "middle", size=1.5))
     return "".join(parts)
 
 
-def _words(x: float, y: float, text: str, anchor: str = "start", *, size: float = 13, fill: str = _INK) -> str:
+def words(x: float, y: float, text: str, anchor: str = "start", *, size: float = 13, fill: str = _INK) -> str:
+    """Text of a drawing, x and y in its units."""
     escaped = html.escape(text).replace("&#x27;", "&#39;").replace("&quot;", "&#34;")
     return f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" font-size="{size:g}" fill="{fill}">{escaped}</text>'

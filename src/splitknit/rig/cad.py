@@ -208,10 +208,7 @@ def _paint(  # noqa: PLR0917 - arrays of one picture
 
 
 def _shaded(
-    depth: NDArray[np.float64],
-    nearest: NDArray[np.int64],
-    normals: NDArray[np.float64],
-    colours: NDArray[np.float64],
+    depth: NDArray[np.float64], nearest: NDArray[np.int64], normals: NDArray[np.float64], colours: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     key = np.clip(normals @ (_KEY / np.linalg.norm(_KEY)), 0.0, 1.0)
     fill = np.clip(normals @ (_FILL / np.linalg.norm(_FILL)), 0.0, 1.0)
@@ -235,10 +232,7 @@ def _recess(depth: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _lines(
-    depth: NDArray[np.float64],
-    nearest: NDArray[np.int64],
-    normals: NDArray[np.float64],
-    owner: NDArray[np.int64],
+    depth: NDArray[np.float64], nearest: NDArray[np.int64], normals: NDArray[np.float64], owner: NDArray[np.int64]
 ) -> NDArray[np.float64]:
     """Brightness (0.25 to 1) of edges: outlines, steps, and creases sharper than 25 deg."""
     index = np.maximum(nearest, 0)
@@ -383,12 +377,7 @@ _SECTION_BELOW = _View(28.0, 12.0)
 
 
 def _write_pictures(
-    folder: Path,
-    parts: Mapping[str, RigPart],
-    placed: Mapping[str, Triangles],
-    *,
-    below: bool,
-    progress: Progress,
+    folder: Path, parts: Mapping[str, RigPart], placed: Mapping[str, Triangles], *, below: bool, progress: Progress
 ) -> list[str]:
     """Draw everything into a folder; return the names of the files.
 

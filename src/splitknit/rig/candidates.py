@@ -143,12 +143,7 @@ def _camera_of(candidate: Candidate, build: BuildSettings, view: str | None = No
     )
 
 
-def rig_of(
-    candidate: Candidate,
-    build: BuildSettings,
-    intensities: dict[str, float],
-    view: str | None = None,
-) -> Rig:
+def rig_of(candidate: Candidate, build: BuildSettings, intensities: dict[str, float], view: str | None = None) -> Rig:
     """The candidate as a rig.
 
     Parameters

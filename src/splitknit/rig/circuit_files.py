@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import html
 import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
 from splitknit.rig.board import lay_out
-from splitknit.rig.board_files import gerber_zip, kicad_board, quoted, wiring_svg
+from splitknit.rig.board_files import gerber_zip, kicad_board, quoted, wiring_svg, words
 from splitknit.rig.circuit import Channel, Circuit, CircuitSettings, Component, Node, Stage, design_stage
 from splitknit.rig.circuit_parts import FIXED, FUSES_A, OFF_BOARD, Order, fuse, led_order, resistor
 from splitknit.rig.safety import check_hazards, rig_hazards
@@ -107,13 +107,7 @@ def _supply_parts(s: CircuitSettings, fuse_a: float) -> tuple[list[Component], d
             "Barrel_Jack",
             "Connector_BarrelJack:BarrelJack_Horizontal",
         ),
-        Component(
-            "F1",
-            f"{1000 * fuse_a:.0f} mA hold, resettable",
-            "Device",
-            "Polyfuse",
-            FUSES_A[fuse_a][3],
-        ),
+        Component("F1", f"{1000 * fuse_a:.0f} mA hold, resettable", "Device", "Polyfuse", FUSES_A[fuse_a][3]),
         Component("D90", "1N5819", "Device", "D_Schottky", "Diode_THT:D_DO-41_SOD81_P10.16mm_Horizontal"),
         Component("C1", "470 uF 25 V", "Device", "C_Polarized", "Capacitor_THT:CP_Radial_D10.0mm_P5.00mm"),
         Component("C2", "100 nF", "Device", "C", "Capacitor_THT:C_Disc_D5.0mm_W2.5mm_P5.00mm"),
@@ -516,12 +510,7 @@ def _box(x: float, y: float, width: float, height: float) -> str:
     return f'<rect x="{x:g}" y="{y:g}" {size} fill="white" stroke="{INK}" stroke-width="1.3"/>'
 
 
-def _text(x: float, y: float, text: str, anchor: str = "start", *, size: int = 12, fill: str = INK) -> str:
-    return f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" font-size="{size}" fill="{fill}">{_escaped(text)}</text>'
-
-
-def _escaped(text: str) -> str:
-    return html.escape(text).replace("&#x27;", "&#39;").replace("&quot;", "&#34;")
+_text = partial(words, size=12)
 
 
 def _facts(circuit: Circuit, out: Path) -> dict[str, Any]:

@@ -9,22 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.rig import part_settings as sizes
 from splitknit.rig.dimensions import LedHole, RigDimensions
-from splitknit.rig.part_settings import (
-    CAMERA_BOARD_X_MM,
-    CAMERA_HOLE_X_MM,
-    CAMERA_HOLE_Y_MM,
-    CAMERA_LENS_TO_CONNECTOR_MM,
-    CAMERA_LENS_TO_HOLES_MM,
-    CAMERA_POST_HOLE_MM,
-    DISC_MM,
-    FINGER_PHALANX_MM,
-    JOINT_LUG_RADIUS_MM,
-    JOINT_PLATE_MM,
-    JOINT_RIDGE_HIGH_MM,
-    LED_TIP_FREE_MM,
-    MIN_WALL_MM,
-)
 
 _SAMPLES = 400
 _MIN_SEAT_MM = 0.6
@@ -61,7 +47,7 @@ def _check_bed(dimensions: RigDimensions) -> None:
         f"{dimensions.field_mm[0]:.0f} x {dimensions.field_mm[1]:.0f} mm, so that the parts are {size:.0f} mm wide, "
         f"more than the printer's bed of {bed:g} mm (printer.bed_x_mm, printer.bed_y_mm).",
     )
-    high = dimensions.cylinder_mm + JOINT_RIDGE_HIGH_MM
+    high = dimensions.cylinder_mm + sizes.JOINT_RIDGE_HIGH_MM
     require(
         high <= printer.bed_z_mm,
         f"the cylinder is {high:.0f} mm high, more than the printer's {printer.bed_z_mm:g} mm (printer.bed_z_mm).",
@@ -69,7 +55,7 @@ def _check_bed(dimensions: RigDimensions) -> None:
 
 
 def _check_height(dimensions: RigDimensions) -> None:
-    least = dimensions.frame_z_mm + JOINT_PLATE_MM + 1.0
+    least = dimensions.frame_z_mm + sizes.JOINT_PLATE_MM + 1.0
     above = math.ceil(10 * (least - dimensions.camera_height_mm)) / 10
     require(
         dimensions.board_z_mm >= least,
@@ -77,8 +63,11 @@ def _check_height(dimensions: RigDimensions) -> None:
         f"{least - 1.0:.1f} mm; set camera.board_above_lens_mm to {above:g} or more, "
         f"or lower the LEDs against the camera.",
     )
-    nearest = math.hypot(CAMERA_HOLE_X_MM / 2, min(CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM))
-    room = nearest - CAMERA_POST_HOLE_MM / 2 - MIN_WALL_MM
+    nearest = math.hypot(
+        sizes.CAMERA_HOLE_X_MM / 2,
+        min(sizes.CAMERA_LENS_TO_HOLES_MM, sizes.CAMERA_HOLE_Y_MM - sizes.CAMERA_LENS_TO_HOLES_MM),
+    )
+    room = nearest - sizes.CAMERA_POST_HOLE_MM / 2 - sizes.MIN_WALL_MM
     behind = dimensions.camera_height_mm > dimensions.frame_z_mm
     require(
         dimensions.lens_hole_mm <= room,
@@ -95,7 +84,7 @@ def _check_height(dimensions: RigDimensions) -> None:
 
 
 def _check_pair(first: LedHole, second: LedHole) -> None:
-    least = MIN_WALL_MM
+    least = sizes.MIN_WALL_MM
     for place, radius in (("shoulder_mm", "pocket_radius_mm"), ("back_mm", "pocket_radius_mm")):
         gap = float(np.linalg.norm(first.at(getattr(first, place)) - second.at(getattr(second, place))))
         needed = getattr(first, radius) + getattr(second, radius) + least
@@ -118,7 +107,7 @@ def _check_hole(hole: LedHole, dimensions: RigDimensions) -> None:
         f"LED {hole.index} is tilted by {hole.tilt_deg:.0f} deg, but its hole can be printed up to 45 deg; raise the "
         f"LEDs, bring them nearer to the axis, or give them another aim.",
     )
-    start = max(hole.level_mm(dimensions.frame_z_mm) + hole.lean_mm, LED_TIP_FREE_MM)
+    start = max(hole.level_mm(dimensions.frame_z_mm) + hole.lean_mm, sizes.LED_TIP_FREE_MM)
     land = hole.shoulder_mm - start
     require(
         land >= _MIN_SEAT_MM,
@@ -133,8 +122,12 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
     camera = dimensions.settings.camera
     own = hole.pocket_radius_mm + dimensions.settings.joint.wall_mm
     away = min(float(np.hypot(*hole.at(s)[:2])) for s in (0.0, hole.back_mm))
-    ends = CAMERA_LENS_TO_CONNECTOR_MM, camera.board_y_mm - CAMERA_LENS_TO_CONNECTOR_MM, CAMERA_HOLE_Y_MM + 4.0
-    board = math.hypot(CAMERA_BOARD_X_MM / 2, max(ends))
+    ends = (
+        sizes.CAMERA_LENS_TO_CONNECTOR_MM,
+        camera.board_y_mm - sizes.CAMERA_LENS_TO_CONNECTOR_MM,
+        sizes.CAMERA_HOLE_Y_MM + 4.0,
+    )
+    board = math.hypot(sizes.CAMERA_BOARD_X_MM / 2, max(ends))
     needed = max(dimensions.lens_hole_mm, board) + own
     require(
         away >= needed,
@@ -146,7 +139,7 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
 def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
     """Nothing may stand between the LED and the last phalanx, as far as the picture shows it."""
     half = min(dimensions.field_mm[0] / 2, dimensions.disc_radius_mm)
-    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - FINGER_PHALANX_MM)
+    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - sizes.FINGER_PHALANX_MM)
     ends = (start, (start + dimensions.stop_y_mm) / 2, dimensions.field_mm[1] / 2)
     corners = np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
     fraction = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
@@ -161,8 +154,7 @@ def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
         way[..., 2] > dimensions.camera_height_mm - camera.barrel_front_mm
     )
     require(
-        not bool(lens.any()),
-        f"the light of LED {hole.index} would be cut by the lens; move the LED outwards or down.",
+        not bool(lens.any()), f"the light of LED {hole.index} would be cut by the lens; move the LED outwards or down."
     )
 
 
@@ -182,11 +174,11 @@ def _check_finger(dimensions: RigDimensions) -> None:
         f"{2 * dimensions.opening_radius_mm:.0f} mm for the finger; set finger.hand_width_mm to "
         f"{2 * dimensions.opening_radius_mm:.0f} or more.",
     )
+    room = dimensions.screw_mm * math.sin(math.radians(90.0 - 35.0)) - sizes.JOINT_LUG_RADIUS_MM
     require(
-        half < dimensions.screw_mm * math.sin(math.radians(90.0 - 35.0)) - JOINT_LUG_RADIUS_MM,
+        half < room,
         f"the niche of {finger.hand_width_mm:g} mm would cut the screws' lugs beside it; set finger.hand_width_mm to "
-        f"{2 * (dimensions.screw_mm * math.sin(math.radians(55.0)) - JOINT_LUG_RADIUS_MM - joint.wall_mm) - 1:.0f} "
-        f"or less.",
+        f"{2 * (room - joint.wall_mm) - 1:.0f} or less.",
     )
     require(
         dimensions.niche_inner_y_mm <= -dimensions.groove_width_mm / 2 - 2.0,
@@ -200,7 +192,7 @@ def _check_finger(dimensions: RigDimensions) -> None:
         f"the axis: the tube of {dimensions.bore_mm:g} mm radius is narrower there; set finger.reach_mm to "
         f"{finger.reach_mm - (-dimensions.niche_y_mm - chord):.0f} or less.",
     )
-    least = DISC_MM + MIN_WALL_MM + 0.3
+    least = sizes.DISC_MM + sizes.MIN_WALL_MM + 0.3
     require(
         finger.pad_height_mm - finger.stop_height_mm >= least,
         f"the finger's stop of {finger.stop_height_mm:g} mm leaves no room under the calibration disc; set "

@@ -17,37 +17,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Led, Rig
-from splitknit.rig.part_settings import (
-    FINGER_CLEARANCE_MM,
-    FINGER_PHALANX_MM,
-    FINGER_THICKEST_MM,
-    JOINT_CLEARANCE_MM,
-    JOINT_INSERT_DEPTH_MM,
-    JOINT_LUG_MM,
-    JOINT_LUG_RADIUS_MM,
-    JOINT_PLATE_MM,
-    JOINT_RIDGE_MM,
-    JOINT_RING_MM,
-    LED_CLEARANCE_MM,
-    LED_POCKET_MM,
-    LED_TIP_FREE_MM,
-    MIRROR_GAP_MM,
-    MIRROR_LIP_MM,
-    MIRROR_LONG_MM,
-    MIRROR_THICK_MM,
-    NAIL_MARGIN_MM,
-    NAIL_OFFSET_MM,
-    NAIL_RADIUS_MM,
-    PCB_OVER_PI_MM,
-    PCB_PARTS_MM,
-    PI_OVERHANG_MM,
-    PI_POST_HEIGHT_MM,
-    PI_X_MM,
-    PI_Y_MM,
-    WIRE_ROOM_MM,
-    LedSettings,
-    PartSettings,
-)
+from splitknit.rig import part_settings as sizes
+from splitknit.rig.part_settings import LedSettings, PartSettings
 
 _STEP_MM = 0.5
 
@@ -173,10 +144,10 @@ def _led_hole(index: int, led: Led, settings: LedSettings) -> LedHole:
         band=led.band,
         light_mm=np.asarray(led.position_mm, dtype=np.float64),
         back=-led.axis,
-        radius_mm=diameter / 2 + LED_CLEARANCE_MM,
-        pocket_radius_mm=flange / 2 + LED_CLEARANCE_MM,
+        radius_mm=diameter / 2 + sizes.LED_CLEARANCE_MM,
+        pocket_radius_mm=flange / 2 + sizes.LED_CLEARANCE_MM,
         shoulder_mm=shoulder,
-        back_mm=shoulder + LED_POCKET_MM,
+        back_mm=shoulder + sizes.LED_POCKET_MM,
     )
 
 
@@ -224,27 +195,27 @@ class RigDimensions:
     @property
     def ring_mm(self) -> float:
         """Outer radius of floors and of the tubes' ends."""
-        return self.outer_mm + JOINT_RING_MM
+        return self.outer_mm + sizes.JOINT_RING_MM
 
     @property
     def screw_mm(self) -> float:
         """Radius of the circle of screws."""
-        return self.bore_mm + JOINT_RIDGE_MM + JOINT_LUG_RADIUS_MM + 0.1
+        return self.bore_mm + sizes.JOINT_RIDGE_MM + sizes.JOINT_LUG_RADIUS_MM + 0.1
 
     @property
     def outside_mm(self) -> float:
         """Radius that everything fits into."""
-        return self.screw_mm + JOINT_LUG_RADIUS_MM
+        return self.screw_mm + sizes.JOINT_LUG_RADIUS_MM
 
     @property
     def base_z_mm(self) -> float:
         """Lowest face of the base."""
-        return self.floor_z_mm - JOINT_PLATE_MM
+        return self.floor_z_mm - sizes.JOINT_PLATE_MM
 
     @property
     def top_z_mm(self) -> float:
         """Upper face of the lid."""
-        return self.lid_z_mm + JOINT_PLATE_MM
+        return self.lid_z_mm + sizes.JOINT_PLATE_MM
 
     @property
     def cylinder_mm(self) -> float:
@@ -270,7 +241,7 @@ class RigDimensions:
     @property
     def groove_width_mm(self) -> float:
         """Width of the finger's groove at its rim."""
-        return self.settings.finger.widest_mm + FINGER_CLEARANCE_MM
+        return self.settings.finger.widest_mm + sizes.FINGER_CLEARANCE_MM
 
     @property
     def groove_radius_mm(self) -> float:
@@ -334,16 +305,16 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     holes = tuple(_led_hole(index, led, settings.led) for index, led in enumerate(rig.leds))
     require(len(holes) > 0, "the rig has no LEDs; parts cannot be drawn for it.")
     frame_z = min(  # the lowest LED's dome stands free below the frame, those of higher ones in funnels
-        float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + LED_TIP_FREE_MM
+        float(hole.light_mm[2]) + hole.radius_mm * math.sin(math.radians(hole.tilt_deg)) + sizes.LED_TIP_FREE_MM
         for hole in holes
     )
     board_z = camera.height_mm + settings.camera.board_above_lens_mm
-    plate_top = frame_z + JOINT_PLATE_MM
+    plate_top = frame_z + sizes.JOINT_PLATE_MM
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
-    lug_room = 2 * JOINT_LUG_MM + JOINT_INSERT_DEPTH_MM + _gusset(settings)
-    box_z = max(highest + WIRE_ROOM_MM, frame_z + lug_room)
-    lid_z = max(box_z + JOINT_PLATE_MM + _boards_high(), box_z + lug_room)
-    stop_y = min(field[1] / 2 - finger.tip_margin_mm, FINGER_PHALANX_MM / 2)
+    lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + _gusset(settings)
+    box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
+    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high(), box_z + lug_room)
+    stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),
@@ -358,7 +329,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         stop_y_mm=stop_y,
         niche_y_mm=stop_y - finger.reach_mm,
         opening_radius_mm=_opening(settings),
-        nail_mm=_nail_height(rig, NAIL_OFFSET_MM, NAIL_MARGIN_MM, NAIL_RADIUS_MM),
+        nail_mm=_nail_height(rig, sizes.NAIL_OFFSET_MM, sizes.NAIL_MARGIN_MM, sizes.NAIL_RADIUS_MM),
     )
 
 
@@ -368,7 +339,7 @@ def _bore(holes: tuple[LedHole, ...], settings: PartSettings, field: tuple[float
     wanted = [
         max(hole.radius_taken_mm for hole in holes) + 0.5,
         math.hypot(*field) / 2 + 3.0,
-        math.hypot(PI_X_MM / 2 + PI_OVERHANG_MM, PI_Y_MM / 2) + 1.0,
+        math.hypot(sizes.PI_X_MM / 2 + sizes.PI_OVERHANG_MM, sizes.PI_Y_MM / 2) + 1.0,
         math.hypot(board.pcb_x_mm, board.pcb_y_mm) / 2 + 0.8,
     ]
     return math.ceil(2 * max(wanted)) / 2
@@ -378,18 +349,18 @@ def _opening(settings: PartSettings) -> float:
     """Return the radius of the semicircle that passes the thickest finger, an ellipse that lies on the floor."""
     angle = np.linspace(0.0, np.pi, 361)
     x = settings.finger.widest_mm / 2 * np.cos(angle)
-    z = FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
-    return float(np.hypot(x, z).max()) + FINGER_CLEARANCE_MM
+    z = sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
+    return float(np.hypot(x, z).max()) + sizes.FINGER_CLEARANCE_MM
 
 
 def _gusset(settings: PartSettings) -> float:
     """Height of the 45 deg support under a lug."""
     joint = settings.joint
-    return JOINT_RIDGE_MM + 2 * JOINT_LUG_RADIUS_MM + 0.1 - joint.wall_mm
+    return sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - joint.wall_mm
 
 
 def _boards_high() -> float:
-    return PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM + 1.6 + PCB_PARTS_MM
+    return sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM + 1.6 + sizes.PCB_PARTS_MM
 
 
 _LIP_WALL_MM = 1.2
@@ -397,8 +368,8 @@ _LIP_WALL_MM = 1.2
 
 def _mirror_front() -> tuple[float, float]:
     """Return the lower front edge of a mirror: distance from its holder's front, height over the holder's foot, mm."""
-    slack = JOINT_CLEARANCE_MM
-    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (MIRROR_THICK_MM + slack) * _HALF + _LIP_WALL_MM
+    slack = sizes.JOINT_CLEARANCE_MM
+    return (slack + _LIP_WALL_MM) * _HALF + 0.2, (sizes.MIRROR_THICK_MM + slack) * _HALF + _LIP_WALL_MM
 
 
 def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
@@ -407,14 +378,20 @@ def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
     The mirror's reflecting face starts at :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds
     its lower edge.
     """
-    mirror, slack, wall = settings.mirror, JOINT_CLEARANCE_MM, settings.joint.wall_mm
+    mirror, slack, wall = settings.mirror, sizes.JOINT_CLEARANCE_MM, settings.joint.wall_mm
     front = np.array(_mirror_front())
     along, behind = np.array([_HALF, _HALF]), np.array([_HALF, -_HALF])
-    low = front + (MIRROR_THICK_MM + slack) * behind
+    low = front + (sizes.MIRROR_THICK_MM + slack) * behind
     high = low + mirror.wide_mm * along
     lip_inside, lip_outside = front - slack * behind, front - (slack + _LIP_WALL_MM) * behind
     start = lip_outside[1] - lip_outside[0]  # where the lip's outer face, at 45 deg, meets the holder's front
-    corners = [high, low, lip_inside, lip_inside + MIRROR_LIP_MM * along, lip_outside + MIRROR_LIP_MM * along]
+    corners = [
+        high,
+        low,
+        lip_inside,
+        lip_inside + sizes.MIRROR_LIP_MM * along,
+        lip_outside + sizes.MIRROR_LIP_MM * along,
+    ]
     back = float(high[0]) + wall
     outline = [(0.0, 0.0), (back, 0.0), (back, float(high[1])), *((float(u), float(v)) for u, v in corners)]
     return [*outline, (0.0, float(start))]
@@ -428,9 +405,9 @@ def holder_depth(settings: PartSettings) -> float:
 def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]:
     """Return for the right, left and tip holder: x, y of the middle of its front edge, and its turn in degrees."""
     d = dimensions
-    side = d.block_mm + MIRROR_GAP_MM
-    middle = d.stop_y_mm + 1.0 - MIRROR_LONG_MM / 2
-    tip = d.stop_y_mm + d.settings.joint.wall_mm + MIRROR_GAP_MM
+    side = d.block_mm + sizes.MIRROR_GAP_MM
+    middle = d.stop_y_mm + 1.0 - sizes.MIRROR_LONG_MM / 2
+    tip = d.stop_y_mm + d.settings.joint.wall_mm + sizes.MIRROR_GAP_MM
     return [(side, middle, 0.0), (-side, middle, 180.0), (0.0, tip, 90.0)]
 
 
@@ -444,9 +421,9 @@ def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
     floor, length = d.floor_z_mm - d.pocket_mm + foot, mirror.wide_mm * _HALF
     view = {}
     for name, start, border in (("side", side + front, d.field_mm[0] / 2), ("tip", tip + front, d.field_mm[1] / 2)):
-        first = start + MIRROR_LIP_MM * _HALF
+        first = start + sizes.MIRROR_LIP_MM * _HALF
         view[name] = {
-            "lowest_mm": floor + MIRROR_LIP_MM * _HALF,
+            "lowest_mm": floor + sizes.MIRROR_LIP_MM * _HALF,
             "highest_mm": floor + length,
             "from_axis_mm": first,
             "to_axis_mm": start + length,

@@ -30,12 +30,7 @@ THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 
 
 def sweep(
-    out: Path,
-    candidates: Sequence[Candidate],
-    study: Study,
-    *,
-    workers: int = 1,
-    progress: Progress = no_progress,
+    out: Path, candidates: Sequence[Candidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates and keep each as soon as it is finished.
 

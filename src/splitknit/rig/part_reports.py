@@ -12,20 +12,10 @@ from scipy import ndimage
 
 from splitknit.errors import require
 from splitknit.model import Rig
+from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles, unit_normals
 from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_view, shadow_tips
-from splitknit.rig.part_settings import (
-    BRIDGE_MM,
-    DENSITY_G_PER_CM3,
-    JOINT_INSERT_HOLE_MM,
-    LAYER_MM,
-    MAX_OVERHANG_DEG,
-    MIN_WALL_MM,
-    MIRROR_LONG_MM,
-    MIRROR_THICK_MM,
-    NAIL_OFFSET_MM,
-    PrinterSettings,
-)
+from splitknit.rig.part_settings import PrinterSettings
 
 
 def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
@@ -62,12 +52,12 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
         "lens_opening_diameter_mm": round(2 * d.lens_hole_mm, 2),
         "nail": {
             "height_mm": d.nail_mm,
-            "may_stand_off_middle_mm": NAIL_OFFSET_MM,
+            "may_stand_off_middle_mm": sizes.NAIL_OFFSET_MM,
             "shadow_lengths_mm": [round(float(math.hypot(x, y)), 2) for x, y in shadows],
         },
         "calibration_disc_diameter_mm": 2 * d.disc_radius_mm,
         "mirrors": {
-            "size_mm": [MIRROR_LONG_MM, d.settings.mirror.wide_mm, MIRROR_THICK_MM],
+            "size_mm": [sizes.MIRROR_LONG_MM, d.settings.mirror.wide_mm, sizes.MIRROR_THICK_MM],
             **{name: {k: round(v, 2) for k, v in view.items()} for name, view in mirror_view(d).items()},
         },
         "leds": [_led(hole) for hole in d.holes],
@@ -79,7 +69,7 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
             "screws_m3x10_self_tapping": 4,
             "leds_white": sum(hole.band == "white" for hole in d.holes),
             "leds_nir": sum(hole.band != "white" for hole in d.holes),
-            "insert_hole_mm": JOINT_INSERT_HOLE_MM,
+            "insert_hole_mm": sizes.JOINT_INSERT_HOLE_MM,
         },
     }
 
@@ -124,12 +114,12 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     if not sound.watertight:
         raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
     wall = _thinnest_wall(triangles)
-    hanging = _overhang(triangles, MAX_OVERHANG_DEG, LAYER_MM)
+    hanging = _overhang(triangles, sizes.MAX_OVERHANG_DEG, sizes.LAYER_MM)
     points = triangles.reshape(-1, 3).astype(np.float64)
     size = points.max(axis=0) - points.min(axis=0)
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
-    thick = wall.thickness_mm >= MIN_WALL_MM - _FACETS_MM
-    bridged = hanging.bridge_mm <= BRIDGE_MM
+    thick = wall.thickness_mm >= sizes.MIN_WALL_MM - _FACETS_MM
+    bridged = hanging.bridge_mm <= sizes.BRIDGE_MM
     volume = sound.volume_mm3 / 1000.0
     findings = [kind.remedy] if kind.remedy else []
     if not fits:
@@ -137,18 +127,18 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     if not thick:
         x, y, z = wall.place_mm
         findings.append(
-            f"Its thinnest place measures {wall.thickness_mm:.2f} mm, less than {MIN_WALL_MM:g} mm, at "
+            f"Its thinnest place measures {wall.thickness_mm:.2f} mm, less than {sizes.MIN_WALL_MM:g} mm, at "
             f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm on the bed."
         )
     if not bridged:
         findings.append(
             f"A ceiling {hanging.bridge_z_mm:.1f} mm above the bed spans {hanging.bridge_mm:.1f} mm of air, more than "
-            f"{BRIDGE_MM:g} mm: print it with support there."
+            f"{sizes.BRIDGE_MM:g} mm: print it with support there."
         )
     elif hanging.bridge_mm > 0:
         findings.append(
             f"{hanging.steep_mm2:.0f} mm² ({100 * hanging.fraction:.1f} % of its surface) lean further than "
-            f"{MAX_OVERHANG_DEG:g} deg; the longest bridge is {hanging.bridge_mm:.1f} mm, "
+            f"{sizes.MAX_OVERHANG_DEG:g} deg; the longest bridge is {hanging.bridge_mm:.1f} mm, "
             f"{hanging.bridge_z_mm:.1f} mm above the bed: no support."
         )
     return {
@@ -158,25 +148,25 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         "print": {"face_on_bed": "upper" if kind.face_down else "lower", "colour": kind.colour},
         "size_mm": [round(float(value), 2) for value in size],
         "volume_cm3": round(volume, 3),
-        "mass_g": round(volume * DENSITY_G_PER_CM3, 1),
+        "mass_g": round(volume * sizes.DENSITY_G_PER_CM3, 1),
         "checks": {
             "watertight": {"ok": True, "triangles": sound.triangles, "edges": sound.edges},
             "wall": {
                 "ok": bool(thick),
                 "smallest_mm": round(wall.thickness_mm, 2),
                 "at_mm": [round(float(value), 1) for value in wall.place_mm],
-                "least_mm": MIN_WALL_MM,
+                "least_mm": sizes.MIN_WALL_MM,
                 "places": wall.samples,
             },
             "bed": {"ok": fits, "bed_mm": [printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm]},
             "overhang": {
                 "ok": bridged,
-                "limit_deg": MAX_OVERHANG_DEG,
+                "limit_deg": sizes.MAX_OVERHANG_DEG,
                 "steep_mm2": round(hanging.steep_mm2, 1),
                 "share": round(hanging.fraction, 5),
                 "bridge_mm": round(hanging.bridge_mm, 1),
                 "bridge_z_mm": round(hanging.bridge_z_mm, 1),
-                "bridge_limit_mm": BRIDGE_MM,
+                "bridge_limit_mm": sizes.BRIDGE_MM,
             },
         },
         "findings": findings,

@@ -15,6 +15,7 @@ import numpy as np
 from build123d import Axis, Face, Plane, Pos, Rot, Solid, Vector, Wire
 from numpy.typing import NDArray
 
+from splitknit.rig import part_settings as sizes
 from splitknit.rig.dimensions import (
     SCREWS_A_DEG,
     SCREWS_B_DEG,
@@ -23,44 +24,6 @@ from splitknit.rig.dimensions import (
     holder_depth,
     holder_places,
     mirror_profile,
-)
-from splitknit.rig.part_settings import (
-    BOARD_POST_MM,
-    CABLE_HOLE_MM,
-    CAMERA_HOLE_X_MM,
-    CAMERA_HOLE_Y_MM,
-    CAMERA_LENS_TO_HOLES_MM,
-    CAMERA_POST_HOLE_MM,
-    CAMERA_POST_MM,
-    DISC_MM,
-    DOT_DEPTH_MM,
-    DOT_SPACING_MM,
-    JOINT_CLEARANCE_MM,
-    JOINT_FOOT_MM,
-    JOINT_INSERT_DEPTH_MM,
-    JOINT_INSERT_HOLE_MM,
-    JOINT_LUG_MM,
-    JOINT_LUG_RADIUS_MM,
-    JOINT_PLATE_MM,
-    JOINT_RIDGE_HIGH_MM,
-    JOINT_RIDGE_MM,
-    JOINT_RING_MM,
-    JOINT_SCREW_HOLE_MM,
-    LED_TIP_FREE_MM,
-    MIN_WALL_MM,
-    MIRROR_LONG_MM,
-    NAIL_RADIUS_MM,
-    NOZZLE_MM,
-    PCB_OVER_PI_MM,
-    PCB_POST_HOLE_MM,
-    PI_HOLE_EDGE_MM,
-    PI_HOLE_X_MM,
-    PI_HOLE_Y_MM,
-    PI_POST_HEIGHT_MM,
-    PI_POST_HOLE_MM,
-    PI_X_MM,
-    SLOT_X_MM,
-    SLOT_Y_MM,
 )
 
 Shape = Any
@@ -104,7 +67,7 @@ def _window_base_part(dimensions: RigDimensions) -> Shape:
     wall, half = joint.wall_mm, dimensions.groove_width_mm / 2
     low, floor = d.base_z_mm, d.floor_z_mm
     start = -d.field_mm[1] / 2 - 2.0  # the window begins outside the picture
-    radius = d.opening_radius_mm - JOINT_CLEARANCE_MM
+    radius = d.opening_radius_mm - sizes.JOINT_CLEARANCE_MM
     plug = _rod(radius, (0.0, d.niche_y_mm - 2.0, floor), (0.0, start, floor))
     plug = _cut(plug, [_box((-_FAR_MM, _FAR_MM), (-_FAR_MM, _FAR_MM), (-_FAR_MM, floor - 0.2))])
     rails = _box((-half - wall, half + wall), (start - 1.0, d.stop_y_mm + wall), (floor - 0.2, -1.0))
@@ -149,15 +112,15 @@ def _plate(dimensions: RigDimensions) -> Shape:
 
 
 def _disc_pocket(dimensions: RigDimensions) -> Shape:
-    d, slack = dimensions, JOINT_CLEARANCE_MM
+    d, slack = dimensions, sizes.JOINT_CLEARANCE_MM
     inside, outside = d.disc_radius_mm - d.settings.joint.wall_mm - slack, d.disc_radius_mm + slack
     low, high = d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0
     return _turned([(inside, low), (outside, low), (outside, high), (inside, high)])
 
 
 def _mirror_pockets(dimensions: RigDimensions) -> list[Shape]:
-    d, slack = dimensions, JOINT_CLEARANCE_MM
-    half, z = MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0)
+    d, slack = dimensions, sizes.JOINT_CLEARANCE_MM
+    half, z = sizes.MIRROR_LONG_MM / 2 + slack, (d.floor_z_mm - d.pocket_mm, d.floor_z_mm + 1.0)
     near, far = -slack, holder_depth(d.settings) + slack
     (right, middle, _), _, (_, tip, _) = holder_places(d)
     y = (middle - half, middle + half)
@@ -172,7 +135,7 @@ def _mirror_holder_part(dimensions: RigDimensions) -> Shape:
     """Return the holder of one mirror, in the place of the right one; left and tip are the same, turned."""
     d = dimensions
     x, y, _ = holder_places(d)[0]
-    foot, half = d.floor_z_mm - d.pocket_mm, MIRROR_LONG_MM / 2
+    foot, half = d.floor_z_mm - d.pocket_mm, sizes.MIRROR_LONG_MM / 2
     outline = [(x + u, foot + v) for u, v in mirror_profile(d.settings)]
     return _prism_y(outline, y - half, y + half)
 
@@ -189,7 +152,7 @@ def _cylinder_part(dimensions: RigDimensions) -> Shape:
     low, high = dimensions.floor_z_mm, dimensions.frame_z_mm
     joint = dimensions.settings.joint
     body = _tube(dimensions, low, high)
-    lugs = _head_lugs(dimensions, low, JOINT_LUG_MM, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
+    lugs = _head_lugs(dimensions, low, sizes.JOINT_LUG_MM, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
     niche = _common(
         _prism_y(_niche(dimensions, joint.wall_mm), -dimensions.outer_mm - 10.0, dimensions.niche_inner_y_mm),
         _cylinder(dimensions.outer_mm - 0.3, low, high),
@@ -202,7 +165,7 @@ def _cylinder_part(dimensions: RigDimensions) -> Shape:
         (0.0, dimensions.niche_inner_y_mm + 1.0, low),
     )
     holes = _head_holes(dimensions, low, SCREWS_A_DEG)
-    holes += _insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
     return _cut(body, [hand, opening, *holes])
 
 
@@ -217,8 +180,10 @@ def _niche(dimensions: RigDimensions, wall: float, below: float = 0.0) -> list[t
 def _frame_part(dimensions: RigDimensions) -> Shape:
     """Return the frame: tilted holes with shoulders for the LEDs, posts for the camera's board, the lens's opening."""
     joint, low, high = dimensions.settings.joint, dimensions.frame_z_mm, dimensions.box_z_mm
-    body = _tube(dimensions, low, high, JOINT_PLATE_MM)
-    lugs = _head_lugs(dimensions, low, JOINT_PLATE_MM, SCREWS_B_DEG) + _insert_lugs(dimensions, high, SCREWS_A_DEG)
+    body = _tube(dimensions, low, high, sizes.JOINT_PLATE_MM)
+    lugs = _head_lugs(dimensions, low, sizes.JOINT_PLATE_MM, SCREWS_B_DEG) + _insert_lugs(
+        dimensions, high, SCREWS_A_DEG
+    )
     bosses = [_boss(hole, dimensions) for hole in dimensions.holes]
     # cuts what stands out of frame and wall
     inside = _cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)
@@ -231,26 +196,26 @@ def _frame_part(dimensions: RigDimensions) -> Shape:
         holes.append(_rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
     holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
     holes += _head_holes(dimensions, low, SCREWS_B_DEG)
-    holes += _insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
+    holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
     return _cut(body, holes)
 
 
 def _camera_holes() -> list[tuple[float, float]]:
     """Return x and y of the camera board's four holes; its connector lies on the hand's side (-y)."""
-    x = CAMERA_HOLE_X_MM / 2
-    rows = (-CAMERA_LENS_TO_HOLES_MM, CAMERA_HOLE_Y_MM - CAMERA_LENS_TO_HOLES_MM)
+    x = sizes.CAMERA_HOLE_X_MM / 2
+    rows = (-sizes.CAMERA_LENS_TO_HOLES_MM, sizes.CAMERA_HOLE_Y_MM - sizes.CAMERA_LENS_TO_HOLES_MM)
     return [(side * x, row) for side in (-1, 1) for row in rows]
 
 
 def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
-    low = dimensions.frame_z_mm + JOINT_PLATE_MM - 0.5
-    radius = CAMERA_POST_MM / 2
+    low = dimensions.frame_z_mm + sizes.JOINT_PLATE_MM - 0.5
+    radius = sizes.CAMERA_POST_MM / 2
     return [_cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes()]
 
 
 def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
     low = dimensions.frame_z_mm + 1.2
-    radius = CAMERA_POST_HOLE_MM / 2
+    radius = sizes.CAMERA_POST_HOLE_MM / 2
     return [_cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes()]
 
 
@@ -262,7 +227,7 @@ def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:
 
 def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
     """Free the dome of an LED that lies higher than the lowest one; the funnel's roof leans by 45 deg at most."""
-    start = LED_TIP_FREE_MM
+    start = sizes.LED_TIP_FREE_MM
     near = hole.level_mm(dimensions.frame_z_mm) - hole.lean_mm
     if near >= start:
         return []
@@ -273,7 +238,7 @@ def _funnel(hole: LedHole, dimensions: RigDimensions) -> list[Shape]:
 
 def _first_led_mark(dimensions: RigDimensions) -> Shape:
     """A dimple in the frame's upper face beside LED 0, towards the camera."""
-    first, top = dimensions.holes[0], dimensions.frame_z_mm + JOINT_PLATE_MM
+    first, top = dimensions.holes[0], dimensions.frame_z_mm + sizes.JOINT_PLATE_MM
     back = first.at(first.back_mm)[:2]
     place = back * (1.0 - (first.pocket_radius_mm + dimensions.settings.joint.wall_mm + 3.0) / float(np.hypot(*back)))
     return _cylinder(1.2, top - 0.8, top + 1.0, float(place[0]), float(place[1]))
@@ -282,31 +247,33 @@ def _first_led_mark(dimensions: RigDimensions) -> Shape:
 def _box_part(dimensions: RigDimensions) -> Shape:
     """Return the circuit box: posts for the Raspberry Pi and, higher, the LED circuit; a cable hole near the top."""
     low, high = dimensions.box_z_mm, dimensions.lid_z_mm
-    floor = low + JOINT_PLATE_MM
-    body = _tube(dimensions, low, high, JOINT_PLATE_MM)
-    lugs = _head_lugs(dimensions, low, JOINT_PLATE_MM, SCREWS_A_DEG) + _insert_lugs(dimensions, high, SCREWS_B_DEG)
+    floor = low + sizes.JOINT_PLATE_MM
+    body = _tube(dimensions, low, high, sizes.JOINT_PLATE_MM)
+    lugs = _head_lugs(dimensions, low, sizes.JOINT_PLATE_MM, SCREWS_A_DEG) + _insert_lugs(
+        dimensions, high, SCREWS_B_DEG
+    )
     posts, screws = [], []
     sets = (
-        (_pi_holes(), floor + PI_POST_HEIGHT_MM, PI_POST_HOLE_MM),
-        (_pcb_holes(dimensions), floor + PI_POST_HEIGHT_MM + 1.5 + PCB_OVER_PI_MM, PCB_POST_HOLE_MM),
+        (_pi_holes(), floor + sizes.PI_POST_HEIGHT_MM, sizes.PI_POST_HOLE_MM),
+        (_pcb_holes(dimensions), floor + sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM, sizes.PCB_POST_HOLE_MM),
     )
     for places, top, hole in sets:
         for x, y in places:
-            posts.append(_cylinder(BOARD_POST_MM / 2, floor - 0.5, top, x, y))
-            screws.append(_cylinder(hole / 2, max(floor - JOINT_PLATE_MM + 1.2, top - 12.0), top + 1.0, x, y))
+            posts.append(_cylinder(sizes.BOARD_POST_MM / 2, floor - 0.5, top, x, y))
+            screws.append(_cylinder(hole / 2, max(floor - sizes.JOINT_PLATE_MM + 1.2, top - 12.0), top + 1.0, x, y))
     body = _fused(body, [*lugs, *posts])
-    x, y = SLOT_X_MM / 2, SLOT_Y_MM / 2
+    x, y = sizes.SLOT_X_MM / 2, sizes.SLOT_Y_MM / 2
     slots = [_box((-x, x), (place - y, place + y), (low - 1.0, floor + 1.0)) for place in (0.0, -14.0)]
     holes = _head_holes(dimensions, low, SCREWS_A_DEG)
-    holes += _insert_holes(dimensions, high, JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
     return _cut(body, [*slots, *screws, _cable_hole(dimensions), *holes])
 
 
 def _pi_holes() -> list[tuple[float, float]]:
     """Return x and y of the Raspberry Pi's holes: the board in the middle, USB sockets at -x, power socket at +y."""
-    first = PI_X_MM / 2 - PI_HOLE_EDGE_MM
-    y = PI_HOLE_Y_MM / 2
-    return [(x, side * y) for x in (first, first - PI_HOLE_X_MM) for side in (-1, 1)]
+    first = sizes.PI_X_MM / 2 - sizes.PI_HOLE_EDGE_MM
+    y = sizes.PI_HOLE_Y_MM / 2
+    return [(x, side * y) for x in (first, first - sizes.PI_HOLE_X_MM) for side in (-1, 1)]
 
 
 def _pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
@@ -318,8 +285,8 @@ def _pcb_holes(dimensions: RigDimensions) -> list[tuple[float, float]]:
 
 def _cable_hole(dimensions: RigDimensions) -> Shape:
     """A hole through the wall near the top, round below and pointed above, so that it prints without support."""
-    radius = CABLE_HOLE_MM / 2
-    z = dimensions.lid_z_mm - 2 * JOINT_RING_MM - 1.0 - radius * math.sqrt(2.0)
+    radius = sizes.CABLE_HOLE_MM / 2
+    z = dimensions.lid_z_mm - 2 * sizes.JOINT_RING_MM - 1.0 - radius * math.sqrt(2.0)
     near, far = dimensions.bore_mm - 5.0, dimensions.ring_mm + 5.0
     half = radius * math.sqrt(0.5)
     point = _prism_y([(-half, z + half), (half, z + half), (0.0, z + 2 * half)], near, far)
@@ -341,7 +308,7 @@ _PEG_SLACK_MM = 0.1
 
 def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
     """Return x and y of the disc's dots: multiples of the spacing, one of them in the middle."""
-    step = DOT_SPACING_MM
+    step = sizes.DOT_SPACING_MM
     wall = dimensions.settings.joint.wall_mm
     reach = dimensions.disc_radius_mm - wall - dimensions.settings.calibration.dot_mm / 2 - _BORDER_MM
     count = int(reach // step)
@@ -351,20 +318,20 @@ def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
 
 def _disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
-    return _cut(_cup(dimensions), _dots(dimensions, DOT_DEPTH_MM, dimensions.settings.calibration.dot_mm / 2))
+    return _cut(_cup(dimensions), _dots(dimensions, sizes.DOT_DEPTH_MM, dimensions.settings.calibration.dot_mm / 2))
 
 
 def _flat_disc_part(dimensions: RigDimensions) -> Shape:
     """Return the disc whose dots are the pegs of another part, flush with its face."""
     calibration = dimensions.settings.calibration
-    return _cut(_cup(dimensions), _dots(dimensions, DISC_MM + 1.0, calibration.dot_mm / 2))
+    return _cut(_cup(dimensions), _dots(dimensions, sizes.DISC_MM + 1.0, calibration.dot_mm / 2))
 
 
 def _dots_part(dimensions: RigDimensions) -> Shape:
     """Return a sheet with pegs that are pushed into the flat disc from behind."""
     d, calibration = dimensions, dimensions.settings.calibration
-    low, high = -DISC_MM - MIN_WALL_MM, -DISC_MM
-    radius = d.disc_radius_mm - d.settings.joint.wall_mm - JOINT_CLEARANCE_MM
+    low, high = -sizes.DISC_MM - sizes.MIN_WALL_MM, -sizes.DISC_MM
+    radius = d.disc_radius_mm - d.settings.joint.wall_mm - sizes.JOINT_CLEARANCE_MM
     peg = calibration.dot_mm / 2 - _PEG_SLACK_MM
     return _fused(_cylinder(radius, low, high), [_cylinder(peg, high - 0.3, 0.0, x, y) for x, y in _disc_dots(d)])
 
@@ -376,19 +343,19 @@ def _dots(dimensions: RigDimensions, depth: float, radius: float) -> list[Shape]
 def _cup(dimensions: RigDimensions) -> Shape:
     """Disc and skirt; a notch lets the groove's block through."""
     d, wall = dimensions, dimensions.settings.joint.wall_mm
-    outside, thick = d.disc_radius_mm, DISC_MM
+    outside, thick = d.disc_radius_mm, sizes.DISC_MM
     foot = d.floor_z_mm - d.pocket_mm
     inside = outside - wall
     body = _turned([(0.0, 0.0), (outside, 0.0), (outside, foot), (inside, foot), (inside, -thick), (0.0, -thick)])
-    half = d.block_mm + 2 * JOINT_CLEARANCE_MM
+    half = d.block_mm + 2 * sizes.JOINT_CLEARANCE_MM
     rim = d.groove_z_mm + d.settings.finger.groove_depth_mm
     return _cut(body, [_box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
 
 
 def _nail_part(dimensions: RigDimensions) -> Shape:
     """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
-    tip = NOZZLE_MM / 2
-    return _cone(NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
+    tip = sizes.NOZZLE_MM / 2
+    return _cone(sizes.NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
 
 
 MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
@@ -492,16 +459,16 @@ def _extruded(points: Sequence[tuple[float, float, float]], way: tuple[float, fl
 def _ridge(dimensions: RigDimensions, z: float) -> Shape:
     """Return the ridge on a part's upper face: a ring whose outer flank leans inwards by 45 deg."""
     bore = dimensions.bore_mm
-    top = z + JOINT_RIDGE_HIGH_MM
-    outside = bore + JOINT_RIDGE_MM
+    top = z + sizes.JOINT_RIDGE_HIGH_MM
+    outside = bore + sizes.JOINT_RIDGE_MM
     return _turned(
-        [(bore, z - 0.2), (outside, z - 0.2), (outside, z), (outside - JOINT_RIDGE_HIGH_MM, top), (bore, top)]
+        [(bore, z - 0.2), (outside, z - 0.2), (outside, z), (outside - sizes.JOINT_RIDGE_HIGH_MM, top), (bore, top)]
     )
 
 
 def _groove_depth() -> float:
     """Return the width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
-    return JOINT_RIDGE_MM + JOINT_CLEARANCE_MM
+    return sizes.JOINT_RIDGE_MM + sizes.JOINT_CLEARANCE_MM
 
 
 def _groove(dimensions: RigDimensions, z: float) -> Shape:
@@ -519,11 +486,15 @@ def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 
     `floor_mm` closes it at the bottom by a floor of that thickness.
     """
     bore = dimensions.bore_mm
-    outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + JOINT_RIDGE_HIGH_MM
-    foot = max(JOINT_LUG_MM, floor_mm)
+    outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + sizes.JOINT_RIDGE_HIGH_MM
+    foot = max(sizes.JOINT_LUG_MM, floor_mm)
     outside = [(ring, low), (ring, low + foot), (outer, low + foot)]
-    outside += [(outer, high - 2 * JOINT_RING_MM), (ring, high - JOINT_RING_MM), (ring, high)]
-    outside += [(bore + JOINT_RIDGE_MM, high), (bore + JOINT_RIDGE_MM - JOINT_RIDGE_HIGH_MM, top), (bore, top)]
+    outside += [(outer, high - 2 * sizes.JOINT_RING_MM), (ring, high - sizes.JOINT_RING_MM), (ring, high)]
+    outside += [
+        (bore + sizes.JOINT_RIDGE_MM, high),
+        (bore + sizes.JOINT_RIDGE_MM - sizes.JOINT_RIDGE_HIGH_MM, top),
+        (bore, top),
+    ]
     if floor_mm > 0:
         body = _turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
         return _cut(body, [_groove(dimensions, low)])
@@ -539,35 +510,37 @@ def _head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_d
 
 def _head_holes(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return the clearance holes of these lugs."""
-    hole = _cylinder(JOINT_SCREW_HOLE_MM / 2, z - 1.0, z + JOINT_PLATE_MM + JOINT_LUG_MM, x=dimensions.screw_mm)
+    hole = _cylinder(
+        sizes.JOINT_SCREW_HOLE_MM / 2, z - 1.0, z + sizes.JOINT_PLATE_MM + sizes.JOINT_LUG_MM, x=dimensions.screw_mm
+    )
     return [_turned_to(angle, hole) for angle in azimuths_deg]
 
 
 def _insert_lugs(dimensions: RigDimensions, z: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return lugs for heat-set inserts below a part's upper face, each with a 45 deg support."""
     start, end = dimensions.outer_mm - 0.3, dimensions.outside_mm
-    deep = JOINT_INSERT_DEPTH_MM + 1.0
+    deep = sizes.JOINT_INSERT_DEPTH_MM + 1.0
     profile = [(start, z), (end, z), (end, z - deep), (start, z - deep - (end - start))]
-    gusset = _prism_y(profile, -JOINT_LUG_RADIUS_MM, JOINT_LUG_RADIUS_MM)
+    gusset = _prism_y(profile, -sizes.JOINT_LUG_RADIUS_MM, sizes.JOINT_LUG_RADIUS_MM)
     plan = _lug_outline(dimensions, start, z - deep - (end - start) - 1.0, z)
     return [_turned_to(angle, _common(gusset, plan)) for angle in azimuths_deg]
 
 
 def _insert_holes(dimensions: RigDimensions, z: float, deep: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return the holes for heat-set inserts, from a part's upper face down."""
-    hole = _cylinder(JOINT_INSERT_HOLE_MM / 2, z - deep, z + 1.0, x=dimensions.screw_mm)
+    hole = _cylinder(sizes.JOINT_INSERT_HOLE_MM / 2, z - deep, z + 1.0, x=dimensions.screw_mm)
     return [_turned_to(angle, hole) for angle in azimuths_deg]
 
 
 def _feet(dimensions: RigDimensions, z: float, into: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return pockets for stick-on feet, 0.8 mm deep; `into` is +1 for a lower face and -1 for an upper one."""
-    radius = JOINT_FOOT_MM / 2
+    radius = sizes.JOINT_FOOT_MM / 2
     low, high = sorted((z - into * 0.5, z + into * 0.8))
     pocket = _cylinder(radius, low, high, x=dimensions.bore_mm - 2 * radius)
     return [_turned_to(angle, pocket) for angle in azimuths_deg]
 
 
 def _lug_outline(dimensions: RigDimensions, start: float, low: float, high: float) -> Shape:
-    radius, centre = JOINT_LUG_RADIUS_MM, dimensions.screw_mm
+    radius, centre = sizes.JOINT_LUG_RADIUS_MM, dimensions.screw_mm
     plate = _box((start, centre), (-radius, radius), (low, high))
     return _one(plate.fuse(_cylinder(radius, low, high, x=centre)))

@@ -56,10 +56,7 @@ def local_level(image: FloatArray) -> FloatArray:
 
 
 def direct_light(
-    images: Any,
-    network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
-    *,
-    tile: int = TILE,
+    images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
 ) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
@@ -111,11 +108,7 @@ def direct_light(
 
 
 def direct_of_enhanced(
-    enhanced: Any,
-    images: Any,
-    network: Network | str | os.PathLike[str] = DEFAULT_NETWORK,
-    *,
-    tile: int = TILE,
+    enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
 ) -> FloatArray:
     """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
 

@@ -229,10 +229,7 @@ def check_contrast(
 
 
 def check_repeats(
-    light: FloatArray,
-    mask: BoolArray,
-    settings: StackSettings = DEFAULTS,
-    expected: NDArray[np.float64] | None = None,
+    light: FloatArray, mask: BoolArray, settings: StackSettings = DEFAULTS, expected: NDArray[np.float64] | None = None
 ) -> None:
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 

@@ -276,11 +276,7 @@ class _Frame:
 
 
 def _mirror_frame(
-    view: View,
-    mirrors: Sequence[Mirror],
-    camera: Camera,
-    views: MirrorViews,
-    rng: np.random.Generator,
+    view: View, mirrors: Sequence[Mirror], camera: Camera, views: MirrorViews, rng: np.random.Generator
 ) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror.
 

@@ -22,14 +22,7 @@ from splitknit.simulator.finger.finger import Pose, PoseRanges
 from splitknit.simulator.finger.motion import HandMotion
 from splitknit.simulator.light.lighting import finger_window, white_card
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
-from splitknit.simulator.light.skin import (
-    BAND_CHANNELS,
-    CHANNELS,
-    Channel,
-    SkinRanges,
-    SkinSettings,
-    WalkTable,
-)
+from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinRanges, SkinSettings, WalkTable
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.surface import Surface
 

@@ -360,11 +360,7 @@ _SLOPES = Turns(vectors=((0, 1),), second_waves=(), third_waves=())
 
 
 def _shape_features(
-    bands: tuple[BandImages, ...],
-    grid: Grid,
-    height_mm: FloatArray,
-    skin: dict[str, Diffusion],
-    ridges: FloatArray,
+    bands: tuple[BandImages, ...], grid: Grid, height_mm: FloatArray, skin: dict[str, Diffusion], ridges: FloatArray
 ) -> FloatArray:
     """Describe how the images differ from what the shape predicts.
 

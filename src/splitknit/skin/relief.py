@@ -306,11 +306,7 @@ def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
 
 
 def update(
-    measured: Measured,
-    grid: Grid,
-    slopes: list[tuple[FloatArray, FloatArray]],
-    mix: Unmixing,
-    relief_mm: FloatArray,
+    measured: Measured, grid: Grid, slopes: list[tuple[FloatArray, FloatArray]], mix: Unmixing, relief_mm: FloatArray
 ) -> FloatArray:
     """Relief (h, w) in mm that explains the slopes that are lacking beside the current relief.
 

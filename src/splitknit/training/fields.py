@@ -8,7 +8,6 @@ and its mirror image are equally likely, and so are a capture and its quarter tu
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,12 +78,26 @@ class FieldsSettings(TrainerSettings):
         return self.learning_rate * rise * (fall * (1.0 - LAST_RATE) + LAST_RATE)
 
 
+@dataclass(frozen=True, slots=True)
+class FieldsLoss:
+    """What a network of fields learns from."""
+
+    draw: Callable[[int], FloatArray]
+    """The patches (B, channels, side, side) of an iteration."""
+    parts: Callable[[Any, Any], dict[str, Any]]
+    """The parts of the loss, torch scalars, of what the network made of patches, and these."""
+    weights: Mapping[str, float]
+    """Of the parts, in their sum."""
+
+
 class FieldsTrainer(Trainer):
     """A network in training that turns fields into others."""
 
     gradient_limit: ClassVar[float] = 5.0
 
-    def __init__(self, settings: FieldsSettings, outputs: int, scale: FloatArray, weight_decay: float = 0.0) -> None:
+    def __init__(
+        self, settings: FieldsSettings, outputs: int, scale: FloatArray, loss: FieldsLoss, weight_decay: float = 0.0
+    ) -> None:
         """Build the network; `scale` (n,) multiplies its fields, see :func:`one_scale`."""
 
         def build() -> Any:
@@ -93,30 +106,22 @@ class FieldsTrainer(Trainer):
             return network
 
         super().__init__(settings, build, weight_decay)
-        self._fields = settings
-
-    @abstractmethod
-    def draw(self, iteration: int) -> FloatArray:
-        """The patches (B, channels, side, side) of one iteration."""
-
-    @abstractmethod
-    def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
-        """The parts of the loss of what the network made of patches, torch scalars."""
-
-    @abstractmethod
-    def judge(self, sample: Sample) -> Entry:
-        """Figures of the network as it is on one finger."""
+        self._fields, self._loss = settings, loss
 
     def steps(self) -> Iterator[Step]:
         """One step: the patches of this iteration."""
         settings = self._fields
-        yield Step(self.draw(self.done), settings.rate(self.done), 1.0, (self.done + 1) / settings.iterations)
+        yield Step(self._loss.draw(self.done), settings.rate(self.done), 1.0, (self.done + 1) / settings.iterations)
 
     def losses(self, batch: FloatArray) -> dict[str, Any]:
-        """See :meth:`losses_of`."""
+        """The parts of the loss of what the network makes of patches (B, channels, side, side), torch scalars."""
         patches = self.tensor(batch)
         seen = patches[:, : len(self.network.scale)].contiguous(memory_format=self.torch.channels_last)
-        return self.losses_of(self.forward(seen), patches)
+        return self._loss.parts(self.forward(seen), patches)
+
+    def total(self, parts: dict[str, Any]) -> Any:
+        """The weighted sum of the parts."""
+        return sum(weight * parts[name] for name, weight in self._loss.weights.items())
 
 
 def patch_with_skin(cut: Callable[[], FloatArray], side: int, min_weight: float) -> FloatArray:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from splitknit.errors import BadInput
+from splitknit.errors import importing
 
 _OPSET = 17
 
@@ -29,13 +29,10 @@ def load_torch() -> Any:
     BadInput
         If it is not installed.
     """
-    try:
+    with importing(
+        "training needs torch, which cannot be imported ({error}); in splitknit's folder: make install EXTRAS=train."
+    ):
         return importlib.import_module("torch")
-    except ImportError as error:
-        raise BadInput(
-            f"training needs torch, which cannot be imported ({error}); in splitknit's folder: "
-            "make install EXTRAS=train."
-        ) from error
 
 
 def unet(

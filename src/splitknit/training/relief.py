@@ -23,6 +23,7 @@ from splitknit.skin.learned import RELIEF_MM, RELIEF_TURNS
 from splitknit.skin.turns import Turns
 from splitknit.training.fields import (
     FIELDS,
+    FieldsLoss,
     FieldsSettings,
     FieldsTrainer,
     Sample,
@@ -96,36 +97,21 @@ class ReliefSettings(FieldsSettings):
     """Weight of the glare."""
 
 
-class _ReliefTrainer(FieldsTrainer):
-    """The network of the relief in training."""
+def _relief_trainer(settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> FieldsTrainer:
+    """The network of the relief in training, its first weights from the settings' seed.
 
-    def __init__(self, settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> None:
-        """Draw the first weights from the settings' seed, and the fields' scale from the samples.
-
-        A fraction of the patches (`whole_share`) is cut from the samples `whole`, if there are any.
-        """
-        check_channels(samples, CHANNELS)
-        if len(whole) > 0:
-            check_channels(whole, CHANNELS)
-        super().__init__(settings, OUTPUTS, _field_scale(samples, settings, whole))
-        self.settings: ReliefSettings = settings
-        self.samples, self.whole = samples, whole
-
-    def draw(self, iteration: int) -> FloatArray:
-        """See :func:`_draw_batch`."""
-        return _draw_batch(self.samples, self.settings, iteration, self.whole)
-
-    def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
-        """See :func:`_relief_losses`."""
-        return _relief_losses(made, batch)
-
-    def total(self, parts: dict[str, Any]) -> Any:
-        """See :func:`_total_loss`."""
-        return _total_loss(parts, self.settings)
-
-    def judge(self, sample: Sample) -> dict[str, float]:
-        """Figures for the middle of a finger, see :func:`_judged`."""
-        return _judge_middle(self.run, sample, self.settings.stride)
+    A fraction of the patches (`whole_share`) is cut from the samples `whole`, if there are any.
+    """
+    check_channels(samples, CHANNELS)
+    if len(whole) > 0:
+        check_channels(whole, CHANNELS)
+    weights = (1.0, settings.slope_share, settings.likelihood_share, settings.glare_share)
+    loss = FieldsLoss(
+        lambda iteration: _draw_batch(samples, settings, iteration, whole),
+        _relief_losses,
+        dict(zip(PARTS, weights, strict=True)),
+    )
+    return FieldsTrainer(settings, OUTPUTS, _field_scale(samples, settings, whole), loss)
 
 
 def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
@@ -151,16 +137,6 @@ def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
         "likelihood": ((error.detach() ** 2 * (-logarithm).exp() + logarithm) * weight).sum() / count,
         "glare": (glare**2 * weight[:, None]).sum() / count / glare.shape[1],
     }
-
-
-def _total_loss(parts: dict[str, Any], settings: ReliefSettings) -> Any:
-    """The weighted sum of the parts."""
-    return (
-        parts["relief"]
-        + settings.slope_share * parts["slope"]
-        + settings.likelihood_share * parts["likelihood"]
-        + settings.glare_share * parts["glare"]
-    )
 
 
 def _judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
@@ -283,7 +259,7 @@ def train_relief(
     )
     require_subjects(len(crops), "train on", refused)
     require_subjects(len(judges), "judge the network on", refused)
-    trainer = _ReliefTrainer(settings, crops, list(fingers.values()))
+    trainer = _relief_trainer(settings, crops, list(fingers.values()))
     lines = {
         "training": lambda entry: UNIT_UM * math.sqrt(entry["relief"]),
         "held out": lambda entry: UNIT_UM * entry["held_out_rms"],
@@ -293,7 +269,7 @@ def train_relief(
         trainer,
         settings.iterations,
         settings.report_every,
-        lambda: mean_figures([trainer.judge(sample) for sample in judges.values()]),
+        lambda: mean_figures([_judge_middle(trainer.run, sample, settings.stride) for sample in judges.values()]),
         lines=lines,
         unit="error of the relief, µm",
         progress=progress,

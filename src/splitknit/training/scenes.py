@@ -161,8 +161,7 @@ def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
     else:
         low, high = data.refraction
         boundary = Boundary(
-            refraction=low + (high - low) * float(rng.random()) ** 2,
-            entry_power=float(rng.uniform(*data.entry_power)),
+            refraction=low + (high - low) * float(rng.random()) ** 2, entry_power=float(rng.uniform(*data.entry_power))
         )
     return SkinSettings(
         yellow_per_mm=float(rng.uniform(*data.yellow_per_mm)),

@@ -135,13 +135,7 @@ class SeparationTrainer(Trainer):
         settings = self.settings
         architecture = f"U-Net of the thesis (figure 3.19), depth {settings.depth}, width {settings.width}"
         return packed(
-            NAME,
-            self.network,
-            facts,
-            channels=(3, 3),
-            depth=settings.depth,
-            what=WHAT,
-            architecture=architecture,
+            NAME, self.network, facts, channels=(3, 3), depth=settings.depth, what=WHAT, architecture=architecture
         )
 
 

@@ -22,6 +22,7 @@ from splitknit.settings import Limits
 from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_TURNS
 from splitknit.training.fields import (
     FIELDS,
+    FieldsLoss,
     FieldsSettings,
     FieldsTrainer,
     Sample,
@@ -117,31 +118,15 @@ class ShapeSettings(FieldsSettings):
         )
 
 
-class _ShapeTrainer(FieldsTrainer):
-    """The shape network in training."""
-
-    def __init__(self, settings: ShapeSettings, samples: Sequence[Sample]) -> None:
-        """Draw the first weights from the settings' seed, and the fields' scale from the samples."""
-        check_channels(samples, CHANNELS)
-        super().__init__(settings, OUTPUTS, _field_scale(samples, settings), settings.weight_decay)
-        self.settings: ShapeSettings = settings
-        self.samples = samples
-
-    def draw(self, iteration: int) -> FloatArray:
-        """See :func:`_draw_batch`."""
-        return _draw_batch(self.samples, self.settings, iteration)
-
-    def losses_of(self, made: Any, batch: Any) -> dict[str, Any]:
-        """See :func:`_shape_losses`."""
-        return _shape_losses(made, batch)
-
-    def total(self, parts: dict[str, Any]) -> Any:
-        """The weighted sum of the parts."""
-        return parts["slope"] + self.settings.wide_share * parts["wide"]
-
-    def judge(self, sample: Sample) -> dict[str, float]:
-        """Figures for a finger, see :func:`_judged`."""
-        return _judge_whole(self.run, sample, self.settings.stride)
+def _shape_trainer(settings: ShapeSettings, samples: Sequence[Sample]) -> FieldsTrainer:
+    """The shape network in training, its first weights from the settings' seed."""
+    check_channels(samples, CHANNELS)
+    loss = FieldsLoss(
+        lambda iteration: _draw_batch(samples, settings, iteration),
+        _shape_losses,
+        {"slope": 1.0, "wide": settings.wide_share},
+    )
+    return FieldsTrainer(settings, OUTPUTS, _field_scale(samples, settings), loss, settings.weight_decay)
 
 
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
@@ -272,7 +257,7 @@ def train_shape(
     )
     require_subjects(len(fingers), "train on", refused)
     require_subjects(len(judges), "judge the network on", refused)
-    trainer = _ShapeTrainer(settings, list(fingers.values()))
+    trainer = _shape_trainer(settings, list(fingers.values()))
     lines = {
         "training": lambda entry: UNIT * math.sqrt(entry["slope"] / 2),  # of one slope
         "held out": lambda entry: UNIT * entry["held_out_after"],
@@ -283,7 +268,7 @@ def train_shape(
         trainer,
         settings.iterations,
         settings.report_every,
-        lambda: mean_figures([trainer.judge(sample) for sample in judges.values()]),
+        lambda: mean_figures([_judge_whole(trainer.run, sample, settings.stride) for sample in judges.values()]),
         lines=lines,
         unit="error of a slope",
         progress=progress,

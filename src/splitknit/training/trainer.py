@@ -287,8 +287,7 @@ def open_folder(
             if before[part].get(name) != run[part][name] and name not in free
         ]
     require(
-        not changed,
-        f"the training in '{out}' has other settings ({', '.join(changed)}); resume with the same ones.",
+        not changed, f"the training in '{out}' has other settings ({', '.join(changed)}); resume with the same ones."
     )
     if before != run:
         _write(file, (json.dumps(run, indent=1) + "\n").encode())

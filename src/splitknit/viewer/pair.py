@@ -227,9 +227,7 @@ def _fitted(found: Alignment, a: Surface, b: Surface) -> Alignment:
         move = np.linalg.lstsq(np.hstack(rows).T, np.concatenate(misses), rcond=None)[0]
         rotation = _turned(*move[:3])
         found = replace(
-            found,
-            rotation=rotation @ found.rotation,
-            shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:],
+            found, rotation=rotation @ found.rotation, shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:]
         )
         if np.abs(move).max() < _STILL:
             break

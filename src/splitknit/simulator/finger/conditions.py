@@ -402,11 +402,7 @@ def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | Non
     pigment = skin.pigment
     if weathered is not None and weathered.reflectance is None:
         pigment = (pigment + weathered.fraction * (1.0 - pigment)).astype(np.float32)
-    return replace(
-        skin,
-        coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"),
-        pigment=pigment,
-    )
+    return replace(skin, coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"), pigment=pigment)
 
 
 def _wet(surface: Surface, water: Surface, skin: SkinSettings, severity: float) -> Coat:

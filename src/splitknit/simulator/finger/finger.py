@@ -427,14 +427,7 @@ class PoseRanges:
         """Return one pose; every range takes one number from `rng`, in a fixed order."""
         yaw, pitch, roll, x, insertion, height = (
             float(low + (high - low) * rng.random())
-            for low, high in (
-                self.yaw_deg,
-                self.pitch_deg,
-                self.roll_deg,
-                self.x_mm,
-                self.insertion_mm,
-                self.height_mm,
-            )
+            for low, high in (self.yaw_deg, self.pitch_deg, self.roll_deg, self.x_mm, self.insertion_mm, self.height_mm)
         )
         _, lower, upper = picture_on_plane(camera)
         return Pose(

@@ -36,13 +36,7 @@ Array32 = NDArray[np.float32]
 
 
 def scatter_pores(
-    rng: np.random.Generator,
-    wave: Array32,
-    *,
-    pitch_mm: float,
-    period_mm: float,
-    spacing_mm: float,
-    diameter_mm: float,
+    rng: np.random.Generator, wave: Array32, *, pitch_mm: float, period_mm: float, spacing_mm: float, diameter_mm: float
 ) -> Array32:
     """Return (H, W) pore depth in [0, 1] on the grid of `wave`.
 

@@ -72,13 +72,7 @@ def _draw_lines(
         depth = principal_depth_mm * np.exp(0.3 * np.clip(rng.standard_normal(), -2, 2))
         length = rng.uniform(0.9, 1.8) * max(half_size_mm) * 2.0
         lines += _stem(
-            rng,
-            through,
-            heading,
-            length=length,
-            depth=min(depth, 0.3),
-            width=rng.uniform(0.28, 0.5),
-            generations=2,
+            rng, through, heading, length=length, depth=min(depth, 0.3), width=rng.uniform(0.28, 0.5), generations=2
         )
     # wrinkles keep to two directions, as folds of the skin do
     folds = rng.uniform(0.0, np.pi, 2)

@@ -81,10 +81,7 @@ class SkinMap:
     def displacement_gradient(self, u: Array, v: Array, here: Array) -> tuple[Array, Array]:
         """Slopes along u and v, given the displacement `here`; one-sided over 0.1 um."""
         step = 1e-4
-        return (
-            (self.displacement(u + step, v) - here) / step,
-            (self.displacement(u, v + step) - here) / step,
-        )
+        return ((self.displacement(u + step, v) - here) / step, (self.displacement(u, v + step) - here) / step)
 
     def pigment_at(self, u: Array, v: Array) -> Array32:
         """Pigment at chart points."""

@@ -9,11 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.model import BoolArray, Camera, FloatArray, Led
 from splitknit.simulator.light.lighting import Patch, towards
-from splitknit.simulator.light.skin import (
-    REFRACTIVE_INDEX,
-    diffuse_transmittance,
-    fresnel,
-)
+from splitknit.simulator.light.skin import REFRACTIVE_INDEX, diffuse_transmittance, fresnel
 from splitknit.simulator.surface import WATER, Coat, Film, Grains
 
 MAX_MG_PER_CM2 = 0.64
@@ -282,11 +278,7 @@ def _reflected(
     nl, nv = _dot(normal, light), np.clip(_dot(normal, view), 1e-3, 1.0)
     lv = _dot(light, view)
     inverse = 1.0 / np.sqrt(np.maximum(2.0 + 2.0 * lv, 1e-6))
-    half = (
-        (light[0] + view[0]) * inverse,
-        (light[1] + view[1]) * inverse,
-        (light[2] + view[2]) * inverse,
-    )
+    half = ((light[0] + view[0]) * inverse, (light[1] + view[1]) * inverse, (light[2] + view[2]) * inverse)
     nh = np.clip(_dot(normal, half), 0.0, 1.0)
     lit = nl > 0.0
     nl = np.maximum(nl, 1e-4)

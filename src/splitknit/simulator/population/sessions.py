@@ -229,12 +229,7 @@ class Shown:
 
 
 def population_capture(
-    settings: PopulationSettings,
-    person: Person,
-    finger: str,
-    session: int,
-    *,
-    master: MasterPrint | None = None,
+    settings: PopulationSettings, person: Person, finger: str, session: int, *, master: MasterPrint | None = None
 ) -> Shown:
     """Simulate one capture.
 

@@ -1,26 +1,26 @@
 """The reference for the twin: flat skin against the table of walks and a walk of its own, glare against the formula."""
 
+import importlib
 import importlib.util
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
-from splitknit.simulator import reference
 from splitknit.simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel, load_walks
-from splitknit.simulator.reference import (
-    ReferenceImage,
-    ReferenceSettings,
-    reference_scene,
-    render_crop,
-    render_glare,
-    render_volume,
-)
 from splitknit.simulator.surface import Surface
+
+sys.path.append(str(VALIDATION / "twin"))
+reference: Any = importlib.import_module("reference")
+ReferenceSettings, reference_scene = reference.ReferenceSettings, reference.reference_scene
+render_crop, render_glare, render_volume = reference.render_crop, reference.render_glare, reference.render_volume
 
 HERE = importlib.util.find_spec("mitsuba") is not None and (
     "DRJIT_LIBLLVM_PATH" in os.environ or any(any(Path("/usr").glob(pattern)) for pattern in reference.LLVM)
@@ -48,7 +48,7 @@ FLAT = patch(np.zeros((24, 24)))
 FEW = ReferenceSettings(samples=256, binning=4, margin_mm=0.2)
 
 
-def mean_and_error(image: ReferenceImage) -> tuple[np.ndarray, np.ndarray]:
+def mean_and_error(image: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean radiance of each light's image, and its standard error, from the batches."""
     means = image.batches.astype(np.float64).mean(axis=(2, 3))
     return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(len(means))
@@ -224,7 +224,7 @@ def test_missing_mitsuba_is_refused_with_a_remedy(monkeypatch: pytest.MonkeyPatc
         raise ImportError(name)
 
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libLLVM.so.19.1")
-    monkeypatch.setattr(reference.importlib, "import_module", missing)
+    monkeypatch.setattr(importlib, "import_module", missing)
     with pytest.raises(BadInput, match="its extra 'reference'"):
         render_crop(FLAT, WINDOW, LEDS, BLUE)
 
@@ -243,6 +243,6 @@ def test_settings_are_checked(field: str, value: object) -> None:
 
 def test_standard_error_is_that_of_the_mean() -> None:
     rng = np.random.default_rng(2)
-    image = ReferenceImage(rng.normal(1.0, 0.2, (16, 1, 40, 40)).astype(np.float32), 0.0, 0.0)
+    image = reference.ReferenceImage(rng.normal(1.0, 0.2, (16, 1, 40, 40)).astype(np.float32), 0.0, 0.0)
     np.testing.assert_allclose(image.radiance, image.batches.mean(axis=0), rtol=1e-5)
     np.testing.assert_allclose(np.sqrt((image.standard_error**2).mean()), 0.05, rtol=0.03)

@@ -126,7 +126,7 @@ INSET_MM = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceScene:
-    """A crop of skin, ready for walks; made by :func:`splitknit.simulator.reference.reference_scene`."""
+    """A crop of skin, ready for walks; made by :func:`reference.reference_scene`."""
 
     mi: Any
     """Mitsuba."""

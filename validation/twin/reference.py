@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from reference_scene import INSET_MM, ReferenceScene, Seen, build, see
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import importing, require
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, diffuse_transmittance
-from splitknit.simulator.reference_scene import INSET_MM, ReferenceScene, Seen, build, see
 from splitknit.simulator.surface import Surface
 
 FAINT = 0.1
@@ -45,13 +45,7 @@ STEERED = 0.85
 
 
 def _walk(
-    crop: ReferenceScene,
-    seen: Seen,
-    medium: tuple[float, float],
-    *,
-    walks: int,
-    seed: int,
-    spread_rad: float | None,
+    crop: ReferenceScene, seen: Seen, medium: tuple[float, float], *, walks: int, seed: int, spread_rad: float | None
 ) -> tuple[list[Any], Any, Any]:
     """Walk `walks` times from each seen point; return the lights' sums, the light that left, and the steps, by lane.
 
@@ -410,10 +404,8 @@ def _load(threads: int) -> tuple[Any, Any]:
             "the reference needs LLVM 19; install Debian's libllvm19, or name the library in DRJIT_LIBLLVM_PATH.",
         )
         os.environ["DRJIT_LIBLLVM_PATH"] = str(found[0])
-    try:
+    with importing("the reference needs Mitsuba 3; install splitknit with its extra 'reference'."):
         dr, mi = (importlib.import_module(name) for name in ("drjit", "mitsuba"))
-    except ImportError as error:
-        raise BadInput("the reference needs Mitsuba 3; install splitknit with its extra 'reference'.") from error
     mi.set_variant("llvm_ad_mono")
     dr.set_thread_count(threads)
     return mi, dr

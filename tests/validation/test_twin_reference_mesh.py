@@ -1,12 +1,19 @@
 """The triangles that the reference's walks wander under."""
 
+import importlib
+import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from script_folder import VALIDATION
 from splitknit.model import Camera
-from splitknit.simulator.reference_scene import LEDGE_MM, _skin_mesh
 from splitknit.simulator.surface import Surface
+
+sys.path.append(str(VALIDATION / "twin"))
+scene: Any = importlib.import_module("reference_scene")
+LEDGE_MM, _skin_mesh = scene.LEDGE_MM, scene._skin_mesh
 
 
 def bump(size: int = 41, pitch_mm: float = 0.1, outline: bool = False) -> Surface:
