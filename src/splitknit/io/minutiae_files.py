@@ -7,7 +7,6 @@ import struct
 from collections.abc import Callable
 
 from splitknit.errors import BadInput, require
-from splitknit.io.atomic import atomic_file
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -206,18 +205,6 @@ def decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
         product=(owner, kind),
         standard=ANSI_2004,
     )
-
-
-def write_ansi378(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
-    """Write a record to a file, whole or not at all; see :func:`encode_ansi378`."""
-    data = encode_ansi378(record)
-    with atomic_file(path) as stream:
-        stream.write(data)
-
-
-def read_ansi378(path: str | os.PathLike[str]) -> MinutiaeRecord:
-    """Read a record's file; see :func:`decode_ansi378`."""
-    return decode_ansi378(read_record_bytes(path), os.fspath(path))
 
 
 _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
