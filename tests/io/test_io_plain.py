@@ -265,3 +265,15 @@ def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
     monkeypatch.setattr("os.posix_fallocate", full)
     with pytest.raises(BadInput, match=r"0\.6 GB of disk .*No space left.*TMPDIR"):
         large_array((600, 1000, 1000), np.dtype(np.uint8))
+
+
+def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
+    (plain / "3.png").unlink()
+    (plain / "3.png").symlink_to("3.png")
+    with pytest.raises(BadInput, match=r"3\.png"):
+        convert(plain)
+    (plain / "lights.txt").write_text("\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS)))
+    with pytest.raises(BadInput, match=r"3\.png"):
+        capture_from_photographs(plain, px_per_mm=12.5)
+    with pytest.raises(BadInput, match=r"3\.png"):
+        capture_from_photographs(plain, px_per_mm=12.5, mask=plain / "3.png")
