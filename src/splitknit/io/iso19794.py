@@ -24,12 +24,13 @@ from __future__ import annotations
 import os
 import struct
 
-from splitknit.errors import require
+from splitknit.errors import read_bytes, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fmr_bytes import (
     ISO_2005,
     ISO_STEPS,
     MAGIC_20,
+    MAX_RECORD_BYTES,
     Cursor,
     ViewCodes,
     check_length,
@@ -38,7 +39,6 @@ from splitknit.io.fmr_bytes import (
     decode_views,
     encode_views,
     make_record,
-    read_record_bytes,
     require_standard,
 )
 from splitknit.io.minutiae_record import ISO_2005_IMPRESSIONS, MinutiaeRecord
@@ -111,4 +111,4 @@ def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None
 
 def read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a record's file; see :func:`decode_iso19794`."""
-    return decode_iso19794(read_record_bytes(path), os.fspath(path))
+    return decode_iso19794(read_bytes(path, MAX_RECORD_BYTES), os.fspath(path))

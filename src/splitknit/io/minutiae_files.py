@@ -6,7 +6,7 @@ import os
 import struct
 from collections.abc import Callable
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -16,6 +16,7 @@ from splitknit.io.fmr_bytes import (
     MAGIC_030,
     MAGIC_035,
     MAGIC_20,
+    MAX_RECORD_BYTES,
     Cursor,
     ViewCodes,
     check_length,
@@ -28,7 +29,6 @@ from splitknit.io.fmr_bytes import (
     encode_views,
     make_record,
     make_view,
-    read_record_bytes,
     require_standard,
     standard_of,
 )
@@ -234,7 +234,7 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRec
 
 def read_minutiae_record(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a file of minutiae; see :func:`decode_minutiae_record`."""
-    return decode_minutiae_record(read_record_bytes(path), os.fspath(path))
+    return decode_minutiae_record(read_bytes(path, MAX_RECORD_BYTES), os.fspath(path))
 
 
 def _checked_product(record: MinutiaeRecord) -> tuple[int, int]:
