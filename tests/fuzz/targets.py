@@ -34,6 +34,7 @@ from tests.fuzz.mutators import Files
 from tests.handmade import finger
 from tests.png_files import png_of
 
+from splitknit.api import read_photographs
 from splitknit.batch.chunks import read_origin, write_chunk, write_timings
 from splitknit.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit.batch.population import read_population
@@ -74,7 +75,7 @@ from splitknit.io.minutiae_files import (
 )
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
+from splitknit.io.plain import capture_from_plain_images
 from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
@@ -101,7 +102,13 @@ from splitknit.matching.template import VERSION, Template, make_template, pack, 
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.presets import preset_settings
-from splitknit.prints.from_file import _ridge_period_px, minutiae_of, read_one_finger, read_print_file
+from splitknit.prints.from_file import (
+    _ridge_period_px,
+    minutiae_of,
+    read_one_finger,
+    read_print_file,
+    read_print_folder,
+)
 from splitknit.prints.sources import read_source
 from splitknit.rig.assembly import read_stl, write_stl
 from splitknit.rig.candidates import Candidate, Study
@@ -344,7 +351,7 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
     capture_from_plain_images([folder / f"{k}.png" for k in range(3)], lights, 10.0)
-    capture_from_photographs(folder)
+    read_photographs(folder)
 
 
 @cache
@@ -940,7 +947,11 @@ TARGETS = (
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
     Target("stl", _stls, _of_files("x.stl", read_stl)),
-    Target("print_png", _prints, _of_files("print.png", read_print_png, read_one_finger)),
+    Target(
+        "print_png",
+        _prints,
+        _of_files("print.png", read_print_png, read_one_finger, lambda file: read_print_folder(file.parent)),
+    ),
     Target("print_file", _print_files, _print_file),
     Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
            _skt_repaired),
