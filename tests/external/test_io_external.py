@@ -11,7 +11,7 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
-from splitknit.io.light_list import read_lights_txt
+from splitknit.io.light_list import read_named_lights
 from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
@@ -32,7 +32,7 @@ def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
     images = [folder / f"light_{k:02d}.png" for k in range(12)]
     capture = capture_from_plain_images(
-        images, read_lights_txt(folder / "lights.txt"), 40.0, mask=folder / "mask.png", background=71
+        images, read_named_lights(folder / "lights.txt")[0], 40.0, mask=folder / "mask.png", background=71
     )
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
@@ -46,7 +46,7 @@ def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
 
 def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "psm_spheres"
-    lights = read_lights_txt(folder / "lights.txt")
+    lights = read_named_lights(folder / "lights.txt")[0]
     assert lights.shape == (12, 3)
     images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
     capture = capture_from_plain_images(images, lights, 5.0, mask=folder / "gray" / "gray.mask.png")
@@ -66,7 +66,7 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
 
 
 def test_the_mirrors_lights_are_places_not_directions(data_dir: Path) -> None:
-    assert read_lights_txt(data_dir / "blender_finger" / "with_mirrors" / "lights.txt").shape == (7, 3)
+    assert read_named_lights(data_dir / "blender_finger" / "with_mirrors" / "lights.txt")[0].shape == (7, 3)
     assert read_image(data_dir / "blender_finger" / "with_mirrors" / "light_00.png").shape == (2000, 3000, 3)
 
 

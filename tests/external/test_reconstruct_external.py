@@ -12,7 +12,7 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
-from splitknit.io.light_list import read_lights_txt
+from splitknit.io.light_list import read_named_lights
 from splitknit.io.plain import capture_from_plain_images
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.photometric.lambertian import lambertian
@@ -49,7 +49,7 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
     """The grey ball, and the heights in mm of the sphere that its outline gives."""
     folder = needed(data_dir / "psm_spheres")
     images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
-    lights = read_lights_txt(folder / "lights.txt")
+    lights = read_named_lights(folder / "lights.txt")[0]
     capture = capture_from_plain_images(images, lights, 5.0, mask=folder / "gray" / "gray.mask.png")
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
@@ -65,7 +65,7 @@ def phalange(data_dir: Path) -> Capture:
     """The sculpted phalange, at a scale that makes it 16 mm wide."""
     folder = needed(data_dir / "blender_finger" / "phalange")
     images = [folder / f"light_{k:02d}.png" for k in range(12)]
-    lights = read_lights_txt(folder / "lights.txt")
+    lights = read_named_lights(folder / "lights.txt")[0]
     return capture_from_plain_images(images, lights, 40.0, mask=folder / "mask.png", background=71)
 
 

@@ -29,7 +29,7 @@ from unittest import mock
 import cv2
 import numpy as np
 from tests.batch.batch_stores import waves
-from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, FIR_2011, ISO_BYTES, encode, three_minutiae
+from tests.fmr_samples import ANSI_2009_BYTES, ANSI_BYTES, FIR_2011, ISO_BYTES, encode
 from tests.fuzz.mutators import Files
 from tests.handmade import finger
 from tests.png_files import png_of
@@ -62,16 +62,15 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.finger_image import encode_finger_images
 from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
-from splitknit.io.iso19794 import decode_card, decode_iso19794, encode_card, read_iso19794
+from splitknit.io.iso19794 import decode_iso19794, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
-from splitknit.io.light_list import read_lights_txt
+from splitknit.io.light_list import read_named_lights
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     decode_ansi378,
     decode_ansi378_2009,
     decode_minutiae_record,
-    read_ansi378,
     read_minutiae_record,
 )
 from splitknit.io.npz import read_npz, write_npz
@@ -342,12 +341,12 @@ def _capture(folder: Path, files: Files) -> None:
 def _plain_images() -> list[Files]:
     lights = b"3\n0.5 0 1\n-0.3 0.4 1\n-0.3 -0.4 1\n"
     named = b"".join(b"%d.png %s" % (k, line) for k, line in enumerate(lights.splitlines(True)[1:]))
-    photos = {f"{k}.png": encode_image(_noise(5, 6, seed=k), ".png") for k in range(3)}
+    photos = {f"{k}.png": encode_image(_noise(16, 17, seed=k), ".png") for k in range(3)}
     return [{"lights.txt": lights, **photos}, {"lights.txt": named, **photos, "mask.png": photos["0.png"]}]
 
 
 def _plain_capture(folder: Path, files: Files) -> None:
-    lights = read_lights_txt(folder / "lights.txt")
+    lights = read_named_lights(folder / "lights.txt")[0]
     assert lights.ndim == 2
     assert lights.shape[1] == 3
     assert np.isfinite(lights).all()
@@ -447,7 +446,7 @@ def _record(folder: Path, files: Files) -> object:
     data = files.get("x.fmr")
     path = folder / "x.fmr"
     if not isinstance(data, bytes):
-        return _any(lambda: read_minutiae_record(path), lambda: read_iso19794(path), lambda: read_ansi378(path))
+        return _any(lambda: read_minutiae_record(path), lambda: read_iso19794(path))
 
     def same(record: Any) -> None:
         assert encode(record) == data
@@ -459,19 +458,7 @@ def _record(folder: Path, files: Files) -> object:
         lambda: same(decode_minutiae_record(data)),
         lambda: same(read_minutiae_record(path)),
         lambda: same(read_iso19794(path)),
-        lambda: same(read_ansi378(path)),
     )
-
-
-def _cards() -> list[Files]:
-    return _each("bytes", encode_card(three_minutiae(), True), encode_card(three_minutiae(), False))
-
-
-def _card(data: bytes) -> object:
-    def compact() -> None:  # 0.1 mm is wider than a pixel, so that no two places fall together
-        assert encode_card(decode_card(data, (500, 350), (197, 197), True), True) == data
-
-    return _any(compact, lambda: decode_card(data, (500, 350), (197, 197), False))
 
 
 def _transactions() -> list[Files]:
@@ -964,7 +951,11 @@ TARGETS = (
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
     Target("stl", _stls, _of_files("x.stl", read_stl)),
-    Target("print_png", _prints, _of_files("print.png", read_print_png, read_one_finger)),
+    Target(
+        "print_png",
+        _prints,
+        _of_files("print.png", read_print_png, read_one_finger, lambda file: read_print_folder(file.parent)),
+    ),
     Target("print_file", _print_files, _print_file),
     Target("print_folder", lambda: [one | {"minutiae.iso": ISO_BYTES} for one in _prints()[:1]], _print_folder),
     Target("template", _templates, _of_files("x.skt", lambda path: unpack(read_template(path, VERSION))),
@@ -972,7 +963,6 @@ TARGETS = (
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
     Target("packed", _packed, _of_bytes(unpack_minutiae, unpack_space_minutiae, unpack_surface_code), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
-    Target("minutiae_card", _cards, _of_bytes(_card)),
     Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),

@@ -16,9 +16,7 @@ from splitknit.io.minutiae_files import (
     decode_ansi378_2009,
     encode_ansi378,
     encode_ansi378_2009,
-    read_ansi378,
     read_minutiae_record,
-    write_ansi378,
 )
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 
@@ -47,11 +45,6 @@ def test_fields_are_where_the_standard_has_them() -> None:
     assert (view.finger, view.impression, view.view, view.finger_quality) == ("right_thumb", "contactless", 3, 100)
     assert (view.size, view.resolution_ppcm) == ((500, 350), (197, 198))
     assert encode_ansi378(record) == ANSI_BYTES
-
-
-def test_a_file_is_written_and_read(tmp_path: Path) -> None:
-    write_ansi378(tmp_path / "a.fmr", contactless_thumb())
-    assert encode_ansi378(read_ansi378(tmp_path / "a.fmr")) == ANSI_BYTES
 
 
 def test_directions_are_rounded_to_two_degrees() -> None:

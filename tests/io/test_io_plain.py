@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
-from splitknit.io.light_list import read_lights_txt, read_named_lights
+from splitknit.io.light_list import read_named_lights
 from splitknit.io.photos import encoding_of
 from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
 from splitknit.io.rig import write_rig
@@ -102,7 +102,7 @@ def test_images_of_another_size(plain: Path) -> None:
 )
 def test_light_files(text: str, tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_bytes(text.encode())
-    np.testing.assert_array_equal(read_lights_txt(tmp_path / "l.txt"), [[1, 0, 1], [0, 1.5, 1]])
+    np.testing.assert_array_equal(read_named_lights(tmp_path / "l.txt")[0], [[1, 0, 1], [0, 1.5, 1]])
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_light_files(text: str, tmp_path: Path) -> None:
 def test_light_files_that_are_refused(text: bytes, words: str, tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_bytes(text)
     with pytest.raises(BadInput, match=words):
-        read_lights_txt(tmp_path / "l.txt")
+        read_named_lights(tmp_path / "l.txt")[0]
 
 
 @pytest.mark.parametrize(
@@ -134,13 +134,13 @@ def test_light_files_that_are_refused(text: bytes, words: str, tmp_path: Path) -
 )
 def test_decimal_commas_are_understood(text: str, tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_text(text)
-    np.testing.assert_array_equal(read_lights_txt(tmp_path / "l.txt"), [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]])
+    np.testing.assert_array_equal(read_named_lights(tmp_path / "l.txt")[0], [[0.5, 0.3, 0.8], [-0.5, 0.25, 0.8]])
 
 
 def test_commas_that_may_be_either_are_refused(tmp_path: Path) -> None:
     (tmp_path / "l.txt").write_text("0,5,0,3,0,8\n")
     with pytest.raises(BadInput, match=r"line 1: .*; write decimals with a point, or put spaces"):
-        read_lights_txt(tmp_path / "l.txt")
+        read_named_lights(tmp_path / "l.txt")[0]
 
 
 def test_lp_files_of_rti(plain: Path) -> None:
@@ -265,3 +265,15 @@ def test_a_full_disk_is_refused(monkeypatch: Any) -> None:
     monkeypatch.setattr("os.posix_fallocate", full)
     with pytest.raises(BadInput, match=r"0\.6 GB of disk .*No space left.*TMPDIR"):
         large_array((600, 1000, 1000), np.dtype(np.uint8))
+
+
+def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
+    (plain / "3.png").unlink()
+    (plain / "3.png").symlink_to("3.png")
+    with pytest.raises(BadInput, match=r"3\.png"):
+        convert(plain)
+    (plain / "lights.txt").write_text("\n".join(f"{k}.png {x} {y} {z}" for k, (x, y, z) in enumerate(LIGHTS)))
+    with pytest.raises(BadInput, match=r"3\.png"):
+        capture_from_photographs(plain, px_per_mm=12.5)
+    with pytest.raises(BadInput, match=r"3\.png"):
+        capture_from_photographs(plain, px_per_mm=12.5, mask=plain / "3.png")

@@ -23,7 +23,7 @@ import numpy as np
 
 from splitknit import reconstruct
 from splitknit.errors import BadInput, require
-from splitknit.io.light_list import read_lights_txt
+from splitknit.io.light_list import read_named_lights
 from splitknit.io.npz import read_npz
 from splitknit.io.plain import capture_from_plain_images
 from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Rig
@@ -104,7 +104,7 @@ def sphere(folder: Path) -> Object:
     masks = sorted(folder.glob("*.mask.png"))
     require(len(masks) == 1, f"'{folder}' must hold one *.mask.png.")
     lights_file = folder / "lights.txt"
-    lights = read_lights_txt(lights_file if lights_file.is_file() else folder.parent / "lights.txt")
+    lights = read_named_lights(lights_file if lights_file.is_file() else folder.parent / "lights.txt")[0]
     stem = masks[0].name.removesuffix(".mask.png")
     images = [folder / f"{stem}.{k}.png" for k in range(len(lights))]
     capture = capture_from_plain_images(images, lights, PX_PER_MM, mask=masks[0])

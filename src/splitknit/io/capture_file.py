@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, require
+from splitknit.errors import check_lights, naming, require
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.rig import rig_from_json
 from splitknit.model import Rig
@@ -237,7 +237,4 @@ def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], wh
             f"{where}[{k}] names coloured and white LEDs for one exposure, which cannot be separated; use one kind.",
         )
     lights = rig.lights_of(leds)
-    try:
-        check_lights(rig.select(lights).light_vectors(), len(lights))
-    except BadInput as error:
-        raise BadInput(f"{where}: {error}") from error
+    naming(where, lambda: check_lights(rig.select(lights).light_vectors(), len(lights)))

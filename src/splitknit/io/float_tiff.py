@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.provenance import canonical_json
-from splitknit.io.tiff import quiet_tifffile
+from splitknit.io.tiff import encode_tiff
 from splitknit.model import FloatArray
 
 
@@ -25,18 +24,9 @@ def _write_float_tiff(
     values; `tags`: further arguments of tifffile's ``imwrite``, such as the resolution. Raises BadInput if the file
     cannot be written.
     """
-    stream = io.BytesIO()
-    quiet_tifffile().imwrite(
-        stream,
-        field,
-        photometric="minisblack" if field.ndim == 2 else "rgb",
-        description=canonical_json(description),
-        metadata=None,
-        software="splitknit",
-        **tags,
-    )
+    data = encode_tiff(field, description=canonical_json(description), **tags)
     with atomic_file(path) as file:
-        file.write(stream.getbuffer())
+        file.write(data)
 
 
 # Height maps as float32 TIFF: mm, NaN outside the mask, the pitch in the tags and the metadata.

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, naming, require
 from splitknit.io.minutiae_record import FINGER_CODES, MAX_MINUTIAE, FingerView, MinutiaeRecord, code_of, name_of
 
-_MAX_BYTES = 20_000_000
+MAX_RECORD_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""
 ISO_STEPS, ANSI_STEPS = 256, 180
 """Directions in a turn: steps of 1.40625 and of 2 deg."""
@@ -44,17 +44,6 @@ class Cursor:
     def unpack(self, layout: struct.Struct, what: str) -> tuple[Any, ...]:
         """Return the numbers of the next bytes, `what` they are."""
         return layout.unpack(self.take(layout.size, what))
-
-
-def read_record_bytes(path: Any) -> bytes:
-    """Read a whole file of at most 20 MB.
-
-    Raises
-    ------
-    BadInput
-        If it is missing, larger, or cannot be read.
-    """
-    return read_bytes(path, _MAX_BYTES)
 
 
 def check_length(data: bytes, said: int, name: str) -> None:
@@ -117,18 +106,12 @@ def encode_minutiae(view: FingerView, steps: int, max_quality: int) -> bytes:
 
 def make_view(name: str, what: str, **fields: Any) -> FingerView:
     """Make a view of what was read; what does not fit is said with the file's `name` and `what` it is."""
-    try:
-        return FingerView(**fields)
-    except BadInput as error:
-        raise BadInput(f"{name}, {what}: {error}") from error
+    return naming(f"{name}, {what}", lambda: FingerView(**fields))
 
 
 def make_record(name: str, **fields: Any) -> MinutiaeRecord:
     """Make a record of what was read; what does not fit is said with the file's `name`."""
-    try:
-        return MinutiaeRecord(**fields)
-    except BadInput as error:
-        raise BadInput(f"{name}: {error}") from error
+    return naming(name, lambda: MinutiaeRecord(**fields))
 
 
 def check_writable(record: MinutiaeRecord, standard: str, device_bits: int, certification_bits: int) -> None:

@@ -224,10 +224,7 @@ def encode_image(pixels: PixelArray, suffix: str) -> bytes:
     if suffix == ".png":
         return _encode_png(array)
     require(suffix in (".tif", ".tiff"), f"images are written as .png, .tif or .tiff, not as '{suffix}'.")
-    stream = io.BytesIO()
-    photometric = "rgb" if array.ndim == 3 else "minisblack"
-    tiff.quiet_tifffile().imwrite(stream, array, photometric=photometric, metadata=None, software="splitknit")
-    return stream.getvalue()
+    return tiff.encode_tiff(array)
 
 
 def _encode_png(array: NDArray[Any]) -> bytes:

@@ -20,23 +20,13 @@ PLACES = "x_mm y_mm z_mm"
 object."""
 
 
-def read_lights_txt(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read light directions (L, 3) from a text file: x, y, z a line, apart by spaces, semicolons or commas.
+def read_named_lights(path: str | os.PathLike[str]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Read light directions and the photographs' names from a text file: x, y, z a line, apart by spaces, semicolons or
+    commas.
 
     A first line with a single number is the count of the lights that follow, as in ``.lp`` files of RTI; ``#`` starts a
-    comment. A line may begin or end with the name of its photograph (:func:`read_named_lights`). Decimal commas are
-    understood where spaces or semicolons stand between the numbers.
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the line.
-    """
-    return read_named_lights(path)[0]
-
-
-def read_named_lights(path: str | os.PathLike[str]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Read light directions (L, 3) and the photographs' names, as :func:`read_lights_txt`.
+    comment. A line may begin or end with the name of its photograph. Decimal commas are understood where spaces or
+    semicolons stand between the numbers.
 
     Returns
     -------
@@ -113,7 +103,7 @@ def _words_of(line: str) -> tuple[list[str], bool]:
 
 
 def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]) -> None:
-    """Write lights as :func:`read_lights_txt` reads them: directions, or places in mm where the lights have some.
+    """Write lights as :func:`read_named_lights` reads them: directions, or places in mm where the lights have some.
 
     `photographs` show where each light was found; they are comments, since other photographs are to be taken.
     """

@@ -6,8 +6,7 @@ import os
 import struct
 from collections.abc import Callable
 
-from splitknit.errors import BadInput, require
-from splitknit.io.atomic import atomic_file
+from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -17,6 +16,7 @@ from splitknit.io.fmr_bytes import (
     MAGIC_030,
     MAGIC_035,
     MAGIC_20,
+    MAX_RECORD_BYTES,
     Cursor,
     ViewCodes,
     check_length,
@@ -29,7 +29,6 @@ from splitknit.io.fmr_bytes import (
     encode_views,
     make_record,
     make_view,
-    read_record_bytes,
     require_standard,
     standard_of,
 )
@@ -208,18 +207,6 @@ def decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
     )
 
 
-def write_ansi378(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
-    """Write a record to a file, whole or not at all; see :func:`encode_ansi378`."""
-    data = encode_ansi378(record)
-    with atomic_file(path) as stream:
-        stream.write(data)
-
-
-def read_ansi378(path: str | os.PathLike[str]) -> MinutiaeRecord:
-    """Read a record's file; see :func:`decode_ansi378`."""
-    return decode_ansi378(read_record_bytes(path), os.fspath(path))
-
-
 _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
     ISO_2005: decode_iso19794,
     ANSI_2004: decode_ansi378,
@@ -247,7 +234,7 @@ def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRec
 
 def read_minutiae_record(path: str | os.PathLike[str]) -> MinutiaeRecord:
     """Read a file of minutiae; see :func:`decode_minutiae_record`."""
-    return decode_minutiae_record(read_record_bytes(path), os.fspath(path))
+    return decode_minutiae_record(read_bytes(path, MAX_RECORD_BYTES), os.fspath(path))
 
 
 def _checked_product(record: MinutiaeRecord) -> tuple[int, int]:

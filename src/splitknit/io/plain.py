@@ -108,7 +108,7 @@ def capture_from_photographs(
     require(root.is_dir(), f"{os.fspath(folder)} is not a folder; name the folder of the photographs.")
     table, rig, names = _lights_of(root, lights)
     own = [file for value in (mask, background if not isinstance(background, float | int) else None, table)
-           if value is not None for file in [Path(value).resolve()]]  # fmt: skip
+           if value is not None for file in [Path(os.path.realpath(value))]]  # fmt: skip
     found, masks, skipped = photographs_in(root, table, names, own, find_mask=mask is None)
     mask = masks[0] if masks else mask
     left_out = f"; skipped: {_listed(skipped)}" if skipped else ""
@@ -223,7 +223,7 @@ def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]
     except OSError as error:
         raise BadInput(f"{folder} cannot be read ({error.strerror}).") from error
     for file in files:
-        if file.name.startswith(".") or file.resolve() in own:
+        if file.name.startswith(".") or Path(os.path.realpath(file)) in own:
             continue
         if file.is_file() and file.suffix.lower() in SUFFIXES:
             found.append(file)
@@ -316,7 +316,7 @@ def _assembled(  # noqa: PLR0917
 ) -> tuple[Capture, list[str]]:
     """The capture, and notes on it."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
-    places = [file.resolve() for file in files]
+    places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
     twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
     require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
     require(material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{material}'.")

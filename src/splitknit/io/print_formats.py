@@ -13,7 +13,7 @@ import numpy as np
 
 from splitknit.errors import BadInput, open_file, require
 from splitknit.io import finger_image, photos, prints, tiff, wsq_image
-from splitknit.io.fmr_bytes import what_bytes_are
+from splitknit.io.fmr_bytes import MAX_RECORD_BYTES, what_bytes_are
 from splitknit.io.iso19794 import encode_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, decode_transaction, encode_transaction
 from splitknit.io.minutiae_files import decode_minutiae_record, encode_ansi378, encode_ansi378_2009
@@ -153,7 +153,7 @@ def _to_ansi_2009(view: FingerView, how: Writing) -> bytes:
     return encode_ansi378_2009(_record(view, 255))
 
 
-_FMR, _MAX_FMR = (b"FMR\0",), 20_000_000
+_FMR = (b"FMR\0",)
 _MAX_ITL = 200_000_000
 
 FORMATS: dict[str, PrintFormat] = {
@@ -172,10 +172,10 @@ FORMATS: dict[str, PrintFormat] = {
             "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"), _transaction,
             _to_transaction, _MAX_ITL,
         ),
-        PrintFormat("iso-19794-2", ".iso", "minutiae", "ISO/IEC 19794-2", _FMR, _minutiae, _to_iso, _MAX_FMR),
-        PrintFormat("ansi-378", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi, _MAX_FMR),
+        PrintFormat("iso-19794-2", ".iso", "minutiae", "ISO/IEC 19794-2", _FMR, _minutiae, _to_iso, MAX_RECORD_BYTES),
+        PrintFormat("ansi-378", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi, MAX_RECORD_BYTES),
         PrintFormat(
-            "ansi-378-2009", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi_2009, _MAX_FMR
+            "ansi-378-2009", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi_2009, MAX_RECORD_BYTES
         ),
     )
 }  # fmt: skip

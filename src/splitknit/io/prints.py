@@ -8,7 +8,6 @@ Portable Network Graphics (PNG) Specification, second edition, W3C 2003: pHYs se
 
 from __future__ import annotations
 
-import io
 import os
 import struct
 import zlib
@@ -28,7 +27,7 @@ from splitknit.io.png import SIGNATURE as PNG
 from splitknit.io.png import decode_png
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import SIGNATURES as TIFFS
-from splitknit.io.tiff import TiffPage, quiet_tifffile, stated_ppi, tiff_page
+from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
 
 SIGNATURES = (PNG[:4], JPEG_SIGNATURE, *TIFFS, BMP_SIGNATURE)
 """First bytes of the files that :func:`decode_print_image` reads."""
@@ -228,18 +227,8 @@ def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mappin
         f"a print must be (H, W) uint8, not {array.shape} {array.dtype}.",
     )
     require(10 <= ppi <= 100_000, f"ppi must lie between 10 and 100000, but it is {ppi}.")
-    stream = io.BytesIO()
-    quiet_tifffile().imwrite(
-        stream,
-        array,
-        photometric="minisblack",
-        description=canonical_json(dict(text)) if text else None,
-        metadata=None,
-        software="splitknit",
-        resolution=(float(ppi), float(ppi)),
-        resolutionunit="INCH",
-    )
-    return stream.getvalue()
+    description = canonical_json(dict(text)) if text else None
+    return encode_tiff(array, description=description, resolution=(float(ppi), float(ppi)), resolutionunit="INCH")
 
 
 def _texts(page: TiffPage) -> dict[str, str]:

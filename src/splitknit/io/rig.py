@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, naming, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
@@ -133,10 +133,7 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
     mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(_mirror_items(fields))]
     origin = fields.mapping("provenance")
-    try:
-        return Rig(camera, leds, origin, tuple(mirrors))
-    except BadInput as error:
-        raise BadInput(f"{name}: {error}") from error
+    return naming(name, lambda: Rig(camera, leds, origin, tuple(mirrors)))
 
 
 def _mirror_items(fields: Fields) -> list[Any]:
@@ -184,10 +181,11 @@ def _camera(fields: Fields) -> Camera:
         _check_scale(fields.name, px_per_mm, height_mm, matrix)
     shading = fields.numbers("shading", (1, 2, 3, 4)) if fields.has("shading") else ()
     crosstalk = _numbers_3x3(fields, "crosstalk") if fields.has("crosstalk") else None
-    try:
-        return Camera(px_per_mm, (size[0], size[1]), height_mm, model, matrix, distortion, shading, crosstalk, known)
-    except BadInput as error:
-        raise BadInput(f"{fields.name}: {error}") from error
+    size_px = size[0], size[1]
+    return naming(
+        fields.name,
+        lambda: Camera(px_per_mm, size_px, height_mm, model, matrix, distortion, shading, crosstalk, known),
+    )
 
 
 def _numbers_3x3(

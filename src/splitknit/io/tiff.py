@@ -11,11 +11,12 @@ TIFF, revision 6.0, Adobe 1992: sections 2 (image file directory), 9 (PackBits),
 
 from __future__ import annotations
 
+import io
 import logging
 import math
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -31,15 +32,13 @@ DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT = 270, 282, 283, 296
 _COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER = 256, 257, 258, 259, 262, 266
 _SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH = 277, 278, 284, 317, 339, 32997
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 322, 323, 324, 325
-_OPTIONAL = (DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT)
-_READ = frozenset(
-    {
-        *_OPTIONAL,
-        *(_COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER),
-        *(_SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH),
-        *(_STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES),
-    }
-)
+_ORIENTATION, _SHORT = 274, 3
+_OPTIONAL = {DESCRIPTION, X_RESOLUTION, Y_RESOLUTION, RESOLUTION_UNIT}
+_READ = _OPTIONAL | {
+    *(_COLUMNS, _ROWS, _BITS, _COMPRESSION, _PHOTOMETRIC, _BIT_ORDER),
+    *(_SAMPLES, _STRIP_ROWS, _PLANAR, _PREDICTOR, _FORMAT, _DEPTH),
+    *(_STRIP_OFFSETS, _STRIP_BYTES, _TILE_COLUMNS, _TILE_ROWS, _TILE_OFFSETS, _TILE_BYTES),
+}
 _TYPES = {1: ("u1", 1), 2: ("u1", 1), 3: ("u2", 1), 4: ("u4", 1), 5: ("u4", 2), 7: ("u1", 1), 16: ("u8", 1)}
 """Of a tag's values: kind, and how many make one value."""
 _WHOLE = frozenset({1, 3, 4, 16})
@@ -53,7 +52,6 @@ _SEPARATE = 2
 _MAX_TAGS = 4096
 _LONGEST_TEXT = 1_000_000
 _MIN_TILE = 16
-_ORIENTATION, _SHORT = 274, 3
 _INCH, _CENTIMETRE, _CM_PER_INCH = 2, 3, 2.54
 
 
@@ -92,14 +90,19 @@ class TiffPage:
         return text.rstrip(b"\0").decode("utf-8", "replace")
 
 
-def quiet_tifffile() -> Any:
-    """Import tifffile with a handler on its logger, so that its warnings do not go to stderr by default."""
+def encode_tiff(image: NDArray[Any], **tags: Any) -> bytes:
+    """Return an uncompressed TIFF file of one page (H, W) or (H, W, 3); `tags` are arguments of tifffile's ``imwrite``,
+    such as the resolution. Equal input gives equal bytes.
+    """
     import tifffile  # noqa: PLC0415 - slow to import
 
     logger = logging.getLogger("tifffile")
-    if not logger.handlers:
+    if not logger.handlers:  # its warnings would go to stderr
         logger.addHandler(logging.NullHandler())
-    return tifffile
+    stream = io.BytesIO()
+    photometric = "minisblack" if image.ndim == 2 else "rgb"
+    tifffile.imwrite(stream, image, photometric=photometric, metadata=None, software="splitknit", **tags)
+    return stream.getvalue()
 
 
 def tiff_page(data: bytes, name: str) -> TiffPage:
@@ -232,29 +235,32 @@ def decode_page(data: bytes, page: TiffPage, name: str, out: NDArray[Any]) -> No
             target[...] = values[: target.shape[0], : target.shape[1], : out.shape[2]]
 
 
-def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArray[Any]]]:
-    """Order of bytes, and values of the tags that are read."""
+def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple[int, int, int, int]]]:
+    """Order of bytes, format of an offset and number of tags; then each tag, its type, number of values, and place of
+    them or of their offset."""
     order: Literal["<", ">"] = "<" if data[:2] == b"II" else ">"
     big = 43 in data[2:4]
-    entry, long = struct.Struct(f"{order}HHQ8s" if big else f"{order}HHI4s"), f"{order}Q" if big else f"{order}I"
+    entry, long = struct.Struct(f"{order}HHQ8x" if big else f"{order}HHI4x"), f"{order}Q" if big else f"{order}I"
     (place,) = struct.unpack_from(long, data, 8 if big else 4)
     (count,) = struct.unpack_from(long if big else f"{order}H", data, place)
+    place, value = (place + 8, 12) if big else (place + 2, 8)
+    starts = range(place, place + min(count, _MAX_TAGS) * entry.size, entry.size)
+    return order, long, count, ((*entry.unpack_from(data, start), start + value) for start in starts)
+
+
+def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArray[Any]]]:
+    """Order of bytes, and values of the tags that are read."""
+    order, long, count, entries = _directory(data)
     require(0 < count <= _MAX_TAGS, damaged)
-    place += 8 if big else 2
     tags: dict[int, NDArray[Any]] = {}
-    for k in range(count):
-        tag, kind, number, inline = entry.unpack_from(data, place + k * entry.size)
-        if tag not in _READ:
-            continue
-        if tag in _OPTIONAL and kind not in _TYPES:
+    for tag, kind, number, where in entries:
+        if tag not in _READ or (tag in _OPTIONAL and kind not in _TYPES):
             continue
         require(tag not in tags and number > 0 and (kind in _WHOLE or tag in _OPTIONAL), damaged)
         dtype, parts = np.dtype(_TYPES[kind][0]).newbyteorder(order), _TYPES[kind][1]
-        if number * parts * dtype.itemsize <= len(inline):
-            where = place + (k + 1) * entry.size - len(inline)
-        else:
-            (where,) = struct.unpack(long, inline)
-        tags[tag] = np.frombuffer(data, dtype, number * parts, where)
+        inline = number * parts * dtype.itemsize <= struct.calcsize(long)
+        offset = where if inline else struct.unpack_from(long, data, where)[0]
+        tags[tag] = np.frombuffer(data, dtype, number * parts, offset)
     return order, tags
 
 
@@ -305,15 +311,10 @@ def exif_orientation(data: bytes, name: str) -> int:
     if not data:
         return 1
     with refusing(f"{name} has damaged EXIF data, so that nobody knows how it is turned; export it again."):
-        order, big = "<" if data[:2] == b"II" else ">", 43 in data[2:4]
-        long, entry = f"{order}Q" if big else f"{order}I", struct.Struct(f"{order}HHQ8s" if big else f"{order}HHI4s")
-        (place,) = struct.unpack_from(long, data, 8 if big else 4)
-        (count,) = struct.unpack_from(long if big else f"{order}H", data, place)
-        place += 8 if big else 2
-        for k in range(min(count, _MAX_TAGS)):
-            tag, kind, _, inline = entry.unpack_from(data, place + k * entry.size)
+        order, _, _, entries = _directory(data)
+        for tag, kind, _, place in entries:
             if tag == _ORIENTATION:
-                value = int(struct.unpack_from(f"{order}{'H' if kind == _SHORT else 'I'}", inline)[0])
+                value = int(struct.unpack_from(f"{order}{'H' if kind == _SHORT else 'I'}", data, place)[0])
                 return value if 1 <= value <= 8 else 1
     return 1
 
