@@ -954,7 +954,7 @@ TARGETS = (
     Target(
         "print_png",
         _prints,
-        _of_files("print.png", read_print_png, read_one_finger, lambda file: read_print_folder(file.parent)),
+        _of_files("print.png", read_print_png, read_one_finger),
     ),
     Target("print_file", _print_files, _print_file),
     Target("print_folder", lambda: [one | {"minutiae.iso": ISO_BYTES} for one in _prints()[:1]], _print_folder),
