@@ -78,7 +78,8 @@ def main() -> None:
     if browser is not None:
         browser.quit()
     size = sum(file.stat().st_size for file in result.iterdir() if file.is_file()) / 1e6
-    print(f"\n### {result.name}, {size:.0f} MB{f', {facts}' if facts else ''}\n\n| step | seconds, least / median |")
+    points = f", {facts['points']} points in the first view" if facts else ""
+    print(f"\n### {result.name}, {size:.0f} MB{points}\n\n| step | seconds, least / median |")
     print("| --- | --- |")
     if sent:
         print(f"| MB over the wire until the first view / the same unpacked | {sent[0]:.2f} / {sent[1]:.2f} |")
@@ -91,8 +92,9 @@ def make_result(scale: float) -> Path:
     capture, result = OUT / f"viewer-capture-{scale:g}", OUT / f"viewer-{scale:g}"
     verb = [sys.executable, "-m", "splitknit.cli.main"]
     if not (result / "height.npz").is_file():
-        subprocess.run([*verb, "simulate", "--scale", str(scale), "--seed", "5", "--out", str(capture)], check=True)
-        subprocess.run([*verb, "reconstruct", str(capture), "--preset", "ea", "--out", str(result)], check=True)
+        simulate = [*verb, "simulate", "--scale", str(scale), "--seed", "5", "--out", str(capture), "--overwrite"]
+        for command in (simulate, [*verb, "reconstruct", str(capture), "--preset", "ea", "--out", str(result)]):
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return result
 
 
