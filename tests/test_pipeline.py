@@ -229,7 +229,9 @@ def test_one_setting_changes_one_thing(
 
 def test_whole_settings_are_taken_too(capture: Capture) -> None:
     chosen = replace(preset_settings("ea"), cut_at_crease=False)
-    assert reconstruct(capture, "ea", chosen).settings == asdict(chosen)
+    result = reconstruct(capture, "ea", chosen)
+    assert (result.settings, result.preset) == (asdict(chosen), "ea")
+    assert reconstruct(capture, settings=preset_settings("ea")).preset == "ea"
 
 
 def test_the_thesis_cases_differ_as_the_thesis_says() -> None:

@@ -96,7 +96,7 @@ def reconstruct(
         From :func:`splitknit.read_capture` or a simulator.
     preset : a name of :data:`PRESETS`
     settings : mapping from ``stage.field`` to a value (or nested mappings), or whole settings, optional
-        Changes to the preset.
+        Changes to the preset. Whole settings that are those of a preset are named by it in the result.
     progress : called with the name of the stage and the fraction done, optional
     memory : what several cases of this very capture share, optional
         Saves time; changes nothing.
@@ -122,7 +122,11 @@ def reconstruct(
     ----------
     A. Srivastava, "Split and Knit Algorithm for 3D fingerprint reconstruction using Single Camera", chapter 3.
     """
-    chosen = settings if isinstance(settings, PipelineSettings) else override(preset_settings(preset), settings or {})
+    if isinstance(settings, PipelineSettings):
+        chosen = settings
+        preset = next((name for name in (preset, *PRESETS) if PRESETS.get(name) == settings), preset)
+    else:
+        chosen = override(preset_settings(preset), settings or {})
     if not isinstance(capture, Capture):
         from splitknit.io.capture import read_capture  # noqa: PLC0415 - large, and needed for paths alone
 

@@ -47,7 +47,7 @@ fingers under their own lights (docs/experiments/objects.md)."""
 _NO_RESIDUAL = 0.03
 """Up to here no other order is looked for."""
 _FEWEST = 5
-"""Lights from which an order can be told by the residual; with five another order must be better still."""
+"""Lights from which the residual determines an order; with five another order must be better still."""
 _BETTER, _BETTER_OF_FIVE = (0.8, 0.6), (0.4, 0.4)
 """The residual in another order over the given one, from which the order is named: with the photographs' brightness
 free, and of the photographs that change their light. Real objects with brightness wrong by 20 % or directions by 2 deg
