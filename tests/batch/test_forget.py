@@ -110,8 +110,9 @@ def test_nothing_of_the_person_is_left_and_the_others_are(kept: Path, capsys) ->
 def test_nothing_is_erased_without_a_yes(kept: Path, capsys) -> None:
     before = contents(kept)
     assert main(["forget", "--person", "S01", str(kept)]) == 2
-    said = capsys.readouterr().err
-    assert "4 records of" in said and "nothing was erased; give --yes" in said
+    said = capsys.readouterr()
+    assert "4 records of" in said.out
+    assert said.err == "splitknit: error: nothing was erased; give --yes to erase what was found.\n"
     assert main(["forget", "--person", "S01", str(kept), "--json"]) == 2
     assert not json.loads(capsys.readouterr().out)["erased"]
     assert "nothing of S09 was found" in refusal_of(capsys, "forget", "--person", "S09", kept / "people", "--yes")

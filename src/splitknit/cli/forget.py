@@ -9,7 +9,7 @@ from typing import Any
 
 from splitknit.cli.gallery_options import add_key, count
 from splitknit.cli.verb import Outcome, new_verb
-from splitknit.errors import Refused
+from splitknit.errors import Refused, printable
 
 
 def add_forget(verbs: Any) -> None:
@@ -49,9 +49,9 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 
 def _agreed(facts: dict[str, Any]) -> bool:
-    print("\n".join(("This would be erased:", *(f"  {line}" for line in _found(facts)))), file=sys.stderr)
-    for one in facts["unreached"]:
-        print(f"Not looked into: {one['path']}: {one['reason']}", file=sys.stderr)
+    unreached = (f"Not looked into: {one['path']}: {one['reason']}" for one in facts["unreached"])
+    for line in ("This would be erased:", *(f"  {line}" for line in _found(facts)), *unreached):
+        print(printable(line))
     if not sys.stdin.isatty():
         return False
     print("Erase it, for good? Type yes: ", end="", file=sys.stderr, flush=True)
