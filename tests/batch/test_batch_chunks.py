@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from splitknit.batch.chunks import column_type, read_chunk, read_origin, write_chunk
+from splitknit.batch.chunks import column_type, read_chunk, read_names, read_origin, write_chunk
 from splitknit.batch.engine import _names_of
 from splitknit.batch.scores import score_schema
 from splitknit.batch.store import Store
@@ -38,6 +38,7 @@ def test_a_sound_chunk_is_read(chunk: Path) -> None:
     assert scores(chunk).to_pydict() == COLUMNS
     assert read_chunk(chunk, ["b", "a"]).column_names == ["b", "a"]
     assert read_origin(chunk) == {"kind": "scores"}
+    assert read_names(chunk) == list(COLUMNS)
     with pytest.raises(BadInput, match="holds no column 'template'"):
         read_chunk(chunk, ["template"])
 

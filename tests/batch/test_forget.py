@@ -188,3 +188,11 @@ def test_a_name_that_tables_hold_as_text_is_found(kept: Path, capsys) -> None:
     facts_of(capsys, "forget", "--person", "=S01", kept / "plain", "--yes")
     assert "S01" not in table.read_text()
     assert len(list((kept / "plain" / "templates").iterdir())) == 2
+
+
+def test_chunks_are_read_within_the_bounds_of_all_chunks(kept: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("splitknit.batch.chunks._MAX_ROWS", 1)
+    assert main(["forget", "--person", "S01", str(kept / "store"), "--json"]) == 2
+    facts = json.loads(capsys.readouterr().out)
+    assert [one["path"] for one in facts["unreached"]] == [str(kept / "store")]
+    assert ".parquet' is too large" in facts["unreached"][0]["reason"]

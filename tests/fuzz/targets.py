@@ -35,7 +35,7 @@ from tests.handmade import finger
 from tests.png_files import png_of
 
 from splitknit.api import read_photographs
-from splitknit.batch.chunks import read_origin, write_chunk, write_timings
+from splitknit.batch.chunks import read_names, read_origin, write_chunk, write_timings
 from splitknit.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.settings import BatchSettings, preset_cases
@@ -722,7 +722,7 @@ def _batch(folder: Path, files: Files) -> object:
         lambda: store.features("ea"),
         lambda: store.features("ea", ["capture", "template", "seconds"]),
         lambda: store.images("ea", "S01/session_1/right_index"),
-        lambda: [read_origin(file) for file in store.files("features", "ea")],
+        lambda: [(read_names(file), read_origin(file)) for file in store.files("features", "ea")],
     )
 
 

@@ -135,6 +135,19 @@ def read_origin(path: Location) -> dict[str, Any]:
         return dict(parse_json(pq.read_schema(stream).metadata[_KEY], str(path)))
 
 
+def read_names(path: Location) -> list[str]:
+    """Names of a chunk's columns.
+
+    Raises
+    ------
+    BadInput
+        If the file is damaged.
+    """
+    pq = load("pyarrow.parquet", "batch")
+    with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
+        return list(pq.read_schema(stream).names)
+
+
 def chunk_files(folder: Location) -> list[Location]:
     """Finished chunks in a folder, in their order; what is being written has another name."""
     return [folder / name for name in files_below(folder) if name.endswith(SUFFIX) and not name.startswith(".")]

@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, load, read_origin, write_chunk
+from splitknit.batch.chunks import SUFFIX, read_chunk, read_names, read_origin, write_chunk
 from splitknit.batch.engine import alone
 from splitknit.batch.simulate import POPULATION_FILE
 from splitknit.batch.simulate import TABLE_FILE as POPULATION_TABLE
@@ -298,15 +298,14 @@ def _store(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterat
 
 
 def _chunk(file: Path, names: Collection[str]) -> Iterator[_Held]:
-    pq = load("pyarrow.parquet", "batch")
-    columns = [name for name in ("capture", "a", "b") if name in pq.read_schema(file).names]
-    sides = pq.read_table(file, columns=columns).to_pylist()
+    columns = [name for name in ("capture", "a", "b") if name in read_names(file)]
+    sides = read_chunk(file, columns).to_pylist() if columns else []
     gone = [any(value.partition("/")[0] in names for value in row.values()) for row in sides]
 
     def erase() -> None:
-        table = pq.read_table(file).filter([not one for one in gone])
+        table = read_chunk(file).filter([not one for one in gone])
         with wiping(file):
-            write_chunk(file, table.to_pydict(), table.schema.remove_metadata(), read_origin(file))
+            write_chunk(file, table.to_pydict(), table.schema, read_origin(file))
 
     if any(gone):
         yield _Held("chunk", file, sum(gone), erase)
