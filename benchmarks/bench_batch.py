@@ -220,7 +220,7 @@ def planning_mb(captures: int, impostors: float, sample: int = 1000) -> float:
 
 def scheduler_memory(task_bytes: int, waiting: int) -> float:
     """Most MB of a real scheduler that is given tasks of this size, so many at a time."""
-    import psutil  # noqa: PLC0415 - comes with distributed
+    import psutil  # comes with distributed
 
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -49,7 +49,7 @@ def sessions(scale: float, rounds: int) -> str:
 
 def checks(scale: float, rounds: int) -> None:
     """Print what is done to each frame, on the images of the last session."""
-    import cv2  # noqa: PLC0415
+    import cv2
 
     cv2.setNumThreads(1)
     capture = read_capture(OUT / f"session_{scale:g}")

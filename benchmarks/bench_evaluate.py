@@ -110,7 +110,7 @@ def naive(genuine: np.ndarray, impostor: np.ndarray) -> None:
 
 
 def score_file(impostor: np.ndarray) -> Any:
-    from splitknit.io.scores import read_scores  # noqa: PLC0415
+    from splitknit.io.scores import read_scores
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scores.csv"

@@ -132,7 +132,7 @@ def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
         "NFIQ 2 of a print": lambda: nfiq2(prints[0]),
         "comparison of minutiae, both directions": lambda: minutiae_match(*found),
     }
-    import nbis  # noqa: PLC0415
+    import nbis
 
     settings = nbis.NbisExtractorSettings(
         min_quality=0.0, get_center=False, check_fingerprint=False, compute_nfiq2=False, ppi=500.0

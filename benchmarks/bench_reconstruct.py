@@ -96,8 +96,8 @@ def seconds_of(work: Callable[[], object], rounds: int) -> float:
 
 def peers(folder: Path, result: Path, rounds: int) -> list[tuple[str, float]]:
     """The usual ways of reading the images and writing the arrays, in this process."""
-    import cv2  # noqa: PLC0415
-    import numpy as np  # noqa: PLC0415
+    import cv2
+    import numpy as np
 
     files = sorted(folder.glob("*.png"))
     with np.load(result / "height.npz") as archive:
@@ -153,8 +153,8 @@ def table(scale: float, presets: Sequence[str], rounds: int) -> None:
 
 def photographs(case: str) -> None:
     """Print a row on photographs of a bumpy ball, such as ``200x3``: a drawn JPEG file of each light, opaque."""
-    import cv2  # noqa: PLC0415
-    import numpy as np  # noqa: PLC0415
+    import cv2
+    import numpy as np
 
     sizes, _, limit = case.partition("/")
     count, megapixels = (int(word) for word in sizes.split("x"))
@@ -185,8 +185,8 @@ def photographs(case: str) -> None:
 
 def profile(scale: float) -> None:
     """Print where one run spends its processor time (all threads of the process count while a function waits)."""
-    from splitknit import read_capture, reconstruct  # noqa: PLC0415
-    from splitknit.report.result import write_results  # noqa: PLC0415
+    from splitknit import read_capture, reconstruct
+    from splitknit.report.result import write_results
 
     folder, _ = prepare(scale)
 

@@ -62,8 +62,8 @@ def main() -> None:
 
 def thesis(image: np.ndarray, device: str) -> None:
     """Cost of the network as wide as the thesis's."""
-    from splitknit.training.networks import unet_reach  # noqa: PLC0415
-    from splitknit.training.separation import SeparationSettings, SeparationTrainer  # noqa: PLC0415
+    from splitknit.training.networks import unet_reach
+    from splitknit.training.separation import SeparationSettings, SeparationTrainer
 
     steps, noise = 2, np.random.default_rng(0).random((32, 3, 72, 72), dtype=np.float32)
     patches: Any = _SamePatches((noise, 0.3 * noise), steps)

@@ -147,8 +147,8 @@ def open_browser() -> Any:
     """Return a browser without a window, or None."""
     if importlib.util.find_spec("selenium") is None or not (shutil.which("chromium") and shutil.which("chromedriver")):
         return None
-    from selenium import webdriver  # noqa: PLC0415 - may be missing
-    from selenium.webdriver.chrome.service import Service  # noqa: PLC0415
+    from selenium import webdriver  # may be missing
+    from selenium.webdriver.chrome.service import Service
 
     options = webdriver.ChromeOptions()
     options.binary_location = shutil.which("chromium")

@@ -9,27 +9,35 @@ SCRIPT = Path(__file__).resolve().parents[1] / "tools" / "measure_house.py"
 
 
 def test_a_small_house_is_measured(tmp_path: Path) -> None:
-    package = tmp_path / "splitknit"
+    package = tmp_path / "src" / "splitknit"
     (package / "cli").mkdir(parents=True)
     (package / "photometric").mkdir()
     files = {
         "__init__.py": "",
         "cli/__init__.py": "",
-        "cli/reconstruct.py": "def run():\n    from splitknit.pipeline import metric\n",
+        "cli/reconstruct.py": "def run():\n    from splitknit.pipeline import lambertian\n",
         "photometric/__init__.py": "",
-        "photometric/lambertian.py": "import numpy.linalg\n\n\ndef lambertian(): ...\n\n\ndef _solve(): ...\n",
+        "photometric/lambertian.py": "import numpy.linalg\n\n\ndef lambertian(): ...\n\n\n"
+        "def _solve(a, b, c, d, e, *, p: PipelineSettings): ...  # noqa: X\n",
         "pipeline.py": "from splitknit.photometric.lambertian import lambertian\nfrom splitknit import steps\n\n\n"
-        "class NearSettings:\n    rows: int = 1\n    name: str = ''\n\n\ndef metric(): ...\n",
+        "class NearSettings:\n    rows: int = 1\n    name: str = ''\n\n\ndef lambertian(): ...\n\n\n"
+        "class Near(Checked):\n    rows: int = 1\n",
+        "../../README.md": "two words\n",
         "steps.py": "def late():\n    import splitknit.pipeline\n",
     }
     for name, text in files.items():
         (package / name).write_text(text)
     run = subprocess.run(
-        [sys.executable, str(SCRIPT), "--json", "--src", str(tmp_path)], capture_output=True, text=True, check=True
+        [sys.executable, str(SCRIPT), "--json", "--src", str(tmp_path / "src")],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     found = json.loads(run.stdout)
-    assert found["python_files"] == 7 and found["lines"] == 21
-    assert found["settings_fields"] == 2 and found["public_names"] == 5
+    assert found["python_files"] == 7 and found["lines"] == 25
+    assert found["settings_fields"] == 3 and found["public_names"] == 6 and found["homonyms"] == 1
+    assert found["functions_with_whole_settings"] == found["functions_with_many_parameters"] == found["noqa"] == 1
+    assert found["readme_words"] == 2
     assert found["files_to_the_equations"] == 3 and found["files_to_the_ply"] == 0
     assert found["import_circles"] == 1
     assert found["one_importer_in_the_same_folder"] == 1  # steps.py, of pipeline.py alone

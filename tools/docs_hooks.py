@@ -99,9 +99,9 @@ def public_names() -> str:
 
 def executed(notebook: Path, files_folder: str) -> tuple[str, dict[str, bytes]]:
     """A notebook, run in a folder of its own, as Markdown, and the pictures it drew by their names from that page."""
-    import nbformat  # noqa: PLC0415 - the tests load this file without what builds the site
-    from nbconvert import MarkdownExporter  # noqa: PLC0415
-    from nbconvert.preprocessors import ExecutePreprocessor  # noqa: PLC0415
+    import nbformat  # the tests load this file without what builds the site
+    from nbconvert import MarkdownExporter
+    from nbconvert.preprocessors import ExecutePreprocessor
 
     run = nbformat.read(notebook, as_version=4)
     with tempfile.TemporaryDirectory() as folder:
@@ -112,7 +112,7 @@ def executed(notebook: Path, files_folder: str) -> tuple[str, dict[str, bytes]]:
 
 def on_files(files: Any, config: Any) -> None:
     """Run the notebooks and put their pages into the site, beside the notebooks themselves (an event of mkdocs)."""
-    from mkdocs.structure.files import File  # noqa: PLC0415
+    from mkdocs.structure.files import File
 
     for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
         source = Path(notebook.abs_src_path)
@@ -128,7 +128,7 @@ def on_files(files: Any, config: Any) -> None:
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Complete one page (an event of mkdocs)."""
 
-    from mkdocs.structure.files import File  # noqa: PLC0415 - the tests load this file without mkdocs
+    from mkdocs.structure.files import File  # the tests load this file without mkdocs
 
     def add(picture: Path) -> str:
         uri = f"images/outside/{picture.relative_to(ROOT).as_posix()}"

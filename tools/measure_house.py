@@ -4,8 +4,12 @@
 
 Nothing of the package is executed but one ``import splitknit.pipeline`` in a fresh interpreter. What is counted:
 
-- settings: annotated fields of dataclasses whose name ends in ``Settings``;
+- settings: annotated fields of classes whose name ends in ``Settings``, and of those derived from ``Checked``;
 - public names: functions and classes at the top level of modules, without a leading underscore;
+- homonyms: public names that two modules or more define;
+- whole settings: functions below the entry (``reconstruct``) with a parameter of the type ``PipelineSettings``;
+- many parameters: functions and methods with six or more, ``self`` not counted;
+- noqa: lines that silence the linter; README words: as ``wc -w`` counts them;
 - files to the equations, and to the PLY: files on the shortest chain of imports (lazy ones included) from the verb
   ``reconstruct`` to the least squares of photometric stereo, and to the mesh writer;
 - circles: sets of modules that import each other, lazily or not;
@@ -20,12 +24,15 @@ import json
 import subprocess
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Iterator
 from pathlib import Path
 
 VERB = ("splitknit.cli.reconstruct",)
 EQUATIONS = ("splitknit.photometric.lambertian",)
 MESH = ("splitknit.io.ply",)
+ENTRIES = ("reconstruct",)
+"""Functions that may take whole settings: they pick a method and its parameters."""
 
 
 class House:
@@ -117,25 +124,37 @@ class House:
         ]
 
     def settings_fields(self) -> int:
-        """Fields of settings dataclasses."""
+        """Fields of settings classes."""
         return sum(
             isinstance(item, ast.AnnAssign)
             for tree in self.trees.values()
             for node in ast.walk(tree)
-            if isinstance(node, ast.ClassDef) and node.name.endswith("Settings")
+            if isinstance(node, ast.ClassDef)
+            and (node.name.endswith("Settings") or any(ast.unparse(base) == "Checked" for base in node.bases))
             for item in node.body
         )
 
-    def public_names(self) -> int:
-        """Functions and classes at the top level of modules."""
+    def public_names(self) -> Counter[str]:
+        """Functions and classes at the top level of modules, and how many modules define each."""
         kinds = (ast.FunctionDef, ast.ClassDef)
         nodes = (node for tree in self.trees.values() for node in tree.body if isinstance(node, kinds))
-        return sum(not node.name.startswith("_") for node in nodes)
+        return Counter(node.name for node in nodes if not node.name.startswith("_"))
+
+    def parameters(self) -> Iterator[tuple[str, list[ast.arg]]]:
+        """Name and parameters of every function and method, without ``self`` and ``cls``."""
+        for tree in self.trees.values():
+            for node in ast.walk(tree):
+                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                    every = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+                    yield node.name, [arg for arg in every if arg.arg not in ("self", "cls")]
 
 
 def measure(src: Path) -> dict[str, float | int | None]:
     """All figures by name."""
     house = House(src)
+    texts = [path.read_text(encoding="utf-8") for path in house.files.values()]
+    names, parameters = house.public_names(), list(house.parameters())
+    readme = src.resolve().parent / "README.md"
     started = time.perf_counter()
     code = "import sys, splitknit.pipeline; print(sum(m.split('.')[0] == 'splitknit' for m in sys.modules))"
     run = subprocess.run(
@@ -144,9 +163,16 @@ def measure(src: Path) -> dict[str, float | int | None]:
     seconds = time.perf_counter() - started
     return {
         "python_files": len(house.files),
-        "lines": sum(len(path.read_text(encoding="utf-8").splitlines()) for path in house.files.values()),
+        "lines": sum(len(text.splitlines()) for text in texts),
         "settings_fields": house.settings_fields(),
-        "public_names": house.public_names(),
+        "public_names": names.total(),
+        "homonyms": sum(count > 1 for count in names.values()),
+        "functions_with_whole_settings": sum(
+            name not in ENTRIES and any(_takes_whole_settings(arg) for arg in given) for name, given in parameters
+        ),
+        "functions_with_many_parameters": sum(len(given) > 5 for _, given in parameters),
+        "noqa": sum("noqa" in line for text in texts for line in text.splitlines()),
+        "readme_words": len(readme.read_text(encoding="utf-8").split()) if readme.is_file() else None,
         "files_to_the_equations": len(house.chain(VERB, EQUATIONS)),
         "files_to_the_ply": len(house.chain(VERB, MESH)),
         "modules_of_pipeline": int(run.stdout) if run.returncode == 0 else None,
@@ -154,6 +180,10 @@ def measure(src: Path) -> dict[str, float | int | None]:
         "import_circles": len(house.circles()),
         "one_importer_in_the_same_folder": len(house.single_importer()),
     }
+
+
+def _takes_whole_settings(arg: ast.arg) -> bool:
+    return arg.annotation is not None and "PipelineSettings" in ast.unparse(arg.annotation)
 
 
 def _module(path: Path, src: Path) -> str:

@@ -66,13 +66,13 @@ __all__ = [*_MODULE_OF, "__version__"]  # noqa: PLE0604 - texts all of them
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib import metadata  # noqa: PLC0415
+        from importlib import metadata
 
         return metadata.version("splitknit")
     module = _MODULE_OF.get(name)
     if module is None:
         raise AttributeError(f"module 'splitknit' has no attribute {name!r}")
-    import importlib  # noqa: PLC0415
+    import importlib
 
     value = getattr(importlib.import_module(f"splitknit.{module}"), name)
     globals()[name] = value

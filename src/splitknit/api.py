@@ -63,7 +63,7 @@ def read_photographs(
     >>> splitknit.reconstruct(capture).height_mm.shape  # doctest: +SKIP
     (1500, 2000)
     """
-    from splitknit.io.plain import capture_from_photographs  # noqa: PLC0415
+    from splitknit.io.plain import capture_from_photographs
 
     found = capture_from_photographs(folder, lights, px_per_mm, announce=_LOG.warning, **options)
     for note in found.notes:
@@ -103,13 +103,13 @@ def make_print(
     >>> splitknit.make_print(splitknit.reconstruct(capture, "ea")).image.dtype
     dtype('uint8')
     """
-    from splitknit.prints.make import PrintingSettings, make_rolled_print  # noqa: PLC0415
-    from splitknit.prints.make import make_print as printed  # noqa: PLC0415
-    from splitknit.prints.sources import read_source, source_of, source_of_capture  # noqa: PLC0415
+    from splitknit.prints.make import PrintingSettings, make_rolled_print
+    from splitknit.prints.make import make_print as printed
+    from splitknit.prints.sources import read_source, source_of, source_of_capture
 
     chosen = override(PrintingSettings(), settings or {})
     if method == "rolled":
-        from splitknit.prints.rolled import read_rolled  # noqa: PLC0415
+        from splitknit.prints.rolled import read_rolled
 
         require(not isinstance(finger, Capture | Reconstruction), "a rolled print needs the path of a capture folder.")
         source, rolled = read_rolled(Path(finger), "metric", chosen.rolled, no_progress)  # type: ignore[arg-type]
@@ -166,7 +166,7 @@ def match(
     >>> round(splitknit.match(result, result)["similarity"], 2)
     1.0
     """
-    from splitknit.matching.methods import match_files  # noqa: PLC0415
+    from splitknit.matching.methods import match_files
 
     sides = [side if isinstance(side, Reconstruction | Capture) else Path(side) for side in (a, b)]
     return match_files(
@@ -206,7 +206,7 @@ def identify(
     >>> import splitknit
     >>> splitknit.identify("people.skg", "captures/unknown", top=3)["candidates"]  # doctest: +SKIP
     """
-    from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415
+    from splitknit.gallery.identify import IdentifySettings, Question, identify_file
 
     probe = finger if isinstance(finger, Reconstruction | Capture) else Path(finger)
     return identify_file(Path(gallery), probe, Question(**question), IdentifySettings(), key=key, input_ppi=input_ppi)
@@ -237,7 +237,7 @@ def evaluate(files: AnyPath | Sequence[AnyPath], **settings: Any) -> Evaluation:
     >>> import splitknit
     >>> splitknit.evaluate("scores.csv").facts["systems"]  # doctest: +SKIP
     """
-    from splitknit.evaluation.study import EvaluationSettings, evaluate_scores  # noqa: PLC0415
+    from splitknit.evaluation.study import EvaluationSettings, evaluate_scores
 
     listed = [files] if isinstance(files, str | os.PathLike) else list(files)
     return evaluate_scores([Path(file) for file in listed], EvaluationSettings(**settings))
@@ -273,7 +273,7 @@ def calibrate_camera(folder: AnyPath, out: AnyPath, **options: Any) -> dict[str,
     ----------
     Z. Zhang, "A flexible new technique for camera calibration", IEEE Trans. PAMI 22(11), 2000.
     """
-    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # noqa: PLC0415
+    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig
 
     now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     return calibrate_to_rig(CameraJob(out=Path(out), folder=Path(folder), calibrated_at=now, **options))
@@ -307,7 +307,7 @@ def calibrate_lights(out: AnyPath | None = None, **options: Any) -> dict[str, An
     >>> len(facts["leds"])
     14
     """
-    from splitknit.calibration.lights_job import LightsJob, lights_to_rig  # noqa: PLC0415
+    from splitknit.calibration.lights_job import LightsJob, lights_to_rig
 
     return lights_to_rig(LightsJob(out=None if out is None else Path(out), **options))
 
@@ -337,6 +337,6 @@ def calibrate_radiometry(folder: AnyPath, out: AnyPath, **options: Any) -> dict[
     >>> import splitknit
     >>> splitknit.calibrate_radiometry("card", "rig.json")  # doctest: +SKIP
     """
-    from splitknit.calibration.radiometry_folder import calibrate_to_file  # noqa: PLC0415
+    from splitknit.calibration.radiometry_folder import calibrate_to_file
 
     return calibrate_to_file(Path(folder), Path(out), **options)

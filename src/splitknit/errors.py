@@ -231,7 +231,7 @@ def shown_path(path: str | os.PathLike[str]) -> str:
 
 def check_stack(stack: Any, *, least: int = 1, name: str = "stack") -> NDArray[np.float32]:
     """Return `stack` as a finite float32 array of shape (L, H, W) with at least `least` images."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     array = np.asarray(stack)
     require(array.ndim == 3, f"{name} must have the shape (L, H, W), but it has the shape {array.shape}.")
@@ -242,7 +242,7 @@ def check_stack(stack: Any, *, least: int = 1, name: str = "stack") -> NDArray[n
 
 def check_image(image: Any, *, name: str = "image") -> NDArray[np.float32]:
     """Return `image` as a finite float32 array of shape (H, W)."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     array = np.asarray(image)
     require(array.ndim == 2 and array.size > 0, f"{name} must have the shape (H, W), but it has {array.shape}.")
@@ -251,7 +251,7 @@ def check_image(image: Any, *, name: str = "image") -> NDArray[np.float32]:
 
 def check_mask(mask: Any, shape: tuple[int, int], *, name: str = "mask") -> NDArray[np.bool_]:
     """Return `mask` as a boolean array of `shape` that is true somewhere; ``None`` gives an all-true mask."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     if mask is None:
         return np.ones(shape, dtype=np.bool_)
@@ -274,7 +274,7 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     BadInput
         If the shape is wrong, a value is not finite, or the directions do not span three dimensions.
     """
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     array = np.asarray(lights, dtype=np.float64)
     require(array.ndim == 2 and array.shape[1] == 3, f"{name} must have the shape (L, 3), but it has {array.shape}.")
@@ -303,7 +303,7 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
 
 
 def _finite(array: NDArray[Any], name: str) -> NDArray[np.float32]:
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     result = np.ascontiguousarray(array, dtype=np.float32)
     require(bool(np.isfinite(result).all()), f"{name} contains NaN or infinite values.")

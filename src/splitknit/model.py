@@ -454,7 +454,7 @@ class Reconstruction:
 
     def _repr_html_(self) -> str:
         """Preview and table of a notebook."""
-        from html import escape  # noqa: PLC0415
+        from html import escape
 
         rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in self._summary().items())
         warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)

@@ -128,7 +128,7 @@ def reconstruct(
     else:
         chosen = override(preset_settings(preset), settings or {})
     if not isinstance(capture, Capture):
-        from splitknit.io.capture import read_capture  # noqa: PLC0415 - large, and needed for paths alone
+        from splitknit.io.capture import read_capture  # large, and needed for paths alone
 
         capture = read_capture(capture)
     memory = Memory(capture) if memory is None else memory
@@ -755,7 +755,7 @@ def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirr
     """What mirrors beside the finger show, where the shape comes from them; else None."""
     if settings.shape.source != "mirror":
         return None
-    from splitknit.mirrors.captured import seen_in_mirrors  # noqa: PLC0415 - large, and needed where there are mirrors
+    from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
 
     require(
         not visible_alone(settings),
@@ -771,7 +771,7 @@ def with_mirror_shape(
     """The surface on the shape from mirrors, and the finger as far as the mirrors show it; unchanged without them."""
     if mirrors is None:
         return finger, surface
-    from splitknit.mirrors.captured import mirror_shape_of  # noqa: PLC0415
+    from splitknit.mirrors.captured import mirror_shape_of
 
     detail = None if settings.method == "thesis" else surface.shape_mm
     shape_mm, mask, facts = mirror_shape_of(finger, mirrors, settings.shape.mirror, detail)

@@ -177,7 +177,7 @@ def _replaced(settings: Any, path: list[str], value: Any, name: str) -> Any:
     known = [field.name for field in fields(settings)] if is_dataclass(settings) else []
     if not known or path[0] not in known:
         parent = name[: -len(".".join(path))]
-        from difflib import get_close_matches  # noqa: PLC0415 - only errors need it
+        from difflib import get_close_matches  # only errors need it
 
         near = get_close_matches(path[0], known, n=1, cutoff=0.5)
         hint = f"did you mean '{parent}{near[0]}'?" if near else f"known are {', '.join(parent + k for k in known)}."

@@ -32,9 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     # before numpy is imported: one thread of linear algebra a process
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from measure import source_hash  # noqa: PLC0415
+    from measure import source_hash
 
-    from cases import VARIATIONS, Case, varied  # noqa: PLC0415
+    from cases import VARIATIONS, Case, varied
 
     presets = tuple(options.presets) if options.presets else (("metric",) if options.vary else PRESETS)
     seeds = range(options.first_seed, options.first_seed + options.fingers)
@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _measure_all(cases: Sequence[Any], presets: Sequence[str], folder: Path, workers: int) -> list[dict[str, Any]]:
     """Results of all cases in their order; those that are on disk already are not measured again."""
-    from tqdm import tqdm  # noqa: PLC0415
+    from tqdm import tqdm
 
     folder.mkdir(parents=True, exist_ok=True)
     wanted = {case.name: case for case in cases if not _holds(folder / f"{case.name}.json", presets)}
@@ -108,13 +108,13 @@ def _holds(file: Path, presets: Sequence[str]) -> bool:
 
 
 def _one_thread() -> None:
-    import cv2  # noqa: PLC0415
+    import cv2
 
     cv2.setNumThreads(1)
 
 
 def _measure_one(case: Any, presets: tuple[str, ...], folder: Path) -> None:
-    from measure import measure  # noqa: PLC0415
+    from measure import measure
 
     file = folder / f"{case.name}.json"
     result = measure(case, presets)
@@ -124,7 +124,7 @@ def _measure_one(case: Any, presets: tuple[str, ...], folder: Path) -> None:
 
 
 def _population(measured: Sequence[Any], presets: Sequence[str], common: dict[str, Any]) -> dict[str, Any]:
-    from summary import ROWS, summarise  # noqa: PLC0415
+    from summary import ROWS, summarise
 
     shown = [name for name, row in ROWS.items() if row.least is not None]
     singles = [
@@ -151,7 +151,7 @@ def _variation(
     name: str, cases: Sequence[Any], measured: Sequence[Any], presets: Sequence[str], common: dict[str, Any]
 ) -> dict[str, Any]:
     """Mean over the fingers of every figure, for each value and preset."""
-    from cases import VARIATIONS  # noqa: PLC0415
+    from cases import VARIATIONS
 
     base = VARIATIONS[name].base
     at = [base if case.vary == "base" else case.value for case in cases]
@@ -181,7 +181,7 @@ def _rounded(value: Any) -> Any:
 
 
 def _show(results: dict[str, Any], names: Sequence[str]) -> None:
-    from report import population_table, variation_table  # noqa: PLC0415
+    from report import population_table, variation_table
 
     if names:
         for name in names:

@@ -50,9 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     """Errors on the finger plane, and how often a calibration was refused, for every case."""
-    from radiometry_cards import CASES  # noqa: PLC0415
+    from radiometry_cards import CASES
 
-    from splitknit.errors import BadInput  # noqa: PLC0415
+    from splitknit.errors import BadInput
 
     rows = []
     for case in CASES:
@@ -81,11 +81,11 @@ def plane(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
 
 def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], float]:
     """Calibrate one rig; return its flat field, its errors on the plane, and the residuals' largest rms."""
-    from radiometry_cards import Card, as_placed, photograph  # noqa: PLC0415
+    from radiometry_cards import Card, as_placed, photograph
 
-    from splitknit.calibration.card_model import CardPlane  # noqa: PLC0415
-    from splitknit.calibration.radiometry import calibrate_radiometry  # noqa: PLC0415
-    from splitknit.simulator.rigs import built_rig  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane
+    from splitknit.calibration.radiometry import calibrate_radiometry
+    from splitknit.simulator.rigs import built_rig
 
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig, case.error_mm, seed)
@@ -98,7 +98,7 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
 
 def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
     """Mean and largest departure in per cent of the flat field from the twin's light at a height, one factor free."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     ratio = _model(rig, height_mm) / _light(truth)
     departure = np.abs(ratio / np.median(ratio) - 1)
@@ -107,10 +107,10 @@ def errors(rig: Any, truth: Any, height_mm: float) -> dict[str, float]:
 
 def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
     """Model against division by the card's images, for an even surface at heights above the plane."""
-    import numpy as np  # noqa: PLC0415
-    from radiometry_cards import CASES, Card  # noqa: PLC0415
+    import numpy as np
+    from radiometry_cards import CASES, Card
 
-    from splitknit.simulator.rigs import built_rig  # noqa: PLC0415
+    from splitknit.simulator.rigs import built_rig
 
     case = next(one for one in CASES if one.name == "LEDs 0.5 mm off")
     found: dict[tuple[float, str], dict[str, list[float]]] = {}
@@ -153,12 +153,12 @@ def heights(seeds: Sequence[int], scale: float) -> list[dict[str, Any]]:
 
 def drift(fingers: int, first_seed: int) -> dict[str, Any]:
     """Gains of LEDs by captures of fingers: false alarms, and what becomes of a single LED that drifts."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
-    from splitknit.finger.led_drift import drift_words, led_drift  # noqa: PLC0415
-    from splitknit.imaging.band import linear_stack  # noqa: PLC0415
-    from splitknit.simulator.scene import TwinSettings  # noqa: PLC0415
-    from splitknit.simulator.twin import simulate_capture  # noqa: PLC0415
+    from splitknit.finger.led_drift import drift_words, led_drift
+    from splitknit.imaging.band import linear_stack
+    from splitknit.simulator.scene import TwinSettings
+    from splitknit.simulator.twin import simulate_capture
 
     calm, errors_found, named, asked = [], {0.95: [], 0.88: []}, 0, 0
     alarms = 0
@@ -191,7 +191,7 @@ def drift(fingers: int, first_seed: int) -> dict[str, Any]:
 
 
 def _pixels(rig: Any) -> Any:
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     rows, columns = np.mgrid[0 : rig.camera.image_size[0] : STEP, 0 : rig.camera.image_size[1] : STEP]
     return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.float64)
@@ -199,24 +199,24 @@ def _pixels(rig: Any) -> Any:
 
 def _light(card: Any) -> Any:
     """(14, N) the twin's light."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     return np.stack([card.light((k,))[::STEP, ::STEP, 0].ravel() for k in range(len(card.leds))]).astype(np.float64)
 
 
 def _model(rig: Any, height_mm: float) -> Any:
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
-    from splitknit.calibration.card_model import CardPlane, card_light  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane, card_light
 
     return np.stack([card_light(rig.camera, led, _pixels(rig), CardPlane(height_mm)) for led in rig.leds])
 
 
 def _directions(rig: Any, height_mm: float) -> Any:
     """(14, N, 3) true directions to the LEDs from what the pixels see at a height."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
-    from splitknit.calibration.card_model import CardPlane, rays_to_led  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane, rays_to_led
 
     points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
     return np.stack([rays_to_led(led, points)[0] for led in rig.leds])
@@ -224,9 +224,9 @@ def _directions(rig: Any, height_mm: float) -> Any:
 
 def _directions_weight(rig: Any, height_mm: float) -> Any:
     """(14, N) inverse squares of the true distances: LEDs all equal, without beams, and no lens."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
-    from splitknit.calibration.card_model import CardPlane, rays_to_led  # noqa: PLC0415
+    from splitknit.calibration.card_model import CardPlane, rays_to_led
 
     points = CardPlane(height_mm).points(rig.camera, _pixels(rig))
     return np.stack([1e4 / np.pi / rays_to_led(led, points)[1] ** 2 for led in rig.leds])
@@ -234,7 +234,7 @@ def _directions_weight(rig: Any, height_mm: float) -> Any:
 
 def _lean(ratio: Any, towards: Any) -> Any:
     """(N,) angle in deg by which a facing surface leans when images are divided by light that is `ratio` too bright."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     lights = towards.transpose(1, 0, 2)  # (N, 7, 3)
     shown = lights[..., 2] / ratio.T
@@ -245,8 +245,8 @@ def _lean(ratio: Any, towards: Any) -> Any:
 
 def interval(values: Sequence[float]) -> dict[str, float | int] | None:
     """Mean with its 95 % interval (Student's), and the largest value, over rigs."""
-    import numpy as np  # noqa: PLC0415
-    from scipy.stats import t  # noqa: PLC0415
+    import numpy as np
+    from scipy.stats import t
 
     if len(values) == 0:
         return None

@@ -81,7 +81,7 @@ def with_fault(seed: int, fault: str) -> Capture:
     folder = str(Path(__file__).parents[1] / "prints")
     if folder not in sys.path:
         sys.path.append(folder)
-    from quality_faults import FAULTS, finger_of  # noqa: PLC0415
+    from quality_faults import FAULTS, finger_of
 
     return simulate_capture(seed, settings=FAULTS[fault], finger=finger_of(seed, fault))[0]
 

@@ -148,7 +148,7 @@ def cells(path: Path) -> dict[bytes, str]:
 def step(path: str, what: str, number: str, how: str) -> None:
     """One change, in a program of its own."""
     if how.endswith("unlinked"):
-        from splitknit.gallery import rows as gallery_rows  # noqa: PLC0415
+        from splitknit.gallery import rows as gallery_rows
 
         def unlinked(database: sqlite3.Connection, path: Path) -> None:
             Path(f"{path}-journal").unlink(missing_ok=True)

@@ -48,7 +48,7 @@ def population(count: int, first_seed: int) -> list[bytes]:
 
 def matched(files: Sequence[bytes], labels: Sequence[str]) -> dict[str, Any]:
     """Score all pairs; pairs of one label are genuine."""
-    import nbis  # noqa: PLC0415 - a tool of this experiment alone
+    import nbis  # a tool of this experiment alone
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(

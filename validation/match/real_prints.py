@@ -48,7 +48,7 @@ Image = NDArray[np.uint8]
 
 def nbis_py(images: Sequence[Image]) -> Callable[[int, int], float]:
     """As nbis-py comes: PNG in, its own minutiae, its own comparison."""
-    import nbis  # noqa: PLC0415 - here to compare with; the library's way in is splitknit.matching.minutiae
+    import nbis  # here to compare with; the library's way in is splitknit.matching.minutiae
 
     extractor = nbis.new_nbis_extractor(
         nbis.NbisExtractorSettings(

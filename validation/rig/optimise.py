@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             results[name] = _run(name, chosen.scratch / name, chosen.workers)
             print(f"{name}: {len(results[name]['rows'])} rigs")
         RESULTS.write_text(json.dumps(results, separators=(",", ":")).replace("},{", "},\n{") + "\n")
-    from report import write_report  # noqa: PLC0415
+    from report import write_report
 
     print(write_report(json.loads(RESULTS.read_text())))
     return 0

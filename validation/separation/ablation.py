@@ -38,7 +38,7 @@ Found = Mapping[str, Mapping[str, Any]]
 def main(arguments: Sequence[str] | None = None) -> int:
     # before numpy is imported: one thread of linear algebra a process
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    from ablation_rows import CONTRAST_ROWS, ROWS, Options  # noqa: PLC0415
+    from ablation_rows import CONTRAST_ROWS, ROWS, Options
 
     parser = _parser()
     chosen = parser.parse_args(arguments)
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = json.dumps(_rounded(results), indent=1, allow_nan=False)
     out.write_text(text + "\n", encoding="ascii")
-    from ablation_report import pairs_table, rows_table  # noqa: PLC0415
+    from ablation_report import pairs_table, rows_table
 
     results = json.loads(text)
     print(rows_table(results), pairs_table(results), sep="\n\n")
@@ -94,16 +94,16 @@ def _parser() -> argparse.ArgumentParser:
 
 def _networks(needed: set[str], options: Any) -> dict[str, str]:
     """Hashes of the networks that the rows need, by name. Refuses if one is missing, before anything is measured."""
-    from splitknit.networks.weights import read_network  # noqa: PLC0415
+    from splitknit.networks.weights import read_network
 
     return {name: read_network(getattr(options, name))[0].sha256 for name in sorted(needed)}
 
 
 def source_hash() -> str:
     """SHA-256 of the code that the figures follow from: results of other code are not mixed with these."""
-    import ablation_rows  # noqa: F401, PLC0415
+    import ablation_rows  # noqa: F401
 
-    import splitknit  # noqa: PLC0415
+    import splitknit
 
     package = Path(splitknit.__file__).parent
     names = [name for name in sys.modules if name.split(".")[0] == "splitknit" or name in RECIPES]
@@ -135,13 +135,13 @@ def _measure_all(
 
 
 def _one_thread() -> None:
-    import cv2  # noqa: PLC0415
+    import cv2
 
     cv2.setNumThreads(1)
 
 
 def _measure_one(seed: int, needed: Needed, options: dict[str, Any], folder: Path) -> None:
-    from ablation_rows import Bench, Options  # noqa: PLC0415
+    from ablation_rows import Bench, Options
 
     file = folder / f"{seed:05d}.json"
     rows = _read(file)
@@ -164,7 +164,7 @@ def _read(file: Path) -> dict[str, Any]:
 
 def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:
     """Mean and interval over fingers of every figure of every row, and of the differences of :data:`PAIRS`."""
-    from ablation_rows import FIGURES, PAIRS, ROWS  # noqa: PLC0415
+    from ablation_rows import FIGURES, PAIRS, ROWS
 
     rows: dict[str, Any] = {}
     for name in names:
@@ -186,8 +186,8 @@ def summarised(found: Sequence[Found], names: Sequence[str]) -> dict[str, Any]:
 
 def statistics(values: Sequence[float]) -> dict[str, Any]:
     """Mean, and its 95 % interval by Student's t; one finger has no interval."""
-    import numpy as np  # noqa: PLC0415
-    from scipy.stats import t  # noqa: PLC0415
+    import numpy as np
+    from scipy.stats import t
 
     mean = float(np.mean(values))
     if len(values) < 2:

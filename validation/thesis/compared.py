@@ -133,7 +133,7 @@ def each(work: Any, tasks: Sequence[Any], jobs: int) -> list[Any]:
 
 
 def _one_thread() -> None:
-    import cv2  # noqa: PLC0415
+    import cv2
 
     cv2.setNumThreads(1)
 

@@ -195,7 +195,7 @@ def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
 
 def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figure 3.21: scales of shapelets."""
-    from scales import scales_table  # noqa: PLC0415 - the others need no reconstruction
+    from scales import scales_table  # the others need no reconstruction
 
     people = sorted({name.split("/")[0] for name in truth})[: options.people]
     names = [name for name in truth if name.split("/")[0] in people]
@@ -212,7 +212,7 @@ def run_scales(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
 
 def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Section 5.2: local binary patterns beside HOG, Gabor energies and shape contexts."""
-    from descriptors import descriptors_table, reader  # noqa: PLC0415 - the others need no images
+    from descriptors import descriptors_table, reader  # the others need no images
 
     case = "snk"
     captures = read_captures(store, (case,))
@@ -235,7 +235,7 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
 
 def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """The distance of the patterns' neighbours, on captures of several scales."""
-    from neighbours import FINGERS, PEOPLE, SCALES, SMALL_SCALES, neighbours_table  # noqa: PLC0415
+    from neighbours import FINGERS, PEOPLE, SCALES, SMALL_SCALES, neighbours_table
 
     scales, people, fingers = (SMALL_SCALES, 3, FINGERS[:1]) if options.small else (SCALES, PEOPLE, FINGERS)
     seed = options.seed + 1  # other people than the population's
@@ -254,7 +254,7 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
 
 def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figures 3.1, 3.20, 3.22 and 5.9, measured."""
-    from figures import CAPTURES, choose, run  # noqa: PLC0415
+    from figures import CAPTURES, choose, run
 
     whole = sorted(name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print"))
     chosen = choose(whole, options.seed)[: 2 if options.small else CAPTURES]

@@ -115,7 +115,7 @@ def _origin(options: argparse.Namespace) -> Row:
 
 
 def _store(options: argparse.Namespace) -> Any:
-    from splitknit.batch.store import Store  # noqa: PLC0415
+    from splitknit.batch.store import Store
 
     if options.store is None:
         raise SystemExit("--store is needed: the folder that splitknit batch wrote.")

@@ -70,8 +70,8 @@ def load(way: str) -> Any:
     if way == "colour":
         return None
     try:
-        from splitknit.presets import PRESETS  # noqa: PLC0415
-        from splitknit.skin.images import shipped_networks  # noqa: PLC0415
+        from splitknit.presets import PRESETS
+        from splitknit.skin.images import shipped_networks
 
         return shipped_networks(PRESETS["metric"].metric)
     except (ImportError, ValueError, FileNotFoundError) as error:

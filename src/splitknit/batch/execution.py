@@ -142,7 +142,7 @@ def _in_worker(work: Callable[[Task], Done], task: Task, parent: int, device: st
 
 def _on_one_thread(device: str) -> None:
     """There are as many workers as cores: a second thread of each wins no time and takes memory."""
-    import cv2  # noqa: PLC0415
+    import cv2
 
     cv2.setNumThreads(1)
     use_device(device, threads=1)
@@ -150,7 +150,7 @@ def _on_one_thread(device: str) -> None:
 
 def on_cluster(work: Callable[[Task], Done], task: Task, version: str, device: str) -> Done:
     """Do a task in a worker of a cluster, which must have the same software."""
-    import splitknit  # noqa: PLC0415
+    import splitknit
 
     require(
         version == splitknit.__version__,
@@ -163,7 +163,7 @@ def on_cluster(work: Callable[[Task], Done], task: Task, version: str, device: s
 def peak_memory_mb() -> float:
     """Most memory that this process has had so far; 0 on Windows, which does not keep it there."""
     try:
-        import resource  # noqa: PLC0415 - not on every system
+        import resource  # not on every system
     except ImportError:
         return 0.0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -297,7 +297,7 @@ def _watch(parent: int) -> None:
 
 
 def _here(work: Callable[[Task], Done], tasks: Sequence[Task], device: str) -> Iterator[Done]:
-    import cv2  # noqa: PLC0415
+    import cv2
 
     threads, before = cv2.getNumThreads(), running()
     cv2.setNumThreads(1)

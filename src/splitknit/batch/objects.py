@@ -293,7 +293,7 @@ def _of(place: Objects) -> tuple[Any, str]:
     """File system of fsspec and the path in it, of which nothing that was listed earlier is believed."""
     if place.url.startswith("s3:"):
         os.environ.setdefault(_NO_METADATA, "true")  # else it asks 169.254.169.254 where it finds no credentials
-    from fsspec.core import url_to_fs  # type: ignore[import-untyped]  # noqa: PLC0415 - only where a URL is named
+    from fsspec.core import url_to_fs  # type: ignore[import-untyped]  # only where a URL is named
 
     fs, path = url_to_fs(place.url)
     fs.invalidate_cache()

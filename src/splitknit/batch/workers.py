@@ -99,7 +99,7 @@ def _interrupts_for_us_alone() -> Iterator[None]:
 
 def _begin() -> None:
     """In a new worker: one thread for OpenCV, one heap, and an end when the run that started it is no more."""
-    import cv2  # noqa: PLC0415
+    import cv2
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     cv2.setNumThreads(1)

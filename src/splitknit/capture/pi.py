@@ -437,7 +437,7 @@ def _open_lights(rig: Rig) -> PiLightBank:
     """
     pins = pins_of(rig)
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
-        import gpiozero  # type: ignore[import-untyped]  # noqa: PLC0415 - only a Pi has it
+        import gpiozero  # type: ignore[import-untyped]  # only a Pi has it
     try:
         with warnings.catch_warnings():  # it warns of every library that it tries; one sentence is enough
             warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)
@@ -455,7 +455,7 @@ def _open_lights(rig: Rig) -> PiLightBank:
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
     """Open and start the camera. Raises BadInput if picamera2 cannot be imported or there is no camera."""
     try:
-        import picamera2  # type: ignore[import-not-found]  # noqa: PLC0415 - only a Pi has it
+        import picamera2  # type: ignore[import-not-found]  # only a Pi has it
     except (ImportError, ValueError) as error:
         reason = " ".join(str(error).split())
         if "numpy" in reason:  # what was compiled for numpy 1 raises either of them

@@ -360,7 +360,7 @@ def open_genicam(number: int) -> Stream:
         If harvesters or a producer is missing, or there is no such camera.
     """
     with importing("harvesters, which drives GenICam cameras, is not installed; install the extra genicam."):
-        from harvesters.core import Harvester  # type: ignore[import-not-found]  # noqa: PLC0415 - optional
+        from harvesters.core import Harvester  # type: ignore[import-not-found]  # optional
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]
     producers = sorted(file for folder in folders for file in folder.glob("*.cti"))
     require(

@@ -69,8 +69,8 @@ def add_batch(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Run the batch."""
-    from splitknit.batch.engine import run_batch  # noqa: PLC0415
-    from splitknit.batch.settings import BatchSettings, preset_cases  # noqa: PLC0415
+    from splitknit.batch.engine import run_batch
+    from splitknit.batch.settings import BatchSettings, preset_cases
 
     cluster = _cluster(options)
     cases = tuple(_case(text) for text in options.case)
@@ -99,7 +99,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 
 def _cluster(options: argparse.Namespace) -> Any:
-    from splitknit.batch.execution import Cluster  # noqa: PLC0415
+    from splitknit.batch.execution import Cluster
 
     files = (options.cluster_ca, options.cluster_cert, options.cluster_key)
     if options.cluster is None:
@@ -117,8 +117,8 @@ def _names(text: str, option: str, such: str) -> list[str]:
 
 def _case(text: str) -> Any:
     """Read ``NAME=PRESET:STAGE.FIELD=VALUE,...``; commas inside brackets belong to a value."""
-    from splitknit.batch.settings import Case  # noqa: PLC0415
-    from splitknit.cli.options import parse_assignment  # noqa: PLC0415
+    from splitknit.batch.settings import Case
+    from splitknit.cli.options import parse_assignment
 
     name, equals, rest = text.partition("=")
     preset, _, changes = rest.partition(":")

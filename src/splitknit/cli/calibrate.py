@@ -63,7 +63,7 @@ def _add_camera(kinds: Any) -> None:
 
 def _calibrate_camera(options: argparse.Namespace) -> Outcome:
     """Calibrate."""
-    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # noqa: PLC0415 - only this verb pays
+    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # only this verb pays
 
     job = CameraJob(
         out=options.out,
@@ -121,7 +121,7 @@ def _fit_lines(facts: Mapping[str, Any]) -> list[str]:
         f"  focal length {focal} +- {deviations['fx']:.2f} px, "
         f"principal point ({cx:.2f}{around[0]}, {cy:.2f}{around[1]}) px",
     ]
-    from splitknit.calibration.camera import TERMS  # noqa: PLC0415 - only this verb pays
+    from splitknit.calibration.camera import TERMS  # only this verb pays
 
     terms = zip(TERMS, facts["distortion"], strict=True)
     free = [f"{name} = {value:.4g} +- {deviations[name]:.2g}" for name, value in terms if name in fit["fitted"]]
@@ -214,11 +214,11 @@ def _add_radiometry(kinds: Any) -> None:
 
 def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
     """Calibrate, or check."""
-    from splitknit.calibration.radiometry_folder import (  # noqa: PLC0415 - only this verb pays for it
+    from splitknit.calibration.radiometry_folder import (  # only this verb pays for it
         calibrate_to_file,
         check_folder,
     )
-    from splitknit.errors import require  # noqa: PLC0415
+    from splitknit.errors import require
 
     with Progress(options) as progress:
         if options.check is not None:
@@ -388,10 +388,10 @@ def _add_lights(kinds: Any) -> None:
 
 def _calibrate_lights(options: argparse.Namespace) -> Outcome:
     """Calibrate, write the rig, report what was found."""
-    from splitknit.calibration.lights_found import LightSettings  # noqa: PLC0415 - only this verb pays
-    from splitknit.calibration.lights_job import LightsJob, lights_to_rig  # noqa: PLC0415
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.settings import override  # noqa: PLC0415
+    from splitknit.calibration.lights_found import LightSettings  # only this verb pays
+    from splitknit.calibration.lights_job import LightsJob, lights_to_rig
+    from splitknit.cli.options import read_changes
+    from splitknit.settings import override
 
     given = {
         "limits.limit_deg": options.limit_deg,

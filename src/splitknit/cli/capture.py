@@ -59,9 +59,9 @@ def add_capture(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Capture one finger, or those that an enrolment waits for."""
-    from splitknit.capture.folder import CaptureOptions  # noqa: PLC0415 - so that --help is quick
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.rig.devices import read_settings, rig_of  # noqa: PLC0415
+    from splitknit.capture.folder import CaptureOptions  # so that --help is quick
+    from splitknit.cli.options import read_changes
+    from splitknit.rig.devices import read_settings, rig_of
 
     _check(options)
     rig = rig_of(options.rig)
@@ -84,8 +84,8 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse options that do not go together."""
-    from splitknit.capture.enrolment import FINGERS, check_subject_id  # noqa: PLC0415
-    from splitknit.errors import require  # noqa: PLC0415
+    from splitknit.capture.enrolment import FINGERS, check_subject_id
+    from splitknit.errors import require
 
     require(
         (options.out is None) != (options.enrolment is None),
@@ -113,9 +113,9 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def _run_one(options: argparse.Namespace, how: CaptureOptions, settings: DeviceSettings, rig: Rig | None) -> Outcome:
-    from splitknit.capture.folder import capture_to_folder  # noqa: PLC0415
-    from splitknit.io.targets import check_capture  # noqa: PLC0415
-    from splitknit.rig.devices import opened_pi, opened_twin  # noqa: PLC0415
+    from splitknit.capture.folder import capture_to_folder
+    from splitknit.io.targets import check_capture
+    from splitknit.rig.devices import opened_pi, opened_twin
 
     check_capture(options.out, overwrite=options.overwrite)  # before any device is opened
     session = options.session or 1
@@ -157,9 +157,9 @@ def _exposure_lines(facts: dict[str, Any]) -> list[str]:
 def _run_enrolment(
     options: argparse.Namespace, how: CaptureOptions, settings: DeviceSettings, rig: Rig | None
 ) -> Outcome:
-    from splitknit.capture.enrolment import FINGERS, open_enrolment  # noqa: PLC0415
-    from splitknit.capture.folder import capture_enrolment  # noqa: PLC0415
-    from splitknit.rig.devices import opened_pi, opened_twin  # noqa: PLC0415
+    from splitknit.capture.enrolment import FINGERS, open_enrolment
+    from splitknit.capture.folder import capture_enrolment
+    from splitknit.rig.devices import opened_pi, opened_twin
 
     fingers = None
     if options.fingers is not None:

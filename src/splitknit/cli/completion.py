@@ -20,7 +20,7 @@ def add_completion(verbs: Any, program: argparse.ArgumentParser) -> None:
 
 def _run(program: argparse.ArgumentParser, options: argparse.Namespace) -> Outcome:
     """Make a static script: to complete a word starts no Python."""
-    import shtab  # type: ignore[import-untyped,unused-ignore]  # noqa: PLC0415
+    import shtab  # type: ignore[import-untyped,unused-ignore]
 
     for action in _actions(program):
         if action.type is Path:

@@ -21,7 +21,7 @@ def add_demo(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Simulate, reconstruct, compare."""
-    from splitknit.report.demo import demo  # noqa: PLC0415 - verbs import what they need, so that --help is quick
+    from splitknit.report.demo import demo  # verbs import what they need, so that --help is quick
 
     with Progress(options) as progress:
         facts = demo(options.out, seed=options.seed, scale=options.scale, progress=progress.update)

@@ -46,11 +46,11 @@ def add_enroll(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Enrol."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.gallery.enrol import Enrolling, enroll_files  # noqa: PLC0415 - verbs import what they need
-    from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415
-    from splitknit.matching.surface import MatchingSettings  # noqa: PLC0415
-    from splitknit.settings import override  # noqa: PLC0415
+    from splitknit.cli.options import read_changes
+    from splitknit.gallery.enrol import Enrolling, enroll_files  # verbs import what they need
+    from splitknit.gallery.key import key_notes, key_of
+    from splitknit.matching.surface import MatchingSettings
+    from splitknit.settings import override
 
     settings = Enrolling(
         preset=options.preset,
@@ -83,7 +83,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 
 def _population(options: argparse.Namespace, settings: Any, key: Any, progress: Progress) -> Outcome:
-    from splitknit.batch.enrol import enroll_population  # noqa: PLC0415
+    from splitknit.batch.enrol import enroll_population
 
     mixed = [name for name in ("person", "finger", "session") if getattr(options, name) is not None]
     require(not mixed, f"--{mixed[0] if mixed else ''} does not go with --population, whose folders have names.")

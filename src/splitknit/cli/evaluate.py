@@ -65,9 +65,9 @@ def add_evaluate(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Evaluate, write, and report what came out."""
-    from splitknit.evaluation.intervals import BootstrapSettings  # noqa: PLC0415
-    from splitknit.evaluation.study import EvaluationSettings  # noqa: PLC0415
-    from splitknit.report.evaluation import evaluate_to_folder, interval  # noqa: PLC0415
+    from splitknit.evaluation.intervals import BootstrapSettings
+    from splitknit.evaluation.study import EvaluationSettings
+    from splitknit.report.evaluation import evaluate_to_folder, interval
 
     settings = EvaluationSettings(
         dissimilarity=options.dissimilarity,
@@ -95,8 +95,8 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 
 def _gallery(options: argparse.Namespace, progress: Progress) -> Any:
-    from splitknit.evaluation.gallery_scores import gallery_scores  # noqa: PLC0415
-    from splitknit.gallery.key import key_of  # noqa: PLC0415
+    from splitknit.evaluation.gallery_scores import gallery_scores
+    from splitknit.gallery.key import key_of
 
     require(not options.dissimilarity, "--dissimilarity is for --scores; a gallery's scores are similarities.")
     return gallery_scores(options.gallery, key=key_of(options.key_file), progress=progress.update)

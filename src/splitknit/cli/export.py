@@ -69,8 +69,8 @@ def _date(text: str) -> datetime.date:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Export."""
-    from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415 - verbs import what they need
-    from splitknit.gallery.records import Exporting, export_records  # noqa: PLC0415
+    from splitknit.gallery.key import key_notes, key_of  # verbs import what they need
+    from splitknit.gallery.records import Exporting, export_records
 
     settings = Exporting(
         to=options.to,

@@ -30,8 +30,8 @@ def add_forget(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Show what is there, ask, erase."""
-    from splitknit.batch.forget import forget  # noqa: PLC0415 - verbs import what they need
-    from splitknit.gallery.key import key_of  # noqa: PLC0415
+    from splitknit.batch.forget import forget  # verbs import what they need
+    from splitknit.gallery.key import key_of
 
     key = key_of(options.key_file)
     if not options.yes:

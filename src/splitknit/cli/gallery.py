@@ -66,7 +66,7 @@ def _kind(
     kinds: Any, name: str, does: str, run: Callable[[argparse.Namespace, Any], Outcome]
 ) -> argparse.ArgumentParser:
     def with_key(options: argparse.Namespace) -> Outcome:
-        from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415 - verbs import what they need
+        from splitknit.gallery.key import key_notes, key_of  # verbs import what they need
 
         facts, lines = run(options, key_of(options.key_file))
         return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.key_file))]
@@ -77,7 +77,7 @@ def _kind(
 
 
 def _list(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import list_gallery  # noqa: PLC0415 - verbs import what they need
+    from splitknit.gallery.manage import list_gallery  # verbs import what they need
 
     facts = list_gallery(options.gallery, options.person, key=key)
     lines = [f"{'row':>5}  {'person':24} {'finger':13} {'session':8} {'from':9} skin"]
@@ -93,7 +93,7 @@ def _list(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _info(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import gallery_info  # noqa: PLC0415
+    from splitknit.gallery.manage import gallery_info
 
     facts = gallery_info(options.gallery, key=key)
     locked = {None: "not encrypted", "raw": "encrypted, by a key of 32 bytes", "scrypt": "encrypted, by a passphrase"}
@@ -111,7 +111,7 @@ def _info(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _remove(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import remove_from_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import remove_from_gallery
 
     facts = remove_from_gallery(
         options.gallery,
@@ -127,7 +127,7 @@ def _remove(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _export(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import export_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import export_gallery
 
     facts = export_gallery(options.gallery, options.out, key=key, images=options.images, person=options.person)
     lines = [f"Wrote {count(facts['captures'], 'template')} and gallery.csv to {facts['out']}."]
@@ -136,7 +136,7 @@ def _export(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _import(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import import_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import import_gallery
 
     facts = import_gallery(options.gallery, options.folder, key=key, replace=options.replace)
     known = facts["found"] - facts["new"]
@@ -144,7 +144,7 @@ def _import(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _check(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import check_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import check_gallery
 
     facts = check_gallery(options.gallery, key=key, shards=options.shards)
     shards = "" if options.shards is None else f", and {options.shards} holds their codes"
@@ -152,7 +152,7 @@ def _check(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _repair(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import repair_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import repair_gallery
 
     facts = repair_gallery(options.gallery, key=key)
     rows = f" (rows {', '.join(map(str, facts['removed']))})" if facts["removed"] else ""
@@ -163,7 +163,7 @@ def _repair(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _migrate(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import migrate_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import migrate_gallery
 
     facts = migrate_gallery(options.gallery, key=key)
     return facts, [
@@ -172,7 +172,7 @@ def _migrate(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _index(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.manage import index_gallery  # noqa: PLC0415
+    from splitknit.gallery.manage import index_gallery
 
     with Progress(options) as progress:
         facts = index_gallery(
@@ -191,8 +191,8 @@ def _index(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _rekey(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415
-    from splitknit.gallery.manage import rekey_gallery  # noqa: PLC0415
+    from splitknit.gallery.key import key_notes, key_of
+    from splitknit.gallery.manage import rekey_gallery
 
     new = None if options.plain else key_of(options.new_key_file, NEW_KEY_VARIABLE)
     facts = rekey_gallery(options.gallery, key=key, new=new, plain=options.plain)

@@ -53,10 +53,10 @@ def add_identify(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Identify."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.gallery.identify import IdentifySettings, Question, identify_file  # noqa: PLC0415
-    from splitknit.gallery.key import key_notes, key_of  # noqa: PLC0415 - verbs import what they need
-    from splitknit.settings import override  # noqa: PLC0415
+    from splitknit.cli.options import read_changes
+    from splitknit.gallery.identify import IdentifySettings, Question, identify_file
+    from splitknit.gallery.key import key_notes, key_of  # verbs import what they need
+    from splitknit.settings import override
 
     settings = override(IdentifySettings(), read_changes(options.settings, options.assignments))
     question = Question(

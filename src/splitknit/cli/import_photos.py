@@ -144,10 +144,10 @@ def check_scale_options(options: argparse.Namespace) -> None:
 
 def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
     """The capture of the photographs that the options name, and notes on it."""
-    from splitknit.io.plain import capture_from_photographs  # noqa: PLC0415 - verbs import what they need
-    from splitknit.model import UNKNOWN_SCALE  # noqa: PLC0415
-    from splitknit.photometric.frames import rig_of_frame  # noqa: PLC0415
-    from splitknit.pipeline import with_scale  # noqa: PLC0415
+    from splitknit.io.plain import capture_from_photographs  # verbs import what they need
+    from splitknit.model import UNKNOWN_SCALE
+    from splitknit.photometric.frames import rig_of_frame
+    from splitknit.pipeline import with_scale
 
     background: float | str | None = options.background
     with contextlib.suppress(ValueError):
@@ -193,8 +193,8 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 def _import_prints(options: argparse.Namespace) -> Outcome:
     """Write the prints of other systems."""
-    from splitknit.cli.export import export_words  # noqa: PLC0415 - verbs import what they need
-    from splitknit.gallery.records import Exporting, import_records  # noqa: PLC0415
+    from splitknit.cli.export import export_words  # verbs import what they need
+    from splitknit.gallery.records import Exporting, import_records
 
     check_photo_options(options)
     of_photographs = ("tip_direction", "light_frame", "px_per_mm", "ridge_period", "overwrite")
@@ -208,8 +208,8 @@ def _import_prints(options: argparse.Namespace) -> Outcome:
 
 def _import_photos(options: argparse.Namespace) -> Outcome:
     """Write a capture folder."""
-    from splitknit.io.capture import write_capture  # noqa: PLC0415
-    from splitknit.io.targets import check_capture  # noqa: PLC0415
+    from splitknit.io.capture import write_capture
+    from splitknit.io.targets import check_capture
 
     check_photo_options(options)
     check_capture(options.out, overwrite=options.overwrite, keep=options.images)

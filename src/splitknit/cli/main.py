@@ -103,7 +103,7 @@ _VERBS = {
 
 def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     """Return the parser with all verbs, or with `verb` alone, for which less is loaded."""
-    from splitknit.cli.verb import Parser  # noqa: PLC0415
+    from splitknit.cli.verb import Parser
 
     parser = Parser(
         prog="splitknit",
@@ -120,11 +120,11 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
 
 def _guarded(options: argparse.Namespace) -> int:
     """Run the verb; turn what goes wrong into one line and an exit code."""
-    import contextlib  # noqa: PLC0415
-    import json  # noqa: PLC0415
+    import contextlib
+    import json
 
-    from splitknit.cli.verb import one_line, run_verb  # noqa: PLC0415
-    from splitknit.errors import BadInput, Refused, printable  # noqa: PLC0415
+    from splitknit.cli.verb import one_line, run_verb
+    from splitknit.errors import BadInput, Refused, printable
 
     try:
         facts, lines = run_verb(options)
@@ -157,7 +157,7 @@ def _say(text: str) -> None:
 
 def _fail(options: argparse.Namespace, message: str, code: int) -> int:
     if options.traceback:
-        import traceback  # noqa: PLC0415
+        import traceback
 
         traceback.print_exc()
     if _interrupts:  # an interrupt in the import of a compiled module comes out of it as an ImportError

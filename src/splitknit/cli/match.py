@@ -44,8 +44,8 @@ def add_match(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Compare."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.matching.methods import match_files  # noqa: PLC0415 - verbs import what they need
+    from splitknit.cli.options import read_changes
+    from splitknit.matching.methods import match_files  # verbs import what they need
 
     changes = read_changes(options.settings, options.assignments)
     with Progress(options) as progress:

@@ -54,7 +54,7 @@ def _scalar(text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError):
         pass
-    import tomllib  # noqa: PLC0415 - most runs change nothing
+    import tomllib  # most runs change nothing
 
     try:
         return tomllib.loads(f"value = {text}")["value"] if "\n" not in text else text
@@ -68,7 +68,7 @@ def _read_settings_file(path: Path) -> dict[str, Any]:
     if path.suffix.lower() == ".json":
         tree = parse_json(data, f"the settings file '{path}'")
     else:
-        import tomllib  # noqa: PLC0415
+        import tomllib
 
         try:
             tree = tomllib.loads(data.decode("utf-8"))

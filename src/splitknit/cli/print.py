@@ -45,8 +45,8 @@ def add_print(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Print."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
-    from splitknit.prints.folder import print_to_folder  # noqa: PLC0415
+    from splitknit.cli.options import read_changes  # verbs import what they need
+    from splitknit.prints.folder import print_to_folder
 
     check_scale_options(options)
     changes = read_changes(options.settings, options.assignments)

@@ -52,7 +52,7 @@ def add_reconstruct(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Write a reconstruction."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
+    from splitknit.cli.options import read_changes  # verbs import what they need
 
     changes = read_changes(options.settings, options.assignments)
     if options.shape is not None:
@@ -85,16 +85,16 @@ def _reconstruct_to_folder(
     options: argparse.Namespace, changes: Mapping[str, Any], progress: Callable[[str, float], None]
 ) -> dict[str, Any]:
     """Read a capture or photographs, reconstruct, write all results; return the facts of ``report.json`` and more."""
-    from splitknit.io.atomic import atomic_folder  # noqa: PLC0415
-    from splitknit.io.capture import read_capture, with_rig  # noqa: PLC0415
-    from splitknit.io.targets import check_target  # noqa: PLC0415
-    from splitknit.networks.unet import use_device  # noqa: PLC0415
-    from splitknit.photometric.frames import rig_of_frame  # noqa: PLC0415
-    from splitknit.pipeline import reconstruct, with_scale  # noqa: PLC0415
-    from splitknit.presets import preset_settings  # noqa: PLC0415
-    from splitknit.report.result import write_files  # noqa: PLC0415
-    from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.steps import frugal, one_heap  # noqa: PLC0415
+    from splitknit.io.atomic import atomic_folder
+    from splitknit.io.capture import read_capture, with_rig
+    from splitknit.io.targets import check_target
+    from splitknit.networks.unet import use_device
+    from splitknit.photometric.frames import rig_of_frame
+    from splitknit.pipeline import reconstruct, with_scale
+    from splitknit.presets import preset_settings
+    from splitknit.report.result import write_files
+    from splitknit.settings import override
+    from splitknit.steps import frugal, one_heap
 
     started = time.perf_counter()
     one_heap()
@@ -140,14 +140,14 @@ def _reconstruct_to_folder(
 def _truth_of(capture: Capture) -> dict[str, Any] | None:
     if capture.truth is None or not capture.rig.camera.scale_known:
         return None
-    from splitknit.evaluation.accuracy import read_truth  # noqa: PLC0415 - only what was simulated has one
+    from splitknit.evaluation.accuracy import read_truth  # only what was simulated has one
 
     return read_truth(capture)
 
 
 def _shown_of(capture: Capture) -> Capture:
     """The capture with small white images for a report, so that the others can be let go, for the sake of memory."""
-    from splitknit.report.photos import small_images  # noqa: PLC0415
+    from splitknit.report.photos import small_images
 
     bands = {
         name: replace(band, pixels=small_images(band) if name == "white" else band.pixels[:0].copy(), ambient=None)

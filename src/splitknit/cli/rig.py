@@ -55,10 +55,10 @@ def _add_target(kinds: Any) -> None:
 
 def _write_target(options: argparse.Namespace) -> Outcome:
     """Write the sheet."""
-    from splitknit.calibration.targets import Board  # noqa: PLC0415
-    from splitknit.io.atomic import atomic_file, atomic_folder  # noqa: PLC0415
-    from splitknit.io.targets import check_file, check_target  # noqa: PLC0415
-    from splitknit.rig.target import (  # noqa: PLC0415
+    from splitknit.calibration.targets import Board
+    from splitknit.io.atomic import atomic_file, atomic_folder
+    from splitknit.io.targets import check_file, check_target
+    from splitknit.rig.target import (
         DOT_MM,
         PRODUCER,
         RULER_MM,
@@ -156,11 +156,11 @@ def _add_optimise(kinds: Any) -> None:
 
 def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
-    from splitknit.io.atomic import atomic_file  # noqa: PLC0415
-    from splitknit.io.provenance import json_text, plain_json  # noqa: PLC0415
-    from splitknit.report.rig_study import describe, verdict, write_all  # noqa: PLC0415
-    from splitknit.rig.candidates import grid  # noqa: PLC0415
-    from splitknit.rig.optimise import summarise, sweep  # noqa: PLC0415
+    from splitknit.io.atomic import atomic_file
+    from splitknit.io.provenance import json_text, plain_json
+    from splitknit.report.rig_study import describe, verdict, write_all
+    from splitknit.rig.candidates import grid
+    from splitknit.rig.optimise import summarise, sweep
 
     started = time.perf_counter()
     budget = _BUDGETS[options.budget]
@@ -207,8 +207,8 @@ def _optimise(options: argparse.Namespace) -> Outcome:
 
 
 def _study(options: argparse.Namespace, budget: dict[str, Any]) -> Any:
-    from splitknit.rig.candidates import BuildSettings, Study  # noqa: PLC0415
-    from splitknit.rig.photography import PhotonSettings  # noqa: PLC0415
+    from splitknit.rig.candidates import BuildSettings, Study
+    from splitknit.rig.photography import PhotonSettings
 
     return Study(
         method=options.method,
@@ -271,12 +271,12 @@ def _add_circuit(kinds: Any) -> None:
 
 def _design_circuit(options: argparse.Namespace) -> Outcome:
     """Design the board and write it."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.io.rig import read_rig  # noqa: PLC0415
-    from splitknit.model import default_rig  # noqa: PLC0415
-    from splitknit.rig.circuit import CircuitSettings  # noqa: PLC0415
-    from splitknit.rig.circuit_files import circuit_to_folder  # noqa: PLC0415
-    from splitknit.settings import flatten, override  # noqa: PLC0415
+    from splitknit.cli.options import read_changes
+    from splitknit.io.rig import read_rig
+    from splitknit.model import default_rig
+    from splitknit.rig.circuit import CircuitSettings
+    from splitknit.rig.circuit_files import circuit_to_folder
+    from splitknit.settings import flatten, override
 
     given = _given(topology=options.topology, supply_v=options.supply_v)
     # ``circuit.supply_v`` and ``supply_v`` are the same setting
@@ -319,8 +319,8 @@ def _add_cad(kinds: Any) -> None:
 
 def _draw_parts(options: argparse.Namespace) -> Outcome:
     """Draw, check and write the parts."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415 - verbs import what they need
-    from splitknit.rig.cad import cad_to_folder  # noqa: PLC0415
+    from splitknit.cli.options import read_changes  # verbs import what they need
+    from splitknit.rig.cad import cad_to_folder
 
     changes = read_changes(options.settings, options.assignments)
     with Progress(options) as progress:

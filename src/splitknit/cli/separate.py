@@ -42,7 +42,7 @@ def add_separate(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Write direct and global light."""
-    from splitknit.separation.folder import separate_to_folder  # noqa: PLC0415
+    from splitknit.separation.folder import separate_to_folder
 
     names = ("method", "alpha", "dark", "patterns", "encoding", "check_px", "block")
     with Progress(options) as progress:

@@ -89,8 +89,8 @@ def add_simulate(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Write a simulated capture."""
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.simulator.twin import simulate_to_folder  # noqa: PLC0415
+    from splitknit.cli.options import read_changes
+    from splitknit.simulator.twin import simulate_to_folder
 
     if options.what == "population":
         return _run_population(options)
@@ -156,8 +156,8 @@ def _mirror_changes(options: argparse.Namespace) -> dict[str, Any]:
 
 def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outcome:
     """Write the photographs that calibrate a simulated rig."""
-    from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.simulator.bench_photos import BenchPhotos, bench_to_folder  # noqa: PLC0415
+    from splitknit.settings import override
+    from splitknit.simulator.bench_photos import BenchPhotos, bench_to_folder
 
     unused = [name for name in ("pattern", "rig", "print_file") if getattr(options, name) is not None]
     name = unused[0].removesuffix("_file") if unused else ""
@@ -215,11 +215,11 @@ def _refuse_population_options(options: argparse.Namespace) -> None:
 
 def _run_population(options: argparse.Namespace) -> Outcome:
     """Simulate a population, or what of it is missing."""
-    from splitknit.batch.simulate import simulate_population  # noqa: PLC0415
-    from splitknit.capture.enrolment import FINGERS  # noqa: PLC0415
-    from splitknit.cli.options import read_changes  # noqa: PLC0415
-    from splitknit.settings import override  # noqa: PLC0415
-    from splitknit.simulator.population.sessions import PopulationSettings  # noqa: PLC0415
+    from splitknit.batch.simulate import simulate_population
+    from splitknit.capture.enrolment import FINGERS
+    from splitknit.cli.options import read_changes
+    from splitknit.settings import override
+    from splitknit.simulator.population.sessions import PopulationSettings
 
     names = ("pattern", "rig", "motion", "condition", "severity", "mirrors")
     unused = [name for name in names if getattr(options, name) is not None]

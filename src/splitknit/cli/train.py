@@ -128,8 +128,8 @@ def _chosen(options: argparse.Namespace, numbers: Sequence[Number], *others: str
 
 def _run_separation(options: argparse.Namespace) -> Outcome:
     """Build the data set and train the network for direct light."""
-    from splitknit.training import separation  # noqa: PLC0415 - only these verbs pay for it
-    from splitknit.training.separation_data import SeparationData  # noqa: PLC0415
+    from splitknit.training import separation  # only these verbs pay for it
+    from splitknit.training.separation_data import SeparationData
 
     data = SeparationData(**_chosen(options, _SEPARATION_DATA, "labels"))
     settings = separation.SeparationSettings(**_chosen(options, _SEPARATION, "device", "precision"))
@@ -145,8 +145,8 @@ def _run_separation(options: argparse.Namespace) -> Outcome:
 
 def _run_relief(options: argparse.Namespace) -> Outcome:
     """Simulate the fingers and train the network for relief and glare."""
-    from splitknit.training import relief  # noqa: PLC0415
-    from splitknit.training.relief_data import ReliefData  # noqa: PLC0415
+    from splitknit.training import relief
+    from splitknit.training.relief_data import ReliefData
 
     data = ReliefData(**_chosen(options, _RELIEF_DATA))
     settings = relief.ReliefSettings(**_chosen(options, _RELIEF, "device", "precision"))
@@ -169,8 +169,8 @@ def _run_relief(options: argparse.Namespace) -> Outcome:
 
 def _run_shape(options: argparse.Namespace) -> Outcome:
     """Simulate and reconstruct the fingers, and train the network that mends the shape."""
-    from splitknit.training import shape  # noqa: PLC0415
-    from splitknit.training.shape_data import ShapeData  # noqa: PLC0415
+    from splitknit.training import shape
+    from splitknit.training.shape_data import ShapeData
 
     data = ShapeData(**_chosen(options, _SHAPE_DATA))
     settings = shape.ShapeSettings(**_chosen(options, _SHAPE, "device", "precision"))
@@ -210,9 +210,9 @@ def _written(out: Path, files: Mapping[str, str]) -> list[str]:
 
 def _curve_svg(x: Sequence[float], lines: Mapping[str, Sequence[float]], x_label: str, y_label: str) -> bytes:
     """A learning curve as an SVG file."""
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
-    from splitknit.report.charts import Line, line_chart  # noqa: PLC0415
+    from splitknit.report.charts import Line, line_chart
 
     drawn = [Line(name, np.array(x, dtype=np.float64), np.array(y)) for name, y in lines.items()]
     # plain text first: the markup's own replace() would escape what is put in

@@ -62,14 +62,14 @@ class _Version(argparse.Action):
         super().__init__(nargs=0, **(named | {"dest": argparse.SUPPRESS, "default": argparse.SUPPRESS}))
 
     def __call__(self, parser: argparse.ArgumentParser, *unused: Any) -> None:
-        from splitknit import __version__  # noqa: PLC0415
+        from splitknit import __version__
 
         print(f"splitknit {__version__}")
         parser.exit()
 
 
 def _suggestion(word: str, choices: Iterable[str]) -> str:
-    from difflib import get_close_matches  # noqa: PLC0415 - only errors need it
+    from difflib import get_close_matches  # only errors need it
 
     close = get_close_matches(word, choices, 1)
     return f"; did you mean '{close[0]}' instead of '{word}'?" if close else ""
@@ -77,7 +77,7 @@ def _suggestion(word: str, choices: Iterable[str]) -> str:
 
 def one_line(error: object) -> str:
     """Return an error's text on one line that moves no cursor: what it quotes may hold any character."""
-    from splitknit.errors import printable  # noqa: PLC0415 - `--help` needs none of it
+    from splitknit.errors import printable  # `--help` needs none of it
 
     return printable(" ".join(str(error).split()) or "no further words")
 
@@ -98,9 +98,9 @@ def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace
 
 def run_verb(options: argparse.Namespace) -> Outcome:
     """Run the chosen verb, its workers included, with the permissions for new files that were asked for."""
-    from splitknit.errors import given_folders  # noqa: PLC0415 - `--help` needs none of it
-    from splitknit.gallery import VERB  # noqa: PLC0415
-    from splitknit.io.atomic import GROUP_READABLE  # noqa: PLC0415
+    from splitknit.errors import given_folders  # `--help` needs none of it
+    from splitknit.gallery import VERB
+    from splitknit.io.atomic import GROUP_READABLE
 
     kind = getattr(options, "kind", None)
     VERB.set(f"{options.verb} {kind}" if isinstance(kind, str) else options.verb)
@@ -205,7 +205,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         if self._wanted:
-            from tqdm import tqdm  # noqa: PLC0415
+            from tqdm import tqdm
 
             self._bar = tqdm(
                 total=100,
@@ -217,7 +217,7 @@ class Progress:
 
     def update(self, stage: str, fraction: float) -> None:
         """Report that `stage` is at work and `fraction` (0 to 1) of everything is done."""
-        from splitknit.errors import printable  # noqa: PLC0415
+        from splitknit.errors import printable
 
         if self._bar is not None:
             self._bar.set_description_str(printable(stage), refresh=False)

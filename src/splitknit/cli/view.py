@@ -32,7 +32,7 @@ def add_view(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Serve until Ctrl-C; messages are printed before."""
-    from splitknit.viewer.server import (  # noqa: PLC0415
+    from splitknit.viewer.server import (
         open_paths,
         opened_page,
         serve,

@@ -196,7 +196,7 @@ def _methods(scores: Scores) -> list[str]:
 def _facts(
     results: list[Result], compared: list[Difference], settings: EvaluationSettings, notes: list[str]
 ) -> dict[str, Any]:
-    import datetime  # noqa: PLC0415
+    import datetime
 
     systems = {result.scores.name: system_facts(result, settings.bootstrap) for result in results}
     first = results[0]

@@ -255,9 +255,9 @@ class _SealedBox:
 
     def __init__(self, key: Key, salt: bytes, scrypt: ScryptSettings, version: int = VERSION) -> None:
         """Derive the keys of one gallery, which its salt and the version of its format make its own."""
-        from cryptography.hazmat.primitives.ciphers.aead import AESGCM  # noqa: PLC0415 - few need it
-        from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
-        from cryptography.hazmat.primitives.kdf.hkdf import HKDF  # noqa: PLC0415
+        from cryptography.hazmat.primitives.ciphers.aead import AESGCM  # few need it
+        from cryptography.hazmat.primitives.hashes import SHA256
+        from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
         require(len(salt) == SALT_BYTES, f"a salt has {SALT_BYTES} bytes, not {len(salt)}.")
         secret = key.secret if key.raw else _stretched(key.secret, salt, scrypt)
@@ -273,7 +273,7 @@ class _SealedBox:
 
     def open(self, sealed: bytes, context: bytes) -> bytes:
         """Content, if key and place are those it was sealed with and no byte was changed."""
-        from cryptography.exceptions import InvalidTag  # noqa: PLC0415
+        from cryptography.exceptions import InvalidTag
 
         if len(sealed) < self.overhead:
             raise Damaged
@@ -302,15 +302,15 @@ def code_secret(key: Key | None, salt: bytes) -> bytes:
     """
     if key is None:
         return hashlib.sha256(b"splitknit codes, no key\0" + salt).digest()
-    from cryptography.hazmat.primitives.hashes import SHA256  # noqa: PLC0415
-    from cryptography.hazmat.primitives.kdf.hkdf import HKDF  # noqa: PLC0415
+    from cryptography.hazmat.primitives.hashes import SHA256
+    from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
     secret = key.secret if key.raw else _stretched(key.secret, salt, ScryptSettings())
     return bytes(HKDF(SHA256(), KEY_BYTES, salt, b"splitknit codes 1").derive(secret))
 
 
 def _stretched(phrase: bytes, salt: bytes, settings: ScryptSettings) -> bytes:
-    from cryptography.hazmat.primitives.kdf.scrypt import Scrypt  # noqa: PLC0415
+    from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
 
     return bytes(Scrypt(salt, KEY_BYTES, 2**settings.log2_n, settings.r, settings.p).derive(phrase))
 

@@ -439,7 +439,7 @@ def _nearest(
     """
     count = min(count, len(bits))
     try:
-        import faiss  # noqa: PLC0415 - of the extra `search`
+        import faiss  # of the extra `search`
     except ImportError:
         return _nearest_by_numpy(probe, bits, count)
     distances, places = faiss.knn_hamming(probe, bits, count, variant="mc")

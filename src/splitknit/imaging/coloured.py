@@ -122,7 +122,7 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     BadInput
         If the white images are grey or too few.
     """
-    from splitknit.model import CROSSTALK, shared_exposures  # noqa: PLC0415 - the twin's sensor
+    from splitknit.model import CROSSTALK, shared_exposures  # the twin's sensor
 
     white = capture.bands["white"]
     require(

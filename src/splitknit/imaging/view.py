@@ -146,7 +146,7 @@ def view_of(
     some_rows, some_columns = (_lattice(axis) for axis in (row, column))
     grid = np.stack(np.meshgrid(some_columns, some_rows), axis=-1).reshape(-1, 2)
     points = plane_points(camera, grid).reshape(some_rows.size, some_columns.size, 2)
-    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415 - slow to import; lenses with distortion alone
+    from scipy.interpolate import RectBivariateSpline  # slow to import; lenses with distortion alone
 
     x, y = (RectBivariateSpline(some_rows, some_columns, points[..., axis])(row, column) for axis in range(2))
     return View(np.asarray(x), np.asarray(y), camera.height_mm, along_rays)

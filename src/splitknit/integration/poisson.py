@@ -225,8 +225,8 @@ class _DirectSolver:
         value = -np.concatenate(values)
         degree = grid.degree.ravel()[self.pixels].astype(np.float64)
         own = np.arange(self.pixels.size)
-        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - slow to import
-        from scipy.sparse.linalg import splu  # noqa: PLC0415 - slow to import
+        from scipy.sparse.csgraph import connected_components  # slow to import
+        from scipy.sparse.linalg import splu  # slow to import
 
         matrix = scipy.sparse.csc_matrix(
             (

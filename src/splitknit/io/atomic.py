@@ -154,7 +154,7 @@ def _temporary(target: Path) -> Iterator[Path]:
 
     The folder is locked before it is marked: what has a mark and no lock was left by a program that is no more.
     """
-    import secrets  # noqa: PLC0415 - who only reads needs none of it
+    import secrets  # who only reads needs none of it
 
     _sweep_once(target.parent)
     folder = target.with_name(f".splitknit-{secrets.token_hex(6)}.tmp")
@@ -216,7 +216,7 @@ def hold(stream: IO[Any], busy: str) -> None:
         With the message `busy`, if another program holds it.
     """
     try:
-        import fcntl  # noqa: PLC0415 - not on every system
+        import fcntl  # not on every system
     except ImportError:
         return
     try:
@@ -230,7 +230,7 @@ def _lock(descriptor: int | None, *, wait: bool) -> bool:
     if descriptor is None:
         return False
     try:
-        import fcntl  # noqa: PLC0415 - not on every system
+        import fcntl  # not on every system
 
         fcntl.flock(descriptor, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (ImportError, OSError):

@@ -228,7 +228,7 @@ def encode_image(pixels: PixelArray, suffix: str) -> bytes:
 
 
 def _encode_png(array: NDArray[Any]) -> bytes:
-    import cv2  # noqa: PLC0415 - slow to import
+    import cv2  # slow to import
 
     # Run-length strategy: on noisy photographs as small as the default, in a third of the time.
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
@@ -326,7 +326,7 @@ def _decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> Pixel
     """Decode a JPEG file to (H, W, C) uint8 in RGB order, C = 1 or 3, as stored: EXIF orientation is ignored. Raises
     BadInput if the file is truncated, damaged or of a kind that is not supported.
     """
-    from PIL import JpegImagePlugin  # noqa: PLC0415 - slow to import
+    from PIL import JpegImagePlugin  # slow to import
 
     header = _jpeg_header(data, name)
     with refusing(f"{name} cannot be decoded; capture or export it again."):

@@ -147,7 +147,7 @@ def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFac
 def _itl_package() -> Any:
     """Import `nistitl`, or report how to get it."""
     try:
-        import nistitl  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - an extra
+        import nistitl  # type: ignore[import-untyped,import-not-found,unused-ignore]  # an extra
     except ImportError as error:
         raise BadInput("ANSI/NIST-ITL files need the package nistitl: pip install 'splitknit[records]'.") from error
     return nistitl

@@ -222,7 +222,7 @@ def _tiff(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
 
 def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
     """Uncompressed BMP of 8, 24 or 32 bits."""
-    from PIL import BmpImagePlugin  # noqa: PLC0415
+    from PIL import BmpImagePlugin
 
     words = np.frombuffer(data[14:54].ljust(40, b"\0"), "<i4")
     bits, compression = int(words[3]) >> 16, int(words[4])
@@ -241,7 +241,7 @@ def _bmp(data: bytes, name: str, room: int | None) -> NDArray[Any]:
 
 def _webp(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     """By OpenCV, in 6 bytes a pixel; Pillow takes 22."""
-    import cv2  # noqa: PLC0415 - slow to import
+    import cv2  # slow to import
 
     rows, columns = _webp_size(data, name)
     _checked(rows, columns, 4, name, room)
@@ -281,7 +281,7 @@ def _webp_size(data: bytes, name: str) -> tuple[int, int]:
 
 def _heic(data: bytes, name: str, room: int | None) -> NDArray[Any]:
     try:
-        import pillow_heif  # noqa: PLC0415 - of the extra `photos`
+        import pillow_heif  # of the extra `photos`
     except ImportError as error:
         raise BadInput(_EXTRA.format(f"{name} (HEIC)")) from error
     with refusing(_UNREADABLE.format(name)):
@@ -295,7 +295,7 @@ def _heic(data: bytes, name: str, room: int | None) -> NDArray[Any]:
 
 def _raw(data: bytes, name: str, room: int | None) -> tuple[NDArray[Any], int]:
     try:
-        import rawpy  # noqa: PLC0415 - of the extra `photos`
+        import rawpy  # of the extra `photos`
     except ImportError as error:
         raise BadInput(_EXTRA.format(f"{name} (camera RAW)")) from error
     with (

@@ -224,7 +224,7 @@ def _decode_palette(header: PngHeader, palette: bytes, compressed: bytes, name: 
 
 def _unfilter(header: PngHeader, lines: bytes | memoryview, rows: int, name: str) -> NDArray[Any]:
     """Undo the row filters of `rows` complete filtered rows with the C library; gives grey, RGB or BGRA."""
-    import cv2  # noqa: PLC0415 - slow to import
+    import cv2  # slow to import
 
     _check_filters(header, lines, rows, name)
     shape = struct.pack(">IIBBBBB", header.columns, rows, header.depth, header.colour, 0, 0, header.interlaced)
@@ -282,7 +282,7 @@ def _store(image: NDArray[Any], colour: int, out: PixelArray) -> None:
 
 def copy_rgb(image: NDArray[Any], out: PixelArray) -> None:
     """Copy blue-green-red(-alpha) pixels into `out` (H, W, 3) as red-green-blue."""
-    import cv2  # noqa: PLC0415 - slow to import
+    import cv2  # slow to import
 
     code = cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB
     if out.flags.c_contiguous:

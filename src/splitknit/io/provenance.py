@@ -32,7 +32,7 @@ def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) ->
     dict with ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``; equal input gives an equal
     result (no date, no host).
     """
-    from importlib import metadata  # noqa: PLC0415 - slow to import
+    from importlib import metadata  # slow to import
 
     plain = plain_json({} if settings is None else settings)
     return {

@@ -94,7 +94,7 @@ def encode_tiff(image: NDArray[Any], **tags: Any) -> bytes:
     """Return an uncompressed TIFF file of one page (H, W) or (H, W, 3); `tags` are arguments of tifffile's ``imwrite``,
     such as the resolution. Equal input gives equal bytes.
     """
-    import tifffile  # noqa: PLC0415 - slow to import
+    import tifffile  # slow to import
 
     logger = logging.getLogger("tifffile")
     if not logger.handlers:  # its warnings would go to stderr
@@ -350,7 +350,7 @@ def _unpacked(stored: bytes, size: int) -> bytes:
 
 
 def _decode_lzw(data: bytes, page: TiffPage, name: str, out: PixelArray) -> PixelArray:
-    import cv2  # noqa: PLC0415 - slow to import
+    import cv2  # slow to import
 
     # libtiff's errors go to OpenCV's log, which is printed; what cannot be decoded comes as None all the same
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

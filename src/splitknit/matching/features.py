@@ -309,7 +309,7 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     ----------
     Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
     """
-    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+    import scipy.fft  # a comparison of templates needs none of it
 
     image = check_image(image)
     factor = px_per_mm / REFERENCE_PX_PER_MM
@@ -349,7 +349,7 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
 
 def _passed(side: int, middle: float, width: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Places in the spectrum of `side` values that a Gaussian filter passes (6 widths each way), and its gain there."""
-    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+    import scipy.fft  # a comparison of templates needs none of it
 
     centre, reach = round(middle * side), int(np.ceil(6.0 * width * side))
     count = min(side, scipy.fft.next_fast_len(2 * reach + 1))

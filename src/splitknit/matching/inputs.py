@@ -72,7 +72,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
         "or a record of minutiae.",
     )
     if path.is_dir():
-        from splitknit.io.capture import photographs_hint, read_capture  # noqa: PLC0415 - a template needs none of it
+        from splitknit.io.capture import photographs_hint, read_capture  # a template needs none of it
 
         if (path / "map.npz").is_file() and (path / "print.png").is_file():
             return _print_folder(path, settings)
@@ -97,8 +97,8 @@ def read_side(  # noqa: PLR0911 - one for each kind
         if holds_minutiae(payload):
             return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
         return naming(path, lambda: Side(path, "template", None, unpack(payload)))
-    from splitknit.io.minutiae_record import FingerView  # noqa: PLC0415 - a template needs none of it
-    from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled  # noqa: PLC0415
+    from splitknit.io.minutiae_record import FingerView  # a template needs none of it
+    from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled
 
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
@@ -110,7 +110,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
 
 def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
     """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
-    from splitknit.prints.from_file import minutiae_of, read_print_folder, resampled  # noqa: PLC0415
+    from splitknit.prints.from_file import minutiae_of, read_print_folder, resampled
 
     picture, view = read_print_folder(folder)
     printed = naming(folder, lambda: resampled(picture))
@@ -148,13 +148,13 @@ def read_surface(path: Path) -> Surface:
     BadInput
         If it is damaged, or an array is missing or of another shape.
     """
-    from splitknit.io.results import read_fields  # noqa: PLC0415 - a template needs none of it
+    from splitknit.io.results import read_fields  # a template needs none of it
 
     arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))
     return Surface(**arrays)
 
 
 def _reconstructed(capture: Capture, preset: str, progress: Progress) -> Reconstruction:
-    from splitknit.pipeline import reconstruct  # noqa: PLC0415 - a template needs none of it
+    from splitknit.pipeline import reconstruct  # a template needs none of it
 
     return reconstruct(capture, preset, progress=lambda stage, fraction: progress(stage, 0.1 + 0.7 * fraction))

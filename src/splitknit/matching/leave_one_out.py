@@ -82,13 +82,13 @@ def left_out_pictures(
     the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
     """
     # settings of this method belong to those of all, so that every comparison imports this module
-    from splitknit.finger.locate import prepared_capture  # noqa: PLC0415
-    from splitknit.finger.steady import find_steady_finger  # noqa: PLC0415
-    from splitknit.imaging.band import linear_stack  # noqa: PLC0415
-    from splitknit.imaging.coloured import balanced  # noqa: PLC0415
-    from splitknit.photometric.lambertian import left_out  # noqa: PLC0415
-    from splitknit.prints.print_map import plane_map, resample  # noqa: PLC0415
-    from splitknit.prints.ridges import PrintSettings, ink  # noqa: PLC0415
+    from splitknit.finger.locate import prepared_capture
+    from splitknit.finger.steady import find_steady_finger
+    from splitknit.imaging.band import linear_stack
+    from splitknit.imaging.coloured import balanced
+    from splitknit.photometric.lambertian import left_out
+    from splitknit.prints.print_map import plane_map, resample
+    from splitknit.prints.ridges import PrintSettings, ink
 
     chosen = chosen or LeaveOneOutSettings()
     capture, _ = prepared_capture(capture, settings)

@@ -90,7 +90,7 @@ def match_files(
     require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
-        from splitknit.io.targets import check_file  # noqa: PLC0415 - a comparison needs none of it
+        from splitknit.io.targets import check_file  # a comparison needs none of it
 
         empty = template.suffix == ".skt"  # is a failure to acquire
         check_file(template, "a template", lambda data: is_template(data) if data else empty)
@@ -244,7 +244,7 @@ def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
 
 
 def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
-    from splitknit.matching.thesis import thesis_match  # noqa: PLC0415 - a template needs none of it
+    from splitknit.matching.thesis import thesis_match  # a template needs none of it
 
     images = []
     for side in (a, b):
@@ -319,7 +319,7 @@ def side_minutiae(side: Side) -> Minutiae:
         return side.minutiae
     image, pressed = _print_of(side)
     if pressed:
-        from splitknit.prints.from_file import print_minutiae  # noqa: PLC0415 - a template needs none of it
+        from splitknit.prints.from_file import print_minutiae  # a template needs none of it
 
         return naming(side.path, partial(print_minutiae, image))
     return naming(side.path, partial(extract, image, PPI))
@@ -336,7 +336,7 @@ def _joined(a: Side, b: Side, similarity: float) -> float | None:
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
     """The print of a side at 500 ppi, and whether it comes from a file."""
     if side.surface is not None:
-        from splitknit.prints.ridges import surface_print  # noqa: PLC0415 - a template needs none of it
+        from splitknit.prints.ridges import surface_print  # a template needs none of it
 
         return naming(side.path, partial(surface_print, side.surface, PPI)), False
     if side.picture is None:
@@ -366,8 +366,8 @@ def _surface(side: Side, method: str) -> Surface:
 def _by_space_minutiae(
     method: str, sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings
 ) -> dict[str, Any]:
-    from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # noqa: PLC0415 - a template needs none of it
-    from splitknit.matching.space_features import space_minutiae  # noqa: PLC0415 - a template needs none of it
+    from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # a template needs none of it
+    from splitknit.matching.space_features import space_minutiae  # a template needs none of it
 
     left, right = (
         naming(side.path, partial(space_minutiae, surface)) for side, surface in zip(sides, surfaces, strict=True)
@@ -385,8 +385,8 @@ def _by_space_minutiae(
 
 
 def _by_codes(sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings) -> dict[str, Any]:
-    from splitknit.matching.space_features import surface_code  # noqa: PLC0415 - a template needs none of it
-    from splitknit.matching.surface_code import surface_code_match  # noqa: PLC0415 - a template needs none of it
+    from splitknit.matching.space_features import surface_code  # a template needs none of it
+    from splitknit.matching.surface_code import surface_code_match  # a template needs none of it
 
     left, right = (
         naming(side.path, partial(surface_code, surface, settings.surface_code))
@@ -424,9 +424,9 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
 
 
 def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
-    from splitknit.io.capture import read_capture  # noqa: PLC0415 - of captures only
-    from splitknit.matching.leave_one_out import voted_minutiae  # noqa: PLC0415
-    from splitknit.presets import preset_settings  # noqa: PLC0415
+    from splitknit.io.capture import read_capture  # of captures only
+    from splitknit.matching.leave_one_out import voted_minutiae
+    from splitknit.presets import preset_settings
 
     capture = read_capture(side.path)
     return naming(

@@ -89,7 +89,7 @@ def enhance_print(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _filtered(even: FloatArray) -> FloatArray:
     """(H, W) what runs along the ridges, from windows added up."""
-    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+    import scipy.fft  # a comparison of templates needs none of it
 
     side, step = _WINDOW_PX, _STEP_PX
     rows, columns = (int(np.ceil((size + side) / step)) for size in even.shape)
@@ -356,7 +356,7 @@ def _module() -> Any:
         "minutiae need nbis-py, which exists for x86-64 Linux: pip install 'splitknit[minutiae]' there; elsewhere "
         "compare with the method ridge."
     ):
-        import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # noqa: PLC0415 - 40 MB
+        import nbis  # type: ignore[import-untyped,import-not-found,unused-ignore]  # 40 MB
     return nbis
 
 

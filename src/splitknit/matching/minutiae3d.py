@@ -89,7 +89,7 @@ class PreparedMinutiae3D(Framed):
     @cached_property
     def tree(self) -> scipy.spatial.cKDTree:
         """The looks in units of the tolerances; azimuths go round."""
-        import scipy.spatial  # noqa: PLC0415 - a comparison of templates needs none of it
+        import scipy.spatial  # a comparison of templates needs none of it
 
         angle = np.deg2rad(_ANGLE_DEG)
         scaled = self.looks / np.array([_LENGTH_MM, angle, angle])
@@ -229,7 +229,7 @@ class PreparedTetrahedra(Framed):
     @cached_property
     def tree(self) -> scipy.spatial.cKDTree:
         """The looks in units of the tolerances."""
-        import scipy.spatial  # noqa: PLC0415 - a comparison of templates needs none of it
+        import scipy.spatial  # a comparison of templates needs none of it
 
         units = np.repeat([self.settings.edge_mm, self.settings.edge_mm, np.deg2rad(self.settings.angle_deg)], 3)
         return scipy.spatial.cKDTree(self.looks / units, leafsize=32)

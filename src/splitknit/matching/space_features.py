@@ -66,7 +66,7 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
     37(3), 2015: minutiae of the plane print with their height z and elevation phi.
     """
-    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import extract  # large, and not everywhere
 
     found = extract(surface_print(surface, 500.0))
     if not found.count:

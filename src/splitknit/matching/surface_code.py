@@ -261,7 +261,7 @@ class PreparedSurface:
 
     def planes(self, turn_deg: float, size: tuple[int, int]) -> NDArray[Any]:
         """Transforms (4, ...) of the planes of the coarse grid, as plus and minus one, zero where there is no code."""
-        import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+        import scipy.fft  # a comparison of templates needs none of it
 
         if ("planes", turn_deg, size) not in self._kept:
             code, mask = self.turned(turn_deg, self.settings.coarse_mm)
@@ -272,7 +272,7 @@ class PreparedSurface:
 
     def outline(self, size: tuple[int, int]) -> NDArray[Any]:
         """Transform of the coarse grid's mask."""
-        import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+        import scipy.fft  # a comparison of templates needs none of it
 
         if ("outline", size) not in self._kept:
             _, mask = self.turned(0.0, self.settings.coarse_mm)
@@ -340,7 +340,7 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
 
     The overlap is taken to be that of the outlines as they came, whatever the turn.
     """
-    import scipy.fft  # noqa: PLC0415 - a comparison of templates needs none of it
+    import scipy.fft  # a comparison of templates needs none of it
 
     settings, pitch = a.settings, a.settings.coarse_mm
     grids = a.grid(pitch), b.grid(pitch)

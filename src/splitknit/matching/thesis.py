@@ -321,7 +321,7 @@ def thesis_match(
         return ThesisMatch(
             similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
         )
-    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - 6 ms of every other comparison
+    from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
 
     box = database.mask.shape[0], database.mask.shape[1]
     extract = _extractor(settings, database.px_per_mm)

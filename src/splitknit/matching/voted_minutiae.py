@@ -121,7 +121,7 @@ def _pool(pictures: Sequence[Minutiae]) -> NDArray[np.void]:
 
 def _same(pool: NDArray[np.void]) -> list[NDArray[np.intp]]:
     """For each minutia those that are near enough to be the same, itself among them."""
-    import scipy.spatial  # noqa: PLC0415 - a comparison of templates needs none of it
+    import scipy.spatial  # a comparison of templates needs none of it
 
     if not len(pool):
         return []

@@ -104,7 +104,7 @@ def _add_slopes(  # noqa: PLR0917
     chosen = [k for k, (name, _) in enumerate(names) if name in ("squareness", "shear", "shear_slope")]
     if not chosen:
         return
-    from splitknit.mirrors.body import slopes_across  # noqa: PLC0415 - it needs bodies, too
+    from splitknit.mirrors.body import slopes_across  # it needs bodies, too
 
     residual = slopes_across(state.body, slopes)
     good = np.isfinite(residual)

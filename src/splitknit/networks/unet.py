@@ -202,7 +202,7 @@ def _onnxruntime() -> Any:
     )
     os.environ[NO_TELEMETRY] = "1"  # also over 0, with which it is on
     with importing("networks need onnxruntime, which cannot be imported ({error}); pip install onnxruntime."):
-        import onnxruntime  # type: ignore[import-untyped]  # noqa: PLC0415 - heavy, and only presets that need it pay
+        import onnxruntime  # type: ignore[import-untyped]  # heavy, and only presets that need it pay
     return onnxruntime
 
 

@@ -229,7 +229,7 @@ FULL_WORTH = 0.95
 
 def _nfiq2_of(pictures: Mapping[str, NDArray[np.uint8]], ppi: float) -> dict[str, int | None] | None:
     """NFIQ 2 of ``print.png`` and ``enhanced.png``, None where it sees no print; None without the package for it."""
-    from splitknit.matching.minutiae import NFIQ2_FAILED, nfiq2  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import NFIQ2_FAILED, nfiq2  # large, and not everywhere
 
     try:
         found = {name: nfiq2(pictures[f"{name}.png"], ppi) for name in ("print", "enhanced")}
@@ -329,7 +329,7 @@ def _write_minutiae(  # noqa: PLR0917
 
     Without the package that mindtct comes with, nothing is written and the facts name what to install.
     """
-    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import extract  # large, and not everywhere
 
     print_map = made.map
     try:

@@ -40,9 +40,9 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
     BadInput
         If it is no capture, has no mirrors beside the finger, or fewer than two of its views can be used.
     """
-    from splitknit.mirrors.rolled.finger import rolled_finger  # noqa: PLC0415
-    from splitknit.mirrors.rolled.views import find_mirror_views  # noqa: PLC0415
-    from splitknit.presets import preset_settings  # noqa: PLC0415
+    from splitknit.mirrors.rolled.finger import rolled_finger
+    from splitknit.mirrors.rolled.views import find_mirror_views
+    from splitknit.presets import preset_settings
 
     require(
         (path / "capture.json").is_file(),
@@ -157,7 +157,7 @@ def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
 
 def _evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
     """(n, m) the relief without its ridges, mm: a seam would be a step in it."""
-    import cv2  # noqa: PLC0415 - large
+    import cv2  # large
 
     weight = rolled.blended.known.astype(np.float32)
     size = sigma_mm / rolled.chart.pitch_mm

@@ -195,7 +195,7 @@ def _relaxed(
     ).tocsc()
     pinned = int(np.argmin(np.linalg.norm(flat - np.median(flat, axis=0), axis=1)))
     free = np.delete(np.arange(count), pinned)
-    from scipy.sparse.linalg import splu  # noqa: PLC0415 - slow to import
+    from scipy.sparse.linalg import splu  # slow to import
 
     solver = splu(
         ones[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -300,7 +300,7 @@ def _on_cylinder(grid: SurfaceGrid) -> Array:
     Five parameters: where the axis passes (x, z), its two slopes over y, and the radius; least squares of the distances
     of the nodes that face the camera within 60 deg, with a robust loss, so that the tip does not decide.
     """
-    from scipy.optimize import least_squares  # noqa: PLC0415 - slow to import, and seldom used
+    from scipy.optimize import least_squares  # slow to import, and seldom used
 
     points = grid.points_mm
     used = points[grid.inside & (slant_cos(grid.points_mm) > 0.5)]
@@ -353,7 +353,7 @@ def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
     values[rows] = np.array(circles)
     tops = np.zeros(len(points))
     tops[rows] = np.array([c[1] + c[2] for c in circles])
-    from scipy.ndimage import gaussian_filter1d  # noqa: PLC0415 - slow to import
+    from scipy.ndimage import gaussian_filter1d  # slow to import
 
     total = gaussian_filter1d(weight, sigma, mode="constant")
     total = np.maximum(total, 1e-9)

@@ -8,7 +8,7 @@ from typing import Any
 
 def template(name: str) -> Any:
     """A page of ``templates/``, to be rendered; a name that it does not get is an error."""
-    import jinja2  # noqa: PLC0415 - charts need none of it
+    import jinja2  # charts need none of it
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),

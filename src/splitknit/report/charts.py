@@ -117,7 +117,7 @@ def line_through(
     field: FloatArray, input_from_upright: NDArray[np.float64], start: tuple[float, float], end: tuple[float, float]
 ) -> FloatArray:
     """Values of `field` (H, W) at about one sample a pixel from `start` to `end` (column, row of the upright frame)."""
-    import cv2  # noqa: PLC0415 - charts without data need no image library
+    import cv2  # charts without data need no image library
 
     count = int(np.hypot(end[0] - start[0], end[1] - start[1])) + 2
     upright = np.stack([np.linspace(start[0], end[0], count), np.linspace(start[1], end[1], count), np.ones(count)])

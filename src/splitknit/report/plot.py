@@ -27,7 +27,7 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
         "plot() needs matplotlib, which is not installed: in the environment of splitknit, "
         "python -m pip install 'splitknit[plot]', or in its folder, make install EXTRAS=plot."
     ):
-        import matplotlib  # noqa: PLC0415, F401 - before anything is drawn
+        import matplotlib  # noqa: F401 - before anything is drawn
     printed = result.scale_known and is_finger(result)
     has = PANELS if printed else PANELS[:-1]
     for panel in panels:
@@ -36,7 +36,7 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
     require(bool(result.mask.any()), "the mask is empty: there is nothing to plot.")
     names = tuple(panels) or has
     if ax is None:
-        from matplotlib import pyplot  # noqa: PLC0415 - with axes of the caller's, which may have no pyplot
+        from matplotlib import pyplot  # with axes of the caller's, which may have no pyplot
 
         width, height = _PANEL_INCHES
         figure, rows = pyplot.subplots(
@@ -96,7 +96,7 @@ def _extent(size: tuple[int, ...], pitch: float) -> tuple[float, float, float, f
 
 def _scale_bar(ax: Any, longest: float, unit: str) -> None:
     """A bar of 1, 2 or 5 times a power of ten, below what is drawn."""
-    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # noqa: PLC0415
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
     tens = 10.0 ** np.floor(np.log10(longest))
     length = max(step * tens for step in (1, 2, 5) if step * tens <= longest)

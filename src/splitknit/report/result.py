@@ -143,7 +143,7 @@ def make_report(
 
 
 def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
-    from splitknit.evaluation.accuracy import compare  # noqa: PLC0415 - only what was simulated has a truth
+    from splitknit.evaluation.accuracy import compare  # only what was simulated has a truth
 
     return [compare(each, truth) for each in results]
 
@@ -151,7 +151,7 @@ def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Compariso
 def _facts(
     result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison], files: Sequence[str]
 ) -> dict[str, Any]:
-    import splitknit  # noqa: PLC0415 - the version, without an import cycle
+    import splitknit  # the version, without an import cycle
 
     return {
         "format": "splitknit-report",

@@ -326,7 +326,7 @@ def page(records: Records, summary: Mapping[str, Any], study: Study, pictures: M
 
 def write_all(out: Path, records: Records, summary: Mapping[str, Any], study: Study) -> dict[str, str]:
     """Write table, pictures and page into `out`; return what each file is."""
-    from splitknit.io.atomic import atomic_file  # noqa: PLC0415
+    from splitknit.io.atomic import atomic_file
 
     pictures = charts(records, summary)
     content = {f"{name}.svg": (standalone(picture), "picture") for name, picture in pictures.items()}

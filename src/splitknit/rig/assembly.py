@@ -91,7 +91,7 @@ class RigPart:
 def require_build123d() -> None:
     """Refuse with one sentence where build123d is not installed."""
     with importing("drawing parts needs build123d; in splitknit's folder: make install EXTRAS=rig."):
-        import build123d  # noqa: F401, PLC0415 - large, and only parts need it
+        import build123d  # noqa: F401 - large, and only parts need it
 
 
 def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None] | None = None) -> tuple[RigPart, ...]:
@@ -109,7 +109,7 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
     """
     check_dimensions(dimensions)
     require_build123d()
-    from splitknit.rig.parts import MAKERS  # noqa: PLC0415 - needs build123d
+    from splitknit.rig.parts import MAKERS  # needs build123d
 
     parts = []
     for done, kind in enumerate(KINDS):
@@ -211,7 +211,7 @@ def as_printed(part: RigPart, triangles: Triangles) -> Triangles:
 
 def write_step(path: Path, part: RigPart) -> None:
     """Write one part, in the rig's frame."""
-    from build123d import export_step  # noqa: PLC0415 - large, and only parts need it
+    from build123d import export_step  # large, and only parts need it
 
     export_step(_labelled(part), str(path), timestamp=_TIMESTAMP)
     _renumber(path)
@@ -219,7 +219,7 @@ def write_step(path: Path, part: RigPart) -> None:
 
 def write_assembly(path: Path, parts: Sequence[RigPart], *, below: bool = False) -> None:
     """Write parts in their places; `below` turns the whole rig over, camera lowest."""
-    from build123d import Compound, Rot, export_step  # noqa: PLC0415 - large, and only parts need it
+    from build123d import Compound, Rot, export_step  # large, and only parts need it
 
     placed = [_labelled(part) for part in parts]
     if below:
@@ -255,7 +255,7 @@ def _relabelled(shape: Any, source: Any) -> Any:
 
 def half_of(part: RigPart) -> Triangles:
     """Return the part without its half at x > 0, to look into it, (N, 3, 3) float32."""
-    from build123d import Pos, Solid  # noqa: PLC0415 - large, and only parts need it
+    from build123d import Pos, Solid  # large, and only parts need it
 
     size = 2000.0
     rest = part.solid.cut(Pos(0.0, -size / 2, -size / 2) * Solid.make_box(size, size, size))

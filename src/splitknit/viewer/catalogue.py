@@ -173,7 +173,7 @@ def _is_result(folder: Path) -> bool:
 
 def _holds_photographs(folder: Path) -> bool:
     """Whether an image lies in the folder itself."""
-    from splitknit.io.photos import SUFFIXES  # noqa: PLC0415 - the first view of a result waits for no image library
+    from splitknit.io.photos import SUFFIXES  # the first view of a result waits for no image library
 
     return any(file.suffix.lower() in SUFFIXES and not file.name.startswith(".") for file in folder.iterdir())
 

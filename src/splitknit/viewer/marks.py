@@ -95,7 +95,7 @@ _Columns = tuple[_Values, _Values, _Values, NDArray[np.int64], NDArray[np.int64]
 
 def _recorded(folder: Path, size: tuple[int, int]) -> _Columns | None:
     """Minutiae of the record that was written with the print, if there is one of this print."""
-    from splitknit.io.minutiae_files import decode_minutiae_record  # noqa: PLC0415
+    from splitknit.io.minutiae_files import decode_minutiae_record
 
     if not (folder / "minutiae.iso").is_file():
         return None
@@ -106,7 +106,7 @@ def _recorded(folder: Path, size: tuple[int, int]) -> _Columns | None:
 
 
 def _found(image: NDArray[np.uint8], ppi: float) -> _Columns:
-    from splitknit.matching.minutiae import extract  # noqa: PLC0415 - large, and not everywhere
+    from splitknit.matching.minutiae import extract  # large, and not everywhere
 
     found = extract(image, ppi)
     stored = image.shape[1] / max(1, found.size[1])

@@ -130,8 +130,8 @@ def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Pat
 
 
 def _gallery(paths: Sequence[Path], key_file: Path | None) -> Service:
-    from splitknit.gallery.key import key_of  # noqa: PLC0415 - a result needs none of it
-    from splitknit.viewer.people import People  # noqa: PLC0415
+    from splitknit.gallery.key import key_of  # a result needs none of it
+    from splitknit.viewer.people import People
 
     require(len(paths) == 1, "a gallery is shown alone; name nothing else.")
     return Service(Catalogue(paths[0].name, (), ()), People(paths[0], key_of(key_file)))

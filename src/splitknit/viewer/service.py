@@ -140,12 +140,12 @@ class Service:
             case ["thumb"]:
                 return _bytes(_thumb(entry.folder), "image/jpeg")
             case ["photo", number]:
-                from splitknit.viewer.photographs import photo_jpeg  # noqa: PLC0415
+                from splitknit.viewer.photographs import photo_jpeg
 
                 width = _whole(query.get("width", "1200"))
                 return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
             case ["export", kind]:
-                from splitknit.viewer.exports import export  # noqa: PLC0415
+                from splitknit.viewer.exports import export
 
                 with self._large:
                     made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
@@ -166,7 +166,7 @@ class Service:
         }
 
     def _pick(self, entry: Entry, query: Query) -> dict[str, Any]:
-        from splitknit.viewer.measure import pick  # noqa: PLC0415
+        from splitknit.viewer.measure import pick
 
         ray = np.array([_number(query, name) for name in ("ox", "oy", "oz", "dx", "dy", "dz")])
         exaggeration = _number(query, "relief", 1.0)
@@ -174,7 +174,7 @@ class Service:
         return {"point_mm": pick(self.surface(entry), ray[:3], ray[3:], exaggeration)}
 
     def _section(self, entry: Entry, query: Query) -> dict[str, Any]:
-        from splitknit.viewer.measure import section  # noqa: PLC0415
+        from splitknit.viewer.measure import section
 
         ends = _ends(query)
         try:
@@ -189,20 +189,20 @@ class Service:
             return {"minutiae": None, "why_not": str(error)}
 
     def _read_marks(self, key: str) -> Marks:
-        from splitknit.viewer.marks import marks_of  # noqa: PLC0415
+        from splitknit.viewer.marks import marks_of
 
         entry = self.catalogue.entry(key)
         return marks_of(entry.folder, self.surface(entry))
 
     def _align(self, first: str, second: str) -> Alignment:
-        from splitknit.viewer.pair import align  # noqa: PLC0415
+        from splitknit.viewer.pair import align
 
         one, two = self.catalogue.entry(first), self.catalogue.entry(second)
         with self._large:
             return align(one, self.surface(one), two, self.surface(two))
 
     def _differ(self, first: str, second: str) -> Difference:
-        from splitknit.viewer.pair import difference  # noqa: PLC0415
+        from splitknit.viewer.pair import difference
 
         one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
         found = self._aligned(first, second)
@@ -214,7 +214,7 @@ class Service:
             case []:
                 return _json(self._both(first, second))
             case ["difference"]:
-                from splitknit.io.images import encode_image  # noqa: PLC0415
+                from splitknit.io.images import encode_image
 
                 return _bytes(encode_image(self._differed(first, second).picture, ".png"), "image/png")
             case ["section"]:
@@ -222,7 +222,7 @@ class Service:
         raise BadInput(_NOT_FOUND)
 
     def _both(self, first: str, second: str) -> dict[str, Any]:
-        from splitknit.viewer.pair import matched_marks  # noqa: PLC0415
+        from splitknit.viewer.pair import matched_marks
 
         for key in (first, second):
             self.surface(self.catalogue.entry(key))
@@ -244,8 +244,8 @@ class Service:
 
     def _section_of_both(self, first: str, second: str, query: Query) -> dict[str, Any]:
         """Both cut at the same places of the first one's frame."""
-        from splitknit.viewer.measure import section  # noqa: PLC0415
-        from splitknit.viewer.pair import Alignment  # noqa: PLC0415
+        from splitknit.viewer.measure import section
+        from splitknit.viewer.pair import Alignment
 
         one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
         found = Alignment("none")
@@ -263,9 +263,9 @@ class Service:
 
 @lru_cache(maxsize=512)
 def _thumb(folder: Path) -> bytes:
-    import cv2  # noqa: PLC0415
+    import cv2
 
-    from splitknit.io.images import decode_image  # noqa: PLC0415
+    from splitknit.io.images import decode_image
 
     stored = decode_image(read_below(folder, "preview.png", 100_000_000), "preview.png")
     require(stored.dtype == np.uint8, "preview.png has more than 8 bits.")
@@ -400,7 +400,7 @@ def _print(entry: Entry) -> dict[str, Any] | None:
 
 def describe_photographs(entry: Entry) -> dict[str, Any]:
     """All that the page needs of a folder of photographs. Raises BadInput if it cannot be read."""
-    from splitknit.viewer.photographs import photographs_of  # noqa: PLC0415
+    from splitknit.viewer.photographs import photographs_of
 
     found = photographs_of(entry.folder)
     return {
@@ -416,7 +416,7 @@ def describe_photographs(entry: Entry) -> dict[str, Any]:
 def _photos(entry: Entry) -> list[dict[str, Any]]:
     if entry.capture is None:
         return []
-    from splitknit.viewer.photographs import photographs_of  # noqa: PLC0415 - the first view waits for no image library
+    from splitknit.viewer.photographs import photographs_of  # the first view waits for no image library
 
     try:
         found = photographs_of(entry.capture).photos
