@@ -29,10 +29,9 @@ from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine
-from splitknit.skin.images import shipped_networks
-from splitknit.skin.learned import can_learn, relief_by_network
+from splitknit.skin.images import FACTOR, coarser, finer_grid, finer_images, shipped_networks
+from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
@@ -166,7 +165,7 @@ def _ridges(  # noqa: PLR0917
     networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
         g = _held_normals(images.stack / light.entering, light, smooth, grid, prior)
-        found = relief_by_network(images, grid, smooth, light, networks.relief, g)
+        found = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
         return found.relief_mm, found.deviation_mm, found.trust * lit, "network"
     trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
     stack = images.stack.mean(axis=0)
