@@ -85,6 +85,7 @@ class ReliefSettings:
     metric: MetricSettings = field(default_factory=MetricSettings)
     shapelets: ShapeletSettings = field(default_factory=lambda: ShapeletSettings(scales=4))
     max_slope: float = 6.0
+    """Steeper slopes are shortened to this."""
 
 
 def _view_relief(  # noqa: PLR0917
