@@ -277,7 +277,7 @@ def test_captures_by_hand_are_read(tmp_path: Path) -> None:
     assert capture.tip_direction_deg == 20
 
 
-@pytest.mark.parametrize("name", ["split_and_knit", "metric", "reconstruct_skin"])
+@pytest.mark.parametrize("name", ["ea", "snk", "metric_opaque", "metric_skin"])
 def test_the_architecture_page_quotes_the_algorithm(name: str) -> None:
     """Every line of the functions, docstrings left out, in a block of the page."""
     from splitknit import pipeline

@@ -267,10 +267,9 @@ def test_what_is_not_split_is_matched_by_its_height(
 
 def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
     metric = preset_settings("metric")
-    assert undoes_blur(capture, metric)
-    assert not undoes_blur(replace(capture, material="opaque"), metric)
-    told = replace(metric, skin=replace(metric.skin, invert_blur=False))
-    assert not undoes_blur(capture, told)
+    assert undoes_blur(capture.material, metric.skin)
+    assert not undoes_blur("opaque", metric.skin)
+    assert not undoes_blur(capture.material, replace(metric.skin, invert_blur=False))
     result = reconstruct(capture, "metric", {"skin.invert_blur": False})
     assert result.uncertainty_um is None
     assert result.facts["separation"].startswith("none")

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import splitknit
+from splitknit import pipeline
 from splitknit.finger.locate import FingerSettings, find_finger
 from splitknit.imaging import band as light
 from splitknit.io import pictures
@@ -24,10 +25,10 @@ from splitknit.report.photos import LONGEST_PX, small_images
 from splitknit.report.result import write_results
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
-from splitknit.skin import learned, surface
+from splitknit.skin import learned, shape
 from splitknit.skin.grid import Grid
 from splitknit.skin.images import skin_images
-from splitknit.steps import Memory, frugal
+from splitknit.steps import Memory
 
 
 @pytest.fixture(scope="module")
@@ -40,14 +41,14 @@ def capture() -> Capture:
 def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """Calls, pixels and transforms of what is run while the test lasts."""
     found: Counter[str] = Counter()
-    infer, compare, features = unet._infer, surface.compare, learned.features
+    infer, compare, features = unet._infer, shape.compare, learned.features
     forward, inverse = Grid.forward, Grid.inverse
 
     def inferring(network: unet.Network, image: np.ndarray) -> np.ndarray:
         found[f"pixels of the {network.card.name} network"] += image[0, 0].size
         return infer(network, image)
 
-    def comparing(*arguments: object) -> object:
+    def comparing(*arguments: object) -> shape.Residual:
         found["comparisons"] += 1
         return compare(*arguments)
 
@@ -66,8 +67,8 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         return inverse(grid, spectrum)
 
     monkeypatch.setattr(unet, "_infer", inferring)
-    monkeypatch.setattr(surface, "compare", comparing)
-    monkeypatch.setattr(learned, "features", describing)
+    monkeypatch.setattr(shape, "compare", comparing)
+    monkeypatch.setattr(pipeline, "features", describing)
     monkeypatch.setattr(Grid, "forward", there)
     monkeypatch.setattr(Grid, "inverse", back)
     return found
@@ -113,18 +114,18 @@ def test_images_are_let_go_before_the_surface_where_they_may_be(
     given = replace(capture, bands=bands)
     pixels = [weakref.ref(band.pixels) for band in bands.values()]
     seen = []
-    first = surface.CoarseShape.__init__
+    first = pipeline.metric_skin
 
-    def beginning(*arguments: object, **named: object) -> None:
+    def beginning(*arguments: object, **named: object) -> object:
         seen.extend(reference() for reference in pixels)
-        first(*arguments, **named)
+        return first(*arguments, **named)
 
-    monkeypatch.setattr(surface.CoarseShape, "__init__", beginning)
+    monkeypatch.setattr(pipeline, "metric_skin", beginning)
     memory = Memory(given)
     settings = {"metric.relief": "colour", "metric.rounds": 1}
-    with frugal():
-        found = splitknit.reconstruct(given, settings=settings, memory=memory)
-    assert seen == [None, None] and not given.bands and not memory._known  # nobody holds them any more
+    del bands, given
+    found = splitknit.reconstruct(memory.hand_over(), settings=settings, memory=memory)
+    assert seen == [None, None] and not memory._known  # nobody holds them any more
     np.testing.assert_array_equal(found.height_mm, kept.height_mm)
 
 

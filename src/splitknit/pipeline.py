@@ -1,8 +1,9 @@
-"""The algorithm: from a capture to a metric fingerprint, one named step a line.
+"""The algorithm: from a capture to a metric fingerprint.
 
-:func:`split_and_knit` is the thesis's algorithm (chapter 3), :func:`metric` the default method of this package, and
-:func:`reconstruct` takes the one that a preset names. Time, progress and results that several cases share wrap the
-steps from outside (:mod:`splitknit.steps`); every choice is a field of the settings (:mod:`splitknit.presets`).
+:func:`ea`, :func:`ea_split`, :func:`snk` and :func:`snk_by_crossover` are the thesis's cases (chapter 3), with
+:func:`smoothed_surface` Kumar's; :func:`metric_opaque` and :func:`metric_skin` are the default method of this package.
+:func:`reconstruct` chooses one of them, and its parameters, from the settings (:mod:`splitknit.presets`). Time,
+progress and results that several cases share wrap the steps from outside (:mod:`splitknit.steps`).
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,10 +22,11 @@ from splitknit import steps
 from splitknit.errors import BadInput, require
 from splitknit.finger.contrast import clahe
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
+from splitknit.finger.mask import MaskSettings
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
-from splitknit.imaging.coloured import LightsSettings, balanced
+from splitknit.imaging.coloured import balanced
 from splitknit.imaging.geometry import gradients_from_normals, smoothed
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
@@ -32,7 +34,9 @@ from splitknit.integration.knit import add, crossover
 from splitknit.integration.poisson import poisson
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import UNKNOWN_SCALE, Band, BoolArray, Capture, FloatArray, Reconstruction, Rig
+from splitknit.networks.augmentation import UPRIGHT
 from splitknit.photometric.frames import doubts_of_lights, fit_lights
 from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
@@ -43,30 +47,40 @@ from splitknit.presets import (
     PRESETS,
     DirectSettings,
     EnhanceSettings,
+    HeightSettings,
     NormalsSettings,
+    Parameters,
+    Photometry,
     PipelineSettings,
     preset_settings,
 )
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
-from splitknit.skin.diffusion import SkinSettings
+from splitknit.skin.diffusion import Diffusion, SkinSettings
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.images import HOW, SkinImages, working_images
-from splitknit.skin.learned import LITTLE_GLOSS, Networks, can_learn, relief_by_network, with_its_power
-from splitknit.skin.relief import detail_of
-from splitknit.skin.surface import CoarseShape, MetricSettings, SkinSurface, relief_by_colour
+from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
+from splitknit.skin.learned import (
+    LITTLE_GLOSS,
+    Networks,
+    features,
+    refined_shape,
+    relief_by_network,
+    relief_network,
+    variance_restored,
+)
+from splitknit.skin.relief import ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, light_on, on_fine_grid
 from splitknit.steps import IN_MEMORY, Memory, shared, step
 
 if TYPE_CHECKING:
     from splitknit.mirrors.captured import SeenInMirrors
 
-__all__ = ["PRESETS", "Memory", "PipelineSettings", "metric", "preset_settings", "reconstruct", "split_and_knit"]
+__all__ = ["PRESETS", "Memory", "PipelineSettings", "preset_settings", "reconstruct"]
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
-WAYS = (0, 5, 6)
-"""Ways to lay the finger down for the relief's network: upright in every round, turned by 90 and by 270 degrees in the
-last, which takes the mean of these two and of what was drawn upright in the round before."""
+TURNED = (5, 6)
+"""Orientations (by 90 and 270 degrees) that are averaged with the upright one in the last relief estimate."""
 SLOW_MM = 0.32
 """Standard deviation of the Gaussian whose mean is the slow part of a surface that is not split: the ridge band's."""
 DOUBTFUL = 0.5
@@ -76,8 +90,13 @@ NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
     "reflection bend it."
 )
+NO_PLACE_FOR_MIRRORS = (
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
+    "metric or snk."
+)
+OPAQUE = "none (opaque material)"
 FRAME_SIDE = 300
-"""Images of at least so many pixels a side are enough to see in which frame the lights were measured."""
+"""Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
 
 
 def reconstruct(
@@ -131,25 +150,41 @@ def reconstruct(
         from splitknit.io.capture import read_capture  # large, and needed for paths alone
 
         capture = read_capture(capture)
-    memory = Memory(capture) if memory is None else memory
-    memory.check(capture)
+    if memory is not None:
+        memory.check(capture)
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
-    if capture.material == "skin" and not capture.rig.camera.scale_known:
-        capture = _with_working_scale(capture)
-    elif capture.material == "skin":
-        scale = capture.rig.camera.px_per_mm
-        notes += VIEW.notes(max(capture.shape) / scale, f"check the scale of {scale:g} px/mm (--px-per-mm)")
-    algorithm = split_and_knit if chosen.method == "thesis" else metric
+    capture, doubt = _with_working_scale(capture)
     with steps.running(progress, memory) as seconds:
-        result = algorithm(capture, chosen)
-    result = replace(result, warnings=(*notes, *result.warnings, *doubt_of_scale(capture, result)))
-    if not capture.rig.camera.scale_known:
-        result = _in_pixels(result)
-    return replace(
-        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), hashes=capture.hashes,
-        timings_s=dict(seconds),
-    )  # fmt: skip
+        capture, finger = locate_finger(capture, chosen.finding())
+        mirrors = None
+        if chosen.shape.source == "mirror":
+            require(not chosen.visible_alone, NO_PLACE_FOR_MIRRORS)
+            mirrors = views_in_mirrors(capture, chosen.mask, chosen.shape.mirror)
+        bands, no_nir = bands_of(capture, chosen.shape.source == "nir" and not chosen.visible_alone)
+        if chosen.method == "metric" and undoes_blur(capture.material, chosen.skin):
+            images = linear_images(capture, bands, finger, chosen.metric)
+            capture, bands = replace(capture, bands={}), ()  # the photographs go here, where nobody else holds them
+            steps.images_are_read()
+            surface = skin_surface(images, chosen.skin, chosen.metric)
+        else:
+            white, nir = (Photographs(capture, band, finger, chosen.metric.plane_mm) for band in (bands[0], bands[-1]))
+            p = chosen.parameters(bool(white.band.colours), capture.material)
+            method = metric_opaque if chosen.method == "metric" else THESIS[chosen.knit.method]
+            surface = smoothed_surface(method(white, nir, p), white, chosen.smooth.sigma_mm)
+            separated = OPAQUE if chosen.method == "metric" else separation_of(chosen.direct, capture.material)
+            surface = replace(
+                surface, facts={"shape_source": "white" if nir == white else "nir", "separation": separated}
+            )
+        if mirrors is not None:
+            detail = None if chosen.method == "thesis" else surface.shape_mm
+            finger, surface = with_mirror_shape(finger, surface, mirrors, chosen.shape.mirror, detail)
+        result = finished(capture, finger, surface, chosen.top_mm)
+    warnings = (*notes, *doubt, *finger.warnings, *no_nir, *surface.warnings, *doubt_of_scale(capture, result))
+    result = replace(
+        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds)
+    )
+    return result if capture.rig.camera.scale_known else _in_pixels(result)
 
 
 def with_scale(
@@ -212,15 +247,27 @@ def doubt_of_scale(capture: Capture, result: Reconstruction) -> tuple[str, ...]:
 
 def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
-    surface = split_and_knit(replace(capture, material="opaque"), PRESETS["ea"])
-    return surface.normals, surface.mask
+    plain = PRESETS["ea"]
+    capture, thing = locate_finger(replace(capture, material="opaque"), plain.finding())
+    white = Photographs(capture, capture.bands["white"], thing)
+    result = finished(capture, thing, ea(white, white, plain.parameters(False, "opaque")), plain.top_mm)
+    return result.normals, result.mask
 
 
-def _with_working_scale(capture: Capture) -> Capture:
-    """A finger whose scale is unknown, at the scale at which its ridges lie as usual: methods for skin work in mm."""
+def _with_working_scale(capture: Capture) -> tuple[Capture, tuple[str, ...]]:
+    """Skin at a plausible scale, and a note where its scale is odd: methods for skin work in mm.
+
+    Where the scale is unknown, that at which the ridges lie as usual; it is still marked as unknown.
+    """
+    camera = capture.rig.camera
+    if capture.material != "skin":
+        return capture, ()
+    if camera.scale_known:
+        view_mm = max(capture.shape) / camera.px_per_mm
+        return capture, VIEW.notes(view_mm, f"check the scale of {camera.px_per_mm:g} px/mm (--px-per-mm)")
     found = ridge_period(*_plain_normals(capture))
-    camera = replace(capture.rig.camera, px_per_mm=found.period_px / USUAL_PERIOD_MM)
-    return replace(capture, rig=replace(capture.rig, camera=camera))
+    camera = replace(camera, px_per_mm=found.period_px / USUAL_PERIOD_MM)
+    return replace(capture, rig=replace(capture.rig, camera=camera)), ()
 
 
 def _in_pixels(result: Reconstruction) -> Reconstruction:
@@ -264,132 +311,206 @@ def _in_pixels(result: Reconstruction) -> Reconstruction:
     )
 
 
-def split_and_knit(capture: Capture, settings: PipelineSettings) -> Reconstruction:
-    """Split and Knit: relief from white light, shape from near-infrared light, and both in one surface.
+# The methods: photographs of the finger in, a surface in the finger's window out. Arrays are (h, w), finite inside the
+# mask, heights in mm.
 
-    References
-    ----------
-    The thesis, chapter 3; its cases EA and PR (section 5.4) neither split nor knit: the visible surface stays whole.
+
+@dataclass(frozen=True, slots=True)
+class Photographs:
+    """One band's photographs of the finger."""
+
+    capture: Capture
+    band: Band
+    finger: Finger
+    plane_mm: float = 0.0
+    """Assumed mean height of the surface above the finger plane, for near lights."""
+
+    @property
+    def rig(self) -> Rig:
+        """`rig.leds[k]` lights photograph k."""
+        return self.capture.rig.select(self.band.lights)
+
+    @property
+    def inside(self) -> BoolArray:
+        """(h, w) pixels of the window that are reconstructed."""
+        return self.finger.inside
+
+    @property
+    def px_per_mm(self) -> float:
+        """Scale on the finger plane."""
+        return self.capture.rig.camera.px_per_mm
+
+    @property
+    def pitch_mm(self) -> np.float32:
+        """Side of a pixel on the finger plane."""
+        return np.float32(self.capture.rig.camera.pitch_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A surface in the finger's window."""
+
+    height_mm: FloatArray
+    ridge_mm: FloatArray
+    shape_mm: FloatArray
+    albedo: FloatArray
+    normals: FloatArray | None = None
+    """(h, w, 3) measured by photometric stereo, in the rig's frame; None where the method measures none."""
+    uncertainty_um: FloatArray | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def ea(white: Photographs, _: Photographs, p: Parameters) -> Surface:
+    """EA and PR (thesis, section 5.4): the visible surface, whole.
+
+    EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The systems of Kumar,
+    Zheng, Lin and Xie are EA with other parameters (:mod:`splitknit.presets`).
     """
-    capture, finger = locate_finger(capture, settings.finding())
-    mirrors = views_in_mirrors(capture, settings)
-    white, nir, warnings = bands_of(capture, settings)
-
-    # Split: direct visible light shows the ridges, near-infrared light the shape beneath them.
-    seen_by = settings.lights, settings.enhance, settings.direct, settings.normals
-    slopes, albedo, normals = visible_slopes(capture, white, finger, *seen_by)
-    if visible_alone(settings):
-        height_mm = integrate(slopes, finger, capture, settings)
-        whole = settings.knit.method == "whole"
-        ridge_mm = fast_part(height_mm, finger, capture) if whole else ridge_relief(slopes, finger, capture, settings)
-        shape_mm = height_mm - ridge_mm
-    else:
-        ridge_mm = ridge_relief(slopes, finger, capture, settings)
-        below = shape_slopes(capture, nir, finger, settings.enhance, settings.normals)
-        shape_mm = integrate(below, finger, capture, settings)
-        # Knit: the sum of both.
-        height_mm, ridge_mm = knit(ridge_mm, shape_mm, slopes, finger, capture, settings)
-    if settings.smooth.sigma_mm > 0:
-        height_mm, ridge_mm, shape_mm = smooth(height_mm, ridge_mm, finger, capture, settings)
-
-    facts = {"shape_source": source_of(white, nir), "separation": separation_of(capture, settings)}
-    surface = Surface(height_mm, ridge_mm, shape_mm, albedo, None, facts, warnings, normals)
-    return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
+    normals, albedo = visible_normals(white, p.photometry)
+    height_mm = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
+    relief = fast_part(height_mm, white)
+    return Surface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
-def metric(capture: Capture, settings: PipelineSettings) -> Reconstruction:
-    """The `metric` method: near lights; on skin, scattering and specular light undone by analysis and synthesis.
+def ea_split(white: Photographs, _: Photographs, p: Parameters) -> Surface:
+    """EA or PR with the relief that shapelets extract from the visible surface, as in Split and Knit."""
+    normals, albedo = visible_normals(white, p.photometry)
+    slopes = slopes_of(normals, white, p.max_slope)
+    height_mm = integrated(slopes, white, p.height)
+    relief = ridge_relief(slopes, white, p.shapelets)
+    return Surface(height_mm, relief, height_mm - relief, albedo, normals)
 
-    Opaque things need no model of skin: near lights with robust weights, masked integration, and a crossover of the
-    bands.
+
+def snk(white: Photographs, nir: Photographs, p: Parameters) -> Surface:
+    """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared light."""
+    normals, albedo = visible_normals(white, p.photometry)  # 3.3.1
+    relief = ridge_relief(slopes_of(normals, white, p.max_slope), white, p.shapelets)  # 3.3.1.3
+    shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)  # 3.3.2
+    return Surface(add(relief, shape, white.inside), relief, shape, albedo, normals)  # 3.3.3
+
+
+def snk_by_crossover(white: Photographs, nir: Photographs, p: Parameters) -> Surface:
+    """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the shapelets."""
+    normals, albedo = visible_normals(white, p.photometry)
+    shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)
+    visible = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
+    height_mm = crossover(visible, shape, ridge_response(white, p.shapelets), white.inside)
+    return Surface(height_mm, height_mm - shape, shape, albedo, normals)
+
+
+THESIS = {"whole": ea, "none": ea_split, "addition": snk, "crossover": snk_by_crossover}
+"""The thesis's cases by ``knit.method``."""
+
+
+@step("surface")
+def smoothed_surface(surface: Surface, white: Photographs, sigma_mm: float) -> Surface:
+    """Kumar's system: a Gaussian over the finished surface; the same surface for a sigma of zero."""
+    if sigma_mm == 0:
+        return surface
+    sigma_px = sigma_mm * white.px_per_mm
+    height_mm, ridge_mm = (smoothed(part, white.inside, sigma_px) for part in (surface.height_mm, surface.ridge_mm))
+    return replace(surface, height_mm=height_mm, ridge_mm=ridge_mm, shape_mm=height_mm - ridge_mm)
+
+
+def metric_opaque(white: Photographs, nir: Photographs, p: Parameters) -> Surface:
+    """The `metric` method for what does not scatter light inside: near lights, robust weights, masked integration.
+
+    A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
     """
-    capture, finger = locate_finger(capture, settings.finding())
-    mirrors = views_in_mirrors(capture, settings)
-    if undoes_blur(capture, settings):
-        surface = skin_surface(linear_images(capture, finger, settings), settings)
-    else:
-        surface = opaque_surface(capture, finger, settings)
-    return finished(capture, *with_mirror_shape(finger, surface, mirrors, settings), settings)
+    slopes, albedo, normals = near_slopes(white, p.photometry.normals, p.height)
+    height_mm = integrated(slopes, white, p.height)
+    relief = ridge_relief(slopes, white, p.shapelets)
+    if nir != white:
+        shape = integrated(near_slopes(nir, p.photometry.normals, p.height)[0], nir, p.height)
+        height_mm = crossover(height_mm, shape, ridge_response(white, p.shapelets), white.inside)
+    return Surface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
-def reconstruct_skin(  # noqa: PLR0917
-    bands: tuple[BandImages, ...],
-    grid: Grid,
-    skin: SkinSettings,
-    settings: MetricSettings,
-    progress: Callable[[float], None] | None = None,
-    networks: Networks | None = None,
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinSurface:
+    """Reconstructed skin on the working grid; heights are finite everywhere and valid inside the mask."""
+
+    shape_mm: FloatArray
+    relief_mm: FloatArray
+    deviation_mm: FloatArray
+    """Standard deviation of the relief: noise, what denoising removed, unknown scattering, and model error."""
+    albedo: FloatArray
+    """Diffuse brightness of the first channel, relative."""
+    facts: Mapping[str, Any]
+
+
+def metric_skin(
+    bands: tuple[BandImages, ...], grid: Grid, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
 ) -> SkinSurface:
-    """Shape and relief of skin, by analysis and synthesis.
+    """The `metric` method for skin: analysis by synthesis.
 
-    A current surface predicts what photometric stereo would find on it behind the skin's blur; the difference from what
-    it did find corrects the surface: first the shape on a coarse grid, from all bands, then the ridges on a fine grid,
-    from the colours of the white band. What ridges and skin of other optics still bend the shape by, a network that
-    sees both takes away, and the ridges are found again on the better shape.
+    The current surface predicts what photometric stereo measures on it behind the skin's scattering; the residual
+    corrects it: first the shape on a coarse grid, from all bands, then the relief on a fine grid, from the white band.
 
     Parameters
     ----------
     bands : the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is one
     grid : fine grid of the images
     skin : assumed optics
-    settings : MetricSettings
-    progress : called with the fraction done
-    networks : that estimate the relief and correct the shape, see :mod:`splitknit.skin.learned`; without them, relief
+    p : grids and iterations
+    networks : that estimate the relief and refine the shape, see :mod:`splitknit.skin.learned`; without them, relief
         and specular reflection are separated by their colours
     """
-    white = bands[0]
-    learned = networks if settings.relief == "network" and can_learn(white, grid.pitch_mm) else None
-    shape = CoarseShape.of(bands, grid, skin, settings)  # near-light photometric stereo of the last band, integrated
-    for _ in range(settings.coarse_steps):
-        # Shape: normals are predicted behind scattering, compared with those of all bands, the difference integrated.
-        shape.correct(settings.coarse)
-    shape.see_colour()
-    relief = np.zeros(grid.shape, dtype=np.float32)
-    drawn: FloatArray | None = None
-    rounds = 1 if learned is not None and learned.shape is None else settings.rounds
-    for turn in range(rounds):
-        if turn > 0 and learned is not None and learned.shape is not None:
-            shape.mend(learned.shape, relief)
-        smooth = shape.placed()
-        # Relief: what the slopes of the white band's colours lack on that shape, without blur and specular reflection.
-        if learned is not None:
-            last = turn == rounds - 1
-            ways, before = (WAYS if turn == 0 else WAYS[1:], drawn) if last else (WAYS[:1], None)
-            found = relief_by_network(white, grid, smooth, shape.light(), learned.relief, ways=ways, before=before)
-            drawn = found.drawn
-        else:
-            other = shape.optics_of(1 + skin.scattering_uncertainty)
-            found = relief_by_colour(
-                white, grid, smooth, shape.light(), shape.optics, other, shape.found.brightness, relief,
-                settings.by_colour,
-            )  # fmt: skip
-        relief = found.relief_mm
-        if progress is not None:
-            progress((turn + 1) / (rounds + 1))
-    if learned is not None:
-        found = with_its_power(found)
-        relief = found.relief_mm
-    detail = detail_of(smooth, found.trust, grid)
-    facts = {**shape.facts(), **found.facts}
-    return SkinSurface(smooth - detail, relief + detail, found.deviation_mm, found.albedo, facts)
+    images = coarse_images(bands, grid, p.coarse_pitch_mm, p.plane_mm)
+    shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps, p.coarse)
+    white = bands[0].channels
+    colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
+    optics = skin.optics(images.channels, colour)
+    if networks is None:
+        smooth = on_fine_grid(shape.height_mm, images)
+        light = light_on(shape.height_mm, images)
+        measured = measure(bands[0], grid, smooth, light, optics, shape.brightness)
+        other = skin.optics(images.channels, colour, 1 + skin.scattering_uncertainty)
+        repeated = replace(p.by_colour, steps=p.rounds * p.by_colour.steps)
+        estimate = relief_by_colour(measured, grid, smooth, other, repeated)
+    else:
+        smooth, estimate = relief_and_shape(images, shape, optics, networks, p.rounds)
+    detail = detail_of(smooth, estimate.trust, grid)  # of the shape, beyond the crossover: creases
+    facts = {
+        "scattering_per_mm": {name: optics[name].scattering_per_mm for name in sorted(optics)},
+        "absorption_per_mm": {name: optics[name].absorption_per_mm for name in sorted(optics)},
+        "scattering_assumed": True,
+        "colour": colour,
+        "glare": {name: {"roughness": r, "strength": s} for name, (r, s) in shape.glare.items()},
+        "working_pitch_mm": grid.pitch_mm,
+        **estimate.facts,
+    }
+    return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
-# The steps. Arrays (h, w) lie on the finger's window; heights are in mm and finite inside the mask.
+def relief_and_shape(
+    images: CoarseImages, shape: Shape, optics: Mapping[str, Diffusion], networks: Networks, rounds: int
+) -> tuple[FloatArray, ReliefEstimate]:
+    """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other, in turns.
+
+    The last relief is the mean over three orientations of the finger, of which the round before gave the upright one;
+    its variance is restored, as a minimum-mean-square-error estimate shrinks.
+    """
+    grid, last = images.fine, rounds if networks.shape is not None else 1
+    orientations: tuple[int, ...] = (UPRIGHT,)
+    earlier: FloatArray | None = None
+    estimate: ReliefEstimate | None = None
+    for turn in range(1, last + 1):
+        if estimate is not None and networks.shape is not None:
+            shape = refined_shape(shape, estimate.relief_mm, images, optics, networks.shape)
+        if turn == last:
+            orientations, earlier = (TURNED, estimate.output) if estimate is not None else ((UPRIGHT, *TURNED), None)
+        smooth = on_fine_grid(shape.height_mm, images)
+        network = relief_network(networks.relief, orientations, earlier)
+        estimate = relief_by_network(
+            features(images.white, grid, smooth, light_on(shape.height_mm, images)), grid, smooth, network
+        )
+    assert estimate is not None  # of one round at least
+    return smooth, variance_restored(estimate)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """A surface in the finger's window, finite inside the mask."""
-
-    height_mm: FloatArray
-    ridge_mm: FloatArray
-    shape_mm: FloatArray
-    albedo: FloatArray
-    uncertainty_um: FloatArray | None
-    facts: Mapping[str, Any]
-    warnings: tuple[str, ...]
-    normals: FloatArray | None = None
-    """(h, w, 3) as photometric stereo found them, in the rig's frame; None where the surface was found otherwise."""
+# The steps.
 
 
 @shared
@@ -418,299 +539,237 @@ def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], t
     return facts, doubts_of_lights(fit, [Path(file).name for file in band.files])
 
 
-def bands_of(capture: Capture, settings: PipelineSettings) -> tuple[Band, Band, tuple[str, ...]]:
-    """The band of the ridges, that of the shape, and a warning where they are one by necessity."""
+def bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple[str, ...]]:
+    """The white band, the near-infrared one if the shape is to come from it, and a warning where skin lacks it."""
     white = capture.bands["white"]
-    if settings.shape.source != "nir" or visible_alone(settings):
-        return white, white, ()
+    if not from_nir:
+        return (white,), ()
     if "nir" not in capture.bands:
-        return white, white, (NO_NIR,) if capture.material == "skin" else ()
-    return white, capture.bands["nir"], ()
-
-
-def visible_alone(settings: PipelineSettings) -> bool:
-    """Whether the white band gives the whole surface: the thesis's cases that knit nothing."""
-    return settings.method == "thesis" and settings.knit.method in {"none", "whole"}
+        return (white,), (NO_NIR,) if capture.material == "skin" else ()
+    return (white, capture.bands["nir"]), ()
 
 
 @shared
-def visible_slopes(  # noqa: PLR0917
-    capture: Capture,
-    white: Band,
-    finger: Finger,
-    lights: LightsSettings,
-    enhance: EnhanceSettings,
-    direct: DirectSettings,
-    photometric: NormalsSettings,
-) -> tuple[Slopes, FloatArray, FloatArray]:
-    """Slopes, albedo and normals of the direct visible light (thesis, section 3.3.1): contrast, separation, normals."""
-    rig = capture.rig.select(white.lights)
-    by_network = direct.method == "network" and capture.material == "skin"  # else all light is direct
-    if by_network or enhance.clahe or (lights.balance and white.colours):
-        images = grey_images(capture, white, finger)
-        if lights.balance and white.colours:
-            images = balanced(images, capture.rig, white, finger.mask[finger.window])
-        if enhance.clahe:
-            images = equalised(images, finger, capture, enhance)
-        if by_network:
-            images = direct_images(images, capture, white, finger, direct)
-        normals, albedo = distant_normals(images, rig, finger.inside, enhance, photometric)
-    else:
+def visible_normals(white: Photographs, p: Photometry) -> tuple[FloatArray, FloatArray]:
+    """Normals (h, w, 3) and albedo of the direct visible light (thesis, section 3.3.1)."""
+    if not p.prepares:
+        lights, inside = white.rig.light_vectors(), white.inside
 
-        def distant(images: FloatArray, part: slice) -> tuple[FloatArray, FloatArray]:
-            images = np.maximum(images, np.float32(0.0))
-            return distant_normals(images, rig, finger.inside[part], enhance, photometric)
+        def solve(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
+            return distant_normals(np.maximum(images, np.float32(0.0)), lights, inside[rows], p.normals)
 
-        normals, albedo = pixel_by_pixel(capture, white, finger)(distant)
-    return slopes_of(normals, finger, capture, photometric), albedo, normals
+        return by_rows(white, solve)
+    images = grey_images(white)
+    if p.balance:
+        images = balanced(images, white.capture.rig, white.band, white.finger.mask[white.finger.window])
+    if p.enhance.clahe:
+        images = equalised(images, white, p.enhance)
+    if p.direct.method == "network":
+        images = direct_images(images, white, p.direct)
+    return distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
 
 
-@shared
-def shape_slopes(
-    capture: Capture, nir: Band, finger: Finger, enhance: EnhanceSettings, photometric: NormalsSettings
-) -> Slopes:
+def shape_slopes(nir: Photographs, p: Photometry) -> Slopes:
     """Slopes from the band of the shape (thesis, section 3.3.2)."""
-    images = grey_images(capture, nir, finger)
-    normals, _ = distant_normals(images, capture.rig.select(nir.leds), finger.inside, enhance, photometric)
-    return slopes_of(normals, finger, capture, photometric)
+    normals, _ = distant_normals(grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
+    return slopes_of(normals, nir, p.normals.max_slope)
+
+
+def _lights(photographs: Photographs, enhance: EnhanceSettings) -> NDArray[np.float64]:
+    """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of brightness."""
+    lights = photographs.rig.light_vectors()
+    return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
 
 
 @step("light")
-def grey_images(capture: Capture, band: Band, finger: Finger) -> FloatArray:
+def grey_images(photographs: Photographs) -> FloatArray:
     """(L, h, w) linear grey images."""
-    return np.maximum(linear_stack(band, capture.encoding, "grey", finger.window), np.float32(0.0))
+    encoding, window = photographs.capture.encoding, photographs.finger.window
+    return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
 
 
 @step("light")
-def equalised(images: FloatArray, finger: Finger, capture: Capture, enhance: EnhanceSettings) -> FloatArray:
+def equalised(images: FloatArray, photographs: Photographs, enhance: EnhanceSettings) -> FloatArray:
     """Contrast-limited adaptive histogram equalisation of every image."""
-    px_per_mm = capture.rig.camera.px_per_mm
-    return np.stack([clahe(image, px_per_mm, enhance.cells, mask=finger.inside) for image in images])
+    scale, inside = photographs.px_per_mm, photographs.inside
+    return np.stack([clahe(image, scale, enhance.cells, mask=inside) for image in images])
 
 
 @step("light")
-def direct_images(
-    images: FloatArray, capture: Capture, white: Band, finger: Finger, direct: DirectSettings
-) -> FloatArray:
+def direct_images(images: FloatArray, white: Photographs, direct: DirectSettings) -> FloatArray:
     """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
-    inside = images * finger.inside
-    if not (direct.from_colours and has_colour(white)):
+    inside = images * white.inside
+    if not (direct.from_colours and has_colour(white.band)):
         return direct_light(inside, direct.network)
-    channels = linear_channels(white, capture.encoding, ("red", "green", "blue"), finger.window)
-    colours = np.moveaxis(channels, 0, 1)
+    encoding, window = white.capture.encoding, white.finger.window
+    colours = np.moveaxis(linear_channels(white.band, encoding, ("red", "green", "blue"), window), 0, 1)
     return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
 
 
-Solve = Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
-"""Normals and albedo of some rows of the window, from their images: a method that works pixel by pixel."""
+def by_rows(
+    photographs: Photographs, solve: Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
+    """Normals and albedo by a method that works pixel by pixel on the linear images of some rows.
 
-
-def pixel_by_pixel(capture: Capture, band: Band, finger: Finger) -> Callable[[Solve], tuple[FloatArray, FloatArray]]:
-    """What applies a method to the linear images of a band: all rows at once, or strips of rows where the images take
-    more than :data:`splitknit.steps.IN_MEMORY`; then each method reads them anew.
+    All rows at once, or strips of rows where the images take more than :data:`splitknit.steps.IN_MEMORY`.
     """
-    rows, columns = finger.window
-    height, width = finger.inside.shape
+    band, inside, encoding = photographs.band, photographs.inside, photographs.capture.encoding
+    rows, columns = photographs.finger.window
+    height, width = inside.shape
     step = max(1, IN_MEMORY // (4 * len(band.lights) * width))
-    whole = linear_grey(band, capture.encoding, "grey", finger.window) if step >= height else None
-
-    def apply(solve: Solve) -> tuple[FloatArray, FloatArray]:
-        if whole is not None:
-            return solve(whole, slice(None))
-        normals = np.zeros((height, width, 3), dtype=np.float32)
-        albedo = np.full((height, width), np.nan, dtype=np.float32)
-        for top in range(0, height, step):
-            part = slice(top, min(top + step, height))
-            if finger.inside[part].any():
-                here = slice(rows.start + part.start, rows.start + part.stop)
-                images = linear_grey(band, capture.encoding, "grey", (here, columns))
-                normals[part], albedo[part] = solve(images, part)
-                del images  # before the next ones are made
-        return normals, albedo
-
-    return apply
+    if step >= height:
+        return solve(linear_grey(band, encoding, "grey", (rows, columns)), slice(None))
+    normals = np.zeros((height, width, 3), dtype=np.float32)
+    albedo = np.full((height, width), np.nan, dtype=np.float32)
+    for top in range(0, height, step):
+        part = slice(top, min(top + step, height))
+        if inside[part].any():
+            here = slice(rows.start + part.start, rows.start + part.stop)
+            normals[part], albedo[part] = solve(linear_grey(band, encoding, "grey", (here, columns)), part)
+    return normals, albedo
 
 
 @step("normals")
 def distant_normals(
-    images: FloatArray, rig: Rig, inside: BoolArray, enhance: EnhanceSettings, photometric: NormalsSettings
+    images: FloatArray, lights: NDArray[np.float64], inside: BoolArray, p: NormalsSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Normals (h, w, 3) and albedo by photometric stereo under distant lights."""
-    lights = rig.light_vectors()
-    if enhance.clahe:  # equalised images have no common scale of brightness
-        lights = lights / np.linalg.norm(lights, axis=1, keepdims=True)
-    if photometric.method == "robust":
-        return robust(images, lights, inside, photometric.robust)
-    if photometric.method == "hanrahan_krueger":
-        normals, albedo, _ = hanrahan_krueger(images, lights, inside, photometric.hanrahan_krueger)
+    """Normals (h, w, 3) and albedo by photometric stereo under distant lights (L, 3)."""
+    if p.method == "robust":
+        return robust(images, lights, inside, p.robust)
+    if p.method == "hanrahan_krueger":
+        normals, albedo, _ = hanrahan_krueger(images, lights, inside, p.hanrahan_krueger)
         return normals, albedo
     return lambertian(images, lights, inside)
 
 
 @step("normals")
-def slopes_of(normals: FloatArray, finger: Finger, capture: Capture, photometric: NormalsSettings) -> Slopes:
+def slopes_of(normals: FloatArray, photographs: Photographs, max_slope: float) -> Slopes:
     """Slopes of normals of the rig's frame, in the frames of the pixels' rays."""
-    view = view_of(capture.rig.camera, *finger.window, along_rays=True)
+    view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
     own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
-    return gradients_from_normals(own, finger.inside, photometric.max_slope)
-
-
-@steps.reads_last
-@step("light")
-def linear_images(capture: Capture, finger: Finger, settings: PipelineSettings) -> SkinImages:
-    """Linear images of the white band, and of that of the shape, on the working grid."""
-    white, nir, warnings = bands_of(capture, settings)
-    refuse_coloured_leds(white)
-    bands = (white,) if nir is white else (white, nir)
-    images = working_images(capture, bands, finger.window, finger.inside, settings.metric)
-    return replace(images, warnings=(*warnings, *images.warnings))
-
-
-@step("surface")
-def skin_surface(images: SkinImages, settings: PipelineSettings) -> Surface:
-    """The surface of skin by :func:`reconstruct_skin`, on the window's pixels."""
-    skin = reconstruct_skin(images.bands, images.grid, settings.skin, settings.metric, _report_surface, images.networks)
-    shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (skin.shape_mm, skin.relief_mm, skin.albedo))
-    deviation_um = images.on_pixels(skin.deviation_mm) * np.float32(1000.0)
-    facts = {
-        "shape_source": "nir" if len(images.bands) > 1 else "white",
-        "separation": HOW[skin.facts["relief_by"]],
-        "optics": skin.facts,
-    }
-    some = skin.relief_mm[images.grid.mask > 0.5]
-    relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
-    remedy = (
-        "give --material opaque for what is no living skin (a cast, a render), else check --px-per-mm, and take colour "
-        "photographs, as grey ones leave glare in the relief"
-    )
-    notes = (*images.warnings, *doubts_of(skin.facts), *RELIEF.notes(relief_um, remedy))
-    return Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, deviation_um, facts, notes)
-
-
-def opaque_surface(capture: Capture, finger: Finger, settings: PipelineSettings) -> Surface:
-    """The surface of a thing that does not scatter light inside."""
-    white, nir, warnings = bands_of(capture, settings)
-    slopes, albedo, normals = near_slopes(capture, white, finger, settings)
-    height_mm = integrate(slopes, finger, capture, settings)
-    ridge_mm = ridge_relief(slopes, finger, capture, settings)
-    if nir is not white:
-        below, _, _ = near_slopes(capture, nir, finger, settings)
-        shape_mm = integrate(below, finger, capture, settings)
-        height_mm = crossover(height_mm, shape_mm, ridge_response(capture, settings), finger.inside)
-    facts = {"shape_source": source_of(white, nir), "separation": "none (opaque material)"}
-    return Surface(height_mm, ridge_mm, height_mm - ridge_mm, albedo, None, facts, warnings, normals)
-
-
-def source_of(white: Band, nir: Band) -> str:
-    """The band that the shape comes from."""
-    return "white" if nir is white else "nir"
+    return gradients_from_normals(own, photographs.inside, max_slope)
 
 
 def near_slopes(
-    capture: Capture, band: Band, finger: Finger, settings: PipelineSettings
+    photographs: Photographs, p: NormalsSettings, height: HeightSettings
 ) -> tuple[Slopes, FloatArray, FloatArray]:
     """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
     turns."""
-    rig, photometric = capture.rig.select(band.lights), settings.normals
-    apply = pixel_by_pixel(capture, band, finger)
-    if photometric.method != "near_light":
-        normals, albedo = apply(
-            lambda images, part: distant_normals(images, rig, finger.inside[part], settings.enhance, photometric)
-        )
-        return slopes_of(normals, finger, capture, photometric), albedo, normals
-    view = view_of(capture.rig.camera, *finger.window, along_rays=True)
-    near = NearLightSettings(robust=photometric.robust)
-    surface = np.full(finger.inside.shape, settings.metric.plane_mm, dtype=np.float32)
+    rig, inside = photographs.rig, photographs.inside
+    if p.method != "near_light":
+        lights = rig.light_vectors()
+        normals, albedo = by_rows(photographs, lambda images, rows: distant_normals(images, lights, inside[rows], p))
+        return slopes_of(normals, photographs, p.max_slope), albedo, normals
+    view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
+    near = NearLightSettings(robust=p.robust)
+    surface = np.full(inside.shape, photographs.plane_mm, dtype=np.float32)
 
-    def lit(images: FloatArray, part: slice) -> tuple[FloatArray, FloatArray]:
-        inside, rays = finger.inside[part], view.of_rows(part)
-        return near_normals(images, rig, surface[part], inside, settings=near, view=rays)
+    def lit(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
+        return near_normals(images, rig, surface[rows], inside[rows], settings=near, view=view.of_rows(rows))
 
     distant = all(led.position_mm is None for led in rig.leds)
-    for turn in range(rounds := 1 if distant else photometric.rounds):
-        normals, albedo = apply(lit)
-        slopes = gradients_from_normals(normals, finger.inside, photometric.max_slope)
+    for turn in range(rounds := 1 if distant else p.rounds):
+        normals, albedo = by_rows(photographs, lit)
+        slopes = gradients_from_normals(normals, inside, p.max_slope)
         if turn < rounds - 1:
-            height = integrate(slopes, finger, capture, settings)
-            surface = (height + np.float32(settings.metric.plane_mm)).astype(np.float32)
+            surface = integrated(slopes, photographs, height) + np.float32(photographs.plane_mm)
     return slopes, albedo, view.in_rig(normals)
 
 
 @step("surface")
-def integrate(slopes: Slopes, finger: Finger, capture: Capture, settings: PipelineSettings) -> FloatArray:
+def integrated(slopes: Slopes, photographs: Photographs, p: HeightSettings) -> FloatArray:
     """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
-    pitch = np.float32(capture.rig.camera.pitch_mm)
-    if settings.height.method == "frankot_chellappa":
-        return frankot_chellappa(*slopes, finger.inside, settings.height.padding) * pitch
+    if p.method == "frankot_chellappa":
+        return frankot_chellappa(*slopes, photographs.inside, p.padding) * photographs.pitch_mm
     steepness = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
-    return poisson(*slopes, finger.inside, steepness, settings.height.poisson) * pitch
+    return poisson(*slopes, photographs.inside, steepness, p.poisson) * photographs.pitch_mm
 
 
 @step("surface")
-def ridge_relief(slopes: Slopes, finger: Finger, capture: Capture, settings: PipelineSettings) -> FloatArray:
-    """(h, w) relief in mm that a bank of shapelets finds in slopes (thesis, section 3.3.1.3)."""
-    return shapelets(*slopes, finger.inside, _bank(capture, settings)) * np.float32(capture.rig.camera.pitch_mm)
+def ridge_relief(slopes: Slopes, photographs: Photographs, p: ShapeletSettings) -> FloatArray:
+    """(h, w) relief in mm that a bank of shapelets extracts from slopes (thesis, section 3.3.1.3)."""
+    return shapelets(*slopes, photographs.inside, _bank(photographs, p)) * photographs.pitch_mm
 
 
 @step("surface")
-def fast_part(height_mm: FloatArray, finger: Finger, capture: Capture) -> FloatArray:
+def fast_part(height_mm: FloatArray, photographs: Photographs) -> FloatArray:
     """(h, w) relief in mm of a surface that is not split: its height less its slow part, for pictures and prints.
 
     The slow part is a Gaussian mean, and that of what the first one missed beside the outline and on the curved finger.
     """
-    sigma_px = SLOW_MM * capture.rig.camera.px_per_mm
-    rest = height_mm - smoothed(height_mm, finger.inside, sigma_px)
-    return rest - smoothed(rest, finger.inside, sigma_px)
+    sigma_px = SLOW_MM * photographs.px_per_mm
+    rest = height_mm - smoothed(height_mm, photographs.inside, sigma_px)
+    return rest - smoothed(rest, photographs.inside, sigma_px)
 
 
-@step("surface")
-def knit(  # noqa: PLR0917
-    ridge_mm: FloatArray,
-    shape_mm: FloatArray,
-    slopes: Slopes,
-    finger: Finger,
-    capture: Capture,
-    settings: PipelineSettings,
-) -> tuple[FloatArray, FloatArray]:
-    """Height and relief of both parts in one surface (thesis, section 3.3.3), or by a crossover of frequencies."""
-    if settings.knit.method == "addition":
-        return add(ridge_mm, shape_mm, finger.inside), ridge_mm
-    visible = integrate(slopes, finger, capture, settings)
-    height_mm = crossover(visible, shape_mm, ridge_response(capture, settings), finger.inside)
-    return height_mm, height_mm - shape_mm
-
-
-def ridge_response(capture: Capture, settings: PipelineSettings) -> Callable[[NDArray[np.float64]], Any]:
+def ridge_response(photographs: Photographs, p: ShapeletSettings) -> Callable[[NDArray[np.float64]], Any]:
     """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover keeps all detail."""
-    bank = _bank(capture, settings)
+    bank = _bank(photographs, p)
     return lambda omega: shapelet_response(np.minimum(omega, np.sqrt(2.0) / bank.sigma_px), bank)
 
 
-def _bank(capture: Capture, settings: PipelineSettings) -> ShapeletSettings:
-    """The shapelets at the capture's scale; the thesis gives them in its own pixels."""
-    scale = capture.rig.camera.px_per_mm / REFERENCE_PX_PER_MM
-    return replace(settings.shapelets, sigma_px=settings.shapelets.sigma_px * scale)
-
-
-@step("surface")
-def smooth(
-    height_mm: FloatArray, ridge_mm: FloatArray, finger: Finger, capture: Capture, settings: PipelineSettings
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Height, relief and shape after a Gaussian over the finished surface (Kumar's case)."""
-    sigma_px = settings.smooth.sigma_mm * capture.rig.camera.px_per_mm
-    height_mm, ridge_mm = (smoothed(part, finger.inside, sigma_px) for part in (height_mm, ridge_mm))
-    return height_mm, ridge_mm, height_mm - ridge_mm
+def _bank(photographs: Photographs, p: ShapeletSettings) -> ShapeletSettings:
+    """The shapelets at the photographs' scale; the thesis gives them in its own pixels."""
+    return replace(p, sigma_px=p.sigma_px * (photographs.px_per_mm / REFERENCE_PX_PER_MM))
 
 
 linear_grey = step("light")(linear_stack)
 near_normals = step("normals")(near_light)
 
 
-def _report_surface(fraction: float) -> None:
-    steps.report("surface", fraction)
+def undoes_blur(material: str, skin: SkinSettings) -> bool:
+    """Whether subsurface scattering is undone: as the settings say, else where the capture's material is skin."""
+    return material == "skin" if skin.invert_blur is None else skin.invert_blur
 
 
-def doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
+@step("light")
+def linear_images(capture: Capture, bands: tuple[Band, ...], finger: Finger, p: MetricSettings) -> SkinImages:
+    """Linear images of the bands on the working grid."""
+    require(
+        not bands[0].colours,
+        "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea "
+        "or another of the published cases.",
+    )
+    return working_images(capture, bands, finger.window, finger.inside, p)
+
+
+@step("surface")
+def skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> Surface:
+    """The surface of skin by :func:`metric_skin`, on the window's pixels."""
+    found = metric_skin(images.bands, images.grid, skin, p, _reporting(images.networks, p.rounds))
+    shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
+    deviation_um = images.on_pixels(found.deviation_mm) * np.float32(1000.0)
+    facts = {
+        "shape_source": "nir" if len(images.bands) > 1 else "white",
+        "separation": SEPARATED_BY[found.facts["relief_by"]],
+        "optics": found.facts,
+    }
+    some = found.relief_mm[images.grid.mask > 0.5]
+    relief_um = 1000.0 * float(np.subtract(*np.percentile(some, (95, 5)))) if some.size else 0.0
+    remedy = (
+        "give --material opaque for what is no living skin (a cast, a render), else check --px-per-mm, and take colour "
+        "photographs, as grey ones leave glare in the relief"
+    )
+    notes = (*images.warnings, *_doubts_of(found.facts), *RELIEF.notes(relief_um, remedy))
+    return Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, None, deviation_um, facts, notes)
+
+
+def _reporting(networks: Networks | None, rounds: int) -> Networks | None:
+    """The networks, each run of the relief's one reported as progress."""
+    if networks is None:
+        return None
+    relief, runs, done = networks.relief, max(rounds, len(TURNED)) + 1, 0
+
+    def reported(fields: FloatArray) -> FloatArray:
+        nonlocal done
+        output, done = relief(fields), done + 1
+        steps.report("surface", min(done / (runs + 1), 1.0))
+        return output
+
+    return replace(networks, relief=reported)
+
+
+def _doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
     """Warnings where the ridges' heights are hardly known, or only up to a common factor."""
     if facts["relief_by"] != "network":
         return ()
@@ -726,66 +785,41 @@ def doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def undoes_blur(capture: Capture, settings: PipelineSettings) -> bool:
-    """Whether subsurface scattering is undone: as the settings say, else where the capture's material is skin."""
-    wanted = settings.skin.invert_blur
-    return capture.material == "skin" if wanted is None else wanted
-
-
-def refuse_coloured_leds(white: Band) -> None:
-    """Refuse a band of coloured LEDs, whose light the skin blurs differently."""
-    require(
-        not white.colours,
-        "the skin blurs the light of each coloured LED differently, which this preset does not undo; use lin, ea "
-        "or another of the published cases.",
-    )
-
-
-def separation_of(capture: Capture, settings: PipelineSettings) -> str:
+def separation_of(direct: DirectSettings, material: str) -> str:
     """How direct light was separated in the thesis's cases."""
-    if settings.direct.method != "network":
+    if direct.method != "network":
         return "none"
-    if capture.material != "skin":
+    if material != "skin":
         return "none (opaque material: all light is direct)"
-    return f"direct light by the network '{settings.direct.network}'"
+    return f"direct light by the network '{direct.network}'"
 
 
 @step("finger")
-def views_in_mirrors(capture: Capture, settings: PipelineSettings) -> SeenInMirrors | None:
-    """What mirrors beside the finger show, where the shape comes from them; else None."""
-    if settings.shape.source != "mirror":
-        return None
+def views_in_mirrors(capture: Capture, mask: MaskSettings, mirror: MirrorShapeSettings) -> SeenInMirrors:
+    """The finger in mirrors beside it."""
     from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
 
-    require(
-        not visible_alone(settings),
-        "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
-        "metric or snk.",
-    )
-    return seen_in_mirrors(capture, settings.mask, settings.shape.mirror)
+    return seen_in_mirrors(capture, mask, mirror)
 
 
 def with_mirror_shape(
-    finger: Finger, surface: Surface, mirrors: SeenInMirrors | None, settings: PipelineSettings
+    finger: Finger, surface: Surface, mirrors: SeenInMirrors, p: MirrorShapeSettings, detail_mm: FloatArray | None
 ) -> tuple[Finger, Surface]:
-    """The surface on the shape from mirrors, and the finger as far as the mirrors show it; unchanged without them."""
-    if mirrors is None:
-        return finger, surface
+    """The finger as far as the mirrors show it, and the surface on their shape with the detail of another."""
     from splitknit.mirrors.captured import mirror_shape_of
 
-    detail = None if settings.method == "thesis" else surface.shape_mm
-    shape_mm, mask, facts = mirror_shape_of(finger, mirrors, settings.shape.mirror, detail)
+    shape_mm, mask, facts = mirror_shape_of(finger, mirrors, p, detail_mm)
     return replace(finger, mask=mask), replace(
         surface, height_mm=shape_mm + surface.ridge_mm, shape_mm=shape_mm, facts={**surface.facts, **facts}
     )
 
 
 @step("result")
-def finished(capture: Capture, finger: Finger, surface: Surface, settings: PipelineSettings) -> Reconstruction:
+def finished(capture: Capture, finger: Finger, surface: Surface, top_mm: float) -> Reconstruction:
     """The window's surface in the full image, cut to the mask, with the normals of the knitted height."""
     mask, window, camera = finger.mask, finger.window, capture.rig.camera
     inside = mask[window]
-    done = place(surface.height_mm, surface.shape_mm, inside, camera, window, settings.top_mm)
+    done = place(surface.height_mm, surface.shape_mm, inside, camera, window, top_mm)
 
     def whole(part: FloatArray) -> FloatArray:
         image = np.full(mask.shape, np.nan, dtype=np.float32)
@@ -816,5 +850,5 @@ def finished(capture: Capture, finger: Finger, surface: Surface, settings: Pipel
         uncertainty_um=None if surface.uncertainty_um is None else whole(surface.uncertainty_um),
         quality=finger.quality,
         facts={"material": capture.material, **finger.facts, **surface.facts},
-        warnings=(*finger.warnings, *surface.warnings),
+        hashes=capture.hashes,
     )

@@ -17,7 +17,7 @@ from splitknit.photometric.hanrahan_krueger_fit import HanrahanKruegerSettings
 from splitknit.photometric.robust import RobustSettings
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin.diffusion import SkinSettings
-from splitknit.skin.surface import MetricSettings
+from splitknit.skin.images import MetricSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +88,36 @@ class ShapeSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
+class Photometry:
+    """How the thesis's cases measure normals: preparation of the images, then photometric stereo."""
+
+    balance: bool
+    """Bring coloured LEDs to one brightness."""
+    enhance: EnhanceSettings
+    direct: DirectSettings
+    normals: NormalsSettings
+
+    @property
+    def prepares(self) -> bool:
+        """Whether the images are changed before photometric stereo."""
+        return self.balance or self.enhance.clahe or self.direct.method == "network"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """Parameters of the methods that measure normals and integrate them."""
+
+    photometry: Photometry
+    height: HeightSettings
+    shapelets: ShapeletSettings
+
+    @property
+    def max_slope(self) -> float:
+        """Steeper slopes are shortened to this."""
+        return self.photometry.normals.max_slope
+
+
+@dataclass(frozen=True, slots=True)
 class PipelineSettings(FingerSettings):
     """Everything that can be changed in a reconstruction."""
 
@@ -116,10 +146,22 @@ class PipelineSettings(FingerSettings):
         """The part that defines how the capture is read and the finger is found in it."""
         return FingerSettings(**{item.name: getattr(self, item.name) for item in fields(FingerSettings)})
 
+    def parameters(self, coloured: bool, material: str) -> Parameters:
+        """What the methods are given under coloured LEDs or not, for ``skin`` or ``opaque`` things, whose light is all
+        direct."""
+        direct = self.direct if material == "skin" else DirectSettings()
+        photometry = Photometry(self.lights.balance and coloured, self.enhance, direct, self.normals)
+        return Parameters(photometry, self.height, self.shapelets)
+
     @property
     def whole(self) -> bool:
         """Whether the surface is not split: its height is what the thesis's matcher takes."""
         return self.method == "thesis" and self.knit.method == "whole"
+
+    @property
+    def visible_alone(self) -> bool:
+        """Whether the white band gives the whole surface: the thesis's cases that knit nothing."""
+        return self.method == "thesis" and self.knit.method in {"none", "whole"}
 
 
 def _thesis(direct: bool = False, knit: Literal["addition", "none", "whole"] = "whole") -> PipelineSettings:

@@ -15,9 +15,8 @@ from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.search import SearchSettings
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import _check_mirrors, _notes
-from splitknit.mirrors.rolled.work import _lit
+from splitknit.mirrors.rolled.work import ReliefSettings, _lit
 from splitknit.model import Capture
-from splitknit.presets import preset_settings
 from splitknit.prints.rolled import _coverage_deg
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import Lighting
@@ -28,7 +27,7 @@ QUICK = RolledSettings(pitch_mm=0.07, search=SearchSettings(across_mm=(0.6, 0.06
 @pytest.fixture(scope="module")
 def finger() -> Rolled:
     capture, masks = scene.capture()
-    return rolled_finger(capture, scene.views_of(capture, masks), preset_settings("metric"), QUICK)
+    return rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings(), QUICK)
 
 
 def truth_of(finger: Rolled) -> tuple[np.ndarray, np.ndarray]:
@@ -74,7 +73,7 @@ def test_the_surface_is_the_finger(finger: Rolled) -> None:
 
 def test_one_mirror_is_enough_and_none_is_refused() -> None:
     capture, masks = scene.capture()
-    settings = preset_settings("metric")
+    settings = ReliefSettings()
     # the left mirror's light counts, its view does not
     whole = scene.views_of(capture, masks)
     views = replace(whole, views=tuple(replace(view, mask=None) if view.name == "left" else view for view in whole))

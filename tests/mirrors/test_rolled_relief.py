@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from splitknit.finger.locate import FingerSettings
 from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import find_mirror_views
-from splitknit.mirrors.rolled.work import Work
-from splitknit.presets import preset_settings
+from splitknit.mirrors.rolled.work import ReliefSettings, Work
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -22,8 +23,8 @@ def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() 
     )
     px_per_mm = capture.rig.camera.px_per_mm
     assert px_per_mm < 17  # the network has learned 25 and more
-    settings = preset_settings("metric")
-    work = Work(capture, find_mirror_views(capture, settings), settings, RolledSettings())
+    views = find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
+    work = Work(capture, views, ReliefSettings(), RolledSettings())
     work.find_ridges()
     for name, prefix, least in (("front", "", 0.75), ("left", "view_left_", 0.6)):
         view = work.reliefs[name]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from splitknit.finger.locate import find_finger
-from splitknit.pipeline import reconstruct_skin
+from splitknit.pipeline import metric_skin
 from splitknit.presets import preset_settings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.skin.grid import BandImages, Grid
@@ -31,7 +31,7 @@ class Piece:
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Shape, less its mean, and relief."""
-        found = reconstruct_skin(self.bands, self.grid, SETTINGS.skin, SETTINGS.metric, networks=self.networks)
+        found = metric_skin(self.bands, self.grid, SETTINGS.skin, SETTINGS.metric, networks=self.networks)
         mean = found.shape_mm[self.grid.mask].mean()
         return (found.shape_mm - mean) * self.grid.mask, found.relief_mm * self.grid.mask
 

@@ -11,8 +11,8 @@ from splitknit.imaging.view import view_of
 from splitknit.model import Camera, default_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
-from splitknit.skin.finer import coarser, finer_grid, finer_images
 from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.images import coarser, finer_grid, finer_images
 
 
 @pytest.mark.parametrize("model", ["orthographic", "perspective"])

@@ -19,9 +19,9 @@ from splitknit.skin.relief import (
     denoise,
     detail_of,
     high_pass,
-    lacking_slopes,
     mean_normals,
     measure,
+    relief_residual,
     scattering_sensitivity,
     unmixing,
     update,
@@ -99,9 +99,9 @@ RAMP = (1.0 + 0.06 * X - 0.04 * Y).astype(np.float32)
 @pytest.mark.parametrize("names", [COLOURS, ("green",)])
 @pytest.mark.parametrize("albedo", [np.ones(SHAPE, np.float32), RAMP], ids=["even", "ramp"])
 def test_the_same_surface_lacks_nothing_whatever_the_albedo(names, albedo):
-    lacking = lacking_slopes(measured_of(*dome_slopes(), albedo, names=names), GRID, DOME)
-    assert len(lacking.slopes) == len(names)
-    for pair in lacking.slopes:
+    residual = relief_residual(measured_of(*dome_slopes(), albedo, names=names), GRID, DOME)
+    assert len(residual.slopes) == len(names)
+    for pair in residual.slopes:
         for slope in pair:
             assert np.abs(slope[INNER]).max() < 1e-3
 
@@ -110,8 +110,8 @@ def test_the_same_ridged_surface_lacks_nothing():
     relief, sx, sy = ridge(0.02)
     gx, gy = dome_slopes()
     scale = np.sin(K * 0.6 * PITCH) / (K * 0.6 * PITCH)  # of central differences, along x
-    before = lacking_slopes(measured_of(gx + sx, gy + sy), GRID, DOME)
-    after = lacking_slopes(measured_of(gx + sx, gy + sy), GRID, DOME + relief)
+    before = relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME)
+    after = relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME + relief)
     for one, other in zip(before.slopes, after.slopes, strict=True):
         assert other[0][INNER].std() < 1.2 * (1 - scale + 0.01) * one[0][INNER].std()
 
@@ -120,8 +120,8 @@ def test_the_same_ridged_surface_lacks_nothing():
 def test_a_small_difference_arrives_through_the_transfer_function(names):
     _, sx, sy = ridge(0.003)
     gx, gy = dome_slopes()
-    lacking = lacking_slopes(measured_of(gx + sx, gy + sy, RAMP, names=names), GRID, DOME)
-    for name, (x, y) in zip(names, lacking.slopes, strict=True):
+    residual = relief_residual(measured_of(gx + sx, gy + sy, RAMP, names=names), GRID, DOME)
+    for name, (x, y) in zip(names, residual.slopes, strict=True):
         # light leaks out at the outline: less of it, and so a larger slope for the same swing
         gain = float(OPTICS[name](K)) / blurred(GRID.mask, name)
         for found, true in ((x, sx), (y, sy)):
@@ -131,14 +131,14 @@ def test_a_small_difference_arrives_through_the_transfer_function(names):
 
 
 def test_share_of_the_glare_in_each_channel_is_told_by_colour():
-    lacking = lacking_slopes(measured_of(*dome_slopes(), glare=0.05), GRID, DOME)
-    plain = lacking_slopes(measured_of(*dome_slopes()), GRID, DOME)
-    np.testing.assert_allclose(lacking.diffuse[INNER], plain.diffuse[INNER], rtol=0.02)
+    residual = relief_residual(measured_of(*dome_slopes(), glare=0.05), GRID, DOME)
+    plain = relief_residual(measured_of(*dome_slopes()), GRID, DOME)
+    np.testing.assert_allclose(residual.diffuse[INNER], plain.diffuse[INNER], rtol=0.02)
     seen = GRID.depth_mm > 0.5
     level = [b * np.median(blurred(GRID.mask, name)[seen]) for b, name in zip(BRIGHTNESS, COLOURS, strict=True)]
-    np.testing.assert_allclose(lacking.glare, level[0] / np.array(level), rtol=0.02)
-    assert lacking.glare[2] > 1.5
-    np.testing.assert_allclose(plain.diffuse[INNER], plain.expected[..., 2][INNER], rtol=0.02)
+    np.testing.assert_allclose(residual.glare, level[0] / np.array(level), rtol=0.02)
+    assert residual.glare[2] > 1.5
+    np.testing.assert_allclose(plain.diffuse[INNER], plain.predicted[..., 2][INNER], rtol=0.02)
 
 
 def lights(entering, trust):
@@ -149,7 +149,7 @@ def lights(entering, trust):
 def test_nothing_is_lacking_where_nothing_is_trusted():
     _, sx, sy = ridge(0.02)
     measured = measured_of(sx, sy)
-    for pair in lacking_slopes(measured, GRID, np.ones(SHAPE, np.float32)).slopes:
+    for pair in relief_residual(measured, GRID, np.ones(SHAPE, np.float32)).slopes:
         for slope in pair:
             assert np.isfinite(slope).all()
             assert not slope[~GRID.mask].any()
@@ -157,7 +157,7 @@ def test_nothing_is_lacking_where_nothing_is_trusted():
 
 def test_a_tilt_is_left_to_the_coarse_grid():
     gx, gy = dome_slopes()
-    for x, y in lacking_slopes(measured_of(gx + 0.2, gy), GRID, DOME).slopes:
+    for x, y in relief_residual(measured_of(gx + 0.2, gy), GRID, DOME).slopes:
         assert np.abs(x[INNER]).max() < 0.02
         assert np.abs(y[INNER]).max() < 0.02
 
@@ -323,14 +323,14 @@ def test_repeating_settles_and_does_not_grow():
     steps = []
     for _ in range(6):
         spectrum = GRID.forward(current)
-        lacking = [
+        residual = [
             tuple(
                 (s - GRID.inverse(1j * w * t * spectrum) * measured.trust).astype(np.float32)
                 for s, w in zip(pair, (wx, wy), strict=True)
             )
             for pair, t in zip(slopes, measured.transfer, strict=True)
         ]
-        after = update(measured, GRID, lacking, mix, current)
+        after = update(measured, GRID, residual, mix, current)
         steps.append(float(np.abs(after - current)[INNER].std()))
         current = after
     first = update(measured, GRID, slopes, mix, np.zeros(SHAPE, np.float32))

@@ -7,10 +7,10 @@ import pytest
 from skin_scene import make_scene, relief_gain, shape_rms
 
 from splitknit.networks.unet import load_network, run_network
-from splitknit.pipeline import reconstruct_skin
+from splitknit.pipeline import metric_skin
 from splitknit.skin.diffusion import SkinSettings
+from splitknit.skin.images import MetricSettings, shipped_networks
 from splitknit.skin.learned import Networks
-from splitknit.skin.surface import MetricSettings
 
 SETTINGS = MetricSettings()
 
@@ -28,7 +28,7 @@ def networks():
 @pytest.mark.parametrize(("glare", "scattering"), [(0.5, 1.0), (1.0, 0.7)])
 def test_relief_and_shape_of_a_dome(networks, glare, scattering):
     scene = make_scene(glare=glare, scattering=scattering)
-    found = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)
+    found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)
     gain, correlation = relief_gain(found.relief_mm, scene.relief_mm, scene.inner)
     assert found.facts["relief_by"] == "network"
     assert correlation > 0.95
@@ -44,12 +44,13 @@ def test_relief_and_shape_of_a_dome(networks, glare, scattering):
 
 def test_without_ridges_none_are_drawn(networks):
     scene = make_scene(depth=0.0)
-    found = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)
+    found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)
     assert found.relief_mm[scene.inner].std() < 0.007  # a third of what is there with ridges
 
 
-def test_settings_turn_the_networks_off(networks):
+def test_settings_turn_the_networks_off():
     scene = make_scene()
     settings = MetricSettings(relief="colour", rounds=1, coarse_steps=2)
-    found = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), settings, networks=networks)
-    assert found.facts["relief_by"] == "colour"
+    networks = shipped_networks(settings)
+    found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), settings, networks)
+    assert networks is None and found.facts["relief_by"] == "colour"

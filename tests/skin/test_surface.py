@@ -7,12 +7,12 @@ import pytest
 from skin_scene import DEPTH_MM, PERIOD_MM, fresnel, make_scene, relief_gain, shape_rms
 
 from splitknit.errors import BadInput
-from splitknit.pipeline import reconstruct_skin
+from splitknit.pipeline import metric_skin
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
+from splitknit.skin.images import MetricSettings
 from splitknit.skin.light import fine_lighting
-from splitknit.skin.relief import Measured
-from splitknit.skin.surface import MetricSettings, _with_relief
+from splitknit.skin.relief import Measured, _with_relief
 
 SETTINGS = MetricSettings(rounds=2)
 
@@ -24,7 +24,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def found(scene):
-    return reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+    return metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
 
 
 def grey(scene):
@@ -55,7 +55,7 @@ def test_shape_comes_out_beside_the_relief(scene, found):
 
 def test_matt_skin_has_less_glare_than_glossy_skin(found):
     scene = make_scene(glare=0.0)
-    matt = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+    matt = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
     gain, correlation = relief_gain(matt.relief_mm, scene.relief_mm, scene.inner)
     assert 0.85 < gain < 1.15
     assert correlation > 0.97
@@ -75,7 +75,7 @@ def test_facts_tell_what_was_assumed_and_found(found):
 @pytest.mark.parametrize("scattering", [0.7, 1.3])
 def test_colours_find_the_relief_of_skin_that_scatters_otherwise(scattering):
     scene = make_scene(scattering=scattering)
-    surface = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
+    surface = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
     gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
     assert 0.85 < gain < 1.15
     assert correlation > 0.97
@@ -84,13 +84,13 @@ def test_colours_find_the_relief_of_skin_that_scatters_otherwise(scattering):
 def test_deviation_of_grey_skin_tells_what_wrong_scattering_does():
     """Matt skin in grey: its relief is off by as much as is told, and the deviation holds it."""
     true, stronger = make_scene(glare=0.0), make_scene(glare=0.0, scattering=1.3)
-    surface = reconstruct_skin((grey(true),), true.grid, SkinSettings(), SETTINGS)
-    misled = reconstruct_skin((grey(stronger),), true.grid, SkinSettings(), SETTINGS)
+    surface = metric_skin((grey(true),), true.grid, SkinSettings(), SETTINGS)
+    misled = metric_skin((grey(stronger),), true.grid, SkinSettings(), SETTINGS)
     gain, correlation = relief_gain(misled.relief_mm, surface.relief_mm, true.inner)
     assert correlation > 0.99
     assert gain - 1 > 0.1
     assert surface.facts["gain_sensitivity"] == pytest.approx(gain - 1, abs=0.05)
-    sure = reconstruct_skin((grey(true),), true.grid, SkinSettings(scattering_uncertainty=0.0), SETTINGS)
+    sure = metric_skin((grey(true),), true.grid, SkinSettings(scattering_uncertainty=0.0), SETTINGS)
     np.testing.assert_array_equal(sure.relief_mm, surface.relief_mm)
     assert sure.facts["gain_sensitivity"] == 0
     assert sure.deviation_mm[true.inner].mean() > 0.0002
@@ -103,7 +103,7 @@ def test_deviation_of_grey_skin_tells_what_wrong_scattering_does():
 @pytest.mark.parametrize("bands", ["grey", "grey and nir", "no nir"])
 def test_fewer_bands_do(scene, bands):
     chosen = {"grey": (grey(scene),), "grey and nir": (grey(scene), scene.nir), "no nir": (scene.white,)}[bands]
-    surface = reconstruct_skin(chosen, scene.grid, SkinSettings(), SETTINGS)
+    surface = metric_skin(chosen, scene.grid, SkinSettings(), SETTINGS)
     assert_finite(surface, scene.grid.shape)
     gain, correlation = relief_gain(surface.relief_mm, scene.relief_mm, scene.inner)
     assert correlation > (0.97 if bands == "no nir" else 0.8)
@@ -111,13 +111,11 @@ def test_fewer_bands_do(scene, bands):
     # grey images keep their glare: only its sign and pattern can be right
 
 
-def test_same_bytes_every_time_and_progress_is_told(scene, found):
-    told = []
-    again = reconstruct_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, told.append)
+def test_same_bytes_every_time(scene, found):
+    again = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
     for name in ("shape_mm", "relief_mm", "deviation_mm", "albedo"):
         assert getattr(again, name).tobytes() == getattr(found, name).tobytes()
     assert again.facts == found.facts
-    assert told == [pytest.approx(1 / 3), pytest.approx(2 / 3)]
 
 
 def test_fine_lights_are_the_coarse_ones_enlarged(scene):
@@ -169,7 +167,7 @@ def test_current_relief_is_added_to_the_slopes_through_the_skin(scene):
 
 def test_images_are_left_as_they_were(scene):
     before = scene.white.stack.copy()
-    reconstruct_skin((scene.white,), scene.grid, SkinSettings(), MetricSettings(rounds=1, coarse_steps=1))
+    metric_skin((scene.white,), scene.grid, SkinSettings(), MetricSettings(rounds=1, coarse_steps=1))
     np.testing.assert_array_equal(scene.white.stack, before)
 
 

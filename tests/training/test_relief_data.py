@@ -10,14 +10,13 @@ from scipy import ndimage
 from splitknit.errors import BadInput
 from splitknit.io.images import write_image
 from splitknit.model import Camera, Led, Rig, default_rig
-from splitknit.presets import preset_settings
 from splitknit.simulator import twin
 from splitknit.simulator.finger.master_print import ink_print, master_print
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import COUNT, RELIEF_MM, features
 from splitknit.skin.learned import GLARE as GLARE_UNIT
 from splitknit.training.fields import FIELDS
-from splitknit.training.relief import TURNS
+from splitknit.training.relief import SYMMETRY
 from splitknit.training.relief_data import (
     CHANNELS,
     GLARE,
@@ -98,13 +97,13 @@ def scene() -> Scene:
 def test_the_mirrored_finger_is_the_mirrored_sample(scene) -> None:
     x, y = scene.grid.x_mm, scene.grid.y_mm
     other = scene.moved(lambda a: a[..., ::-1], -x[::-1], y, lambda px, py: (-px, py))
-    _same(other.sample(), TURNS.mirrored(scene.sample()))
+    _same(other.sample(), SYMMETRY.flipped(scene.sample()))
 
 
 def test_the_transposed_finger_is_the_transposed_sample(scene) -> None:
     x, y = scene.grid.x_mm, scene.grid.y_mm
     other = scene.moved(lambda a: a.swapaxes(-1, -2), -y, -x, lambda px, py: (-py, -px))
-    _same(other.sample(), TURNS.transposed(scene.sample()))
+    _same(other.sample(), SYMMETRY.transposed(scene.sample()))
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> None:
@@ -172,9 +171,7 @@ def test_a_scene_is_photographed_as_the_twin_photographs(photographed, monkeypat
 
 def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -> None:
     _, capture, truth = photographed
-    settings = preset_settings("metric")
-    settings = replace(settings, metric=replace(settings.metric, coarse_steps=1))
-    true, found = (_sample_of(capture, truth, settings, mix).astype(np.float32) for mix in (0.0, 1.0))
+    true, found = (_sample_of(capture, truth, mix).astype(np.float32) for mix in (0.0, 1.0))
     assert true.shape == found.shape and np.isfinite(true).all() and np.isfinite(found).all()
     inner = (true[WEIGHT] > 0.9) & (found[WEIGHT] > 0.9)
     assert inner.sum() > 2500

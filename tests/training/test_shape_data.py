@@ -10,15 +10,13 @@ from scipy import ndimage
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import height_gradients
 from splitknit.model import Camera, Led, Rig
-from splitknit.presets import preset_settings
 from splitknit.skin import learned
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.learned import SHAPE_SLOPE, _shape_features
-from splitknit.training import shape_data
+from splitknit.skin.learned import SHAPE_SLOPE, shape_features
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import photograph_scene
-from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, TURNS, WEIGHT, _without_nir
+from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, SYMMETRY, WEIGHT, _without_nir
 from splitknit.training.shape_data import (
     ShapeData,
     _assembled_shape,
@@ -47,7 +45,7 @@ class Scene:
     def sample(self) -> np.ndarray:
         x, y = self.across
         ridges = 0.3 * np.stack([x * x - y * y, 2 * x * y, np.ones_like(x)]) * self.grid.mask
-        fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, ridges)
+        fields = shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, ridges)
         return _assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
 
     def moved(
@@ -92,13 +90,13 @@ def scene() -> Scene:
 def test_the_mirrored_finger_is_the_mirrored_sample(scene) -> None:
     x, y = scene.grid.x_mm, scene.grid.y_mm
     other = scene.moved(lambda a: a[..., ::-1], -x[::-1], y, lambda px, py: (-px, py))
-    _same(other.sample(), TURNS.mirrored(scene.sample()))
+    _same(other.sample(), SYMMETRY.flipped(scene.sample()))
 
 
 def test_the_transposed_finger_is_the_transposed_sample(scene) -> None:
     x, y = scene.grid.x_mm, scene.grid.y_mm
     other = scene.moved(lambda a: a.swapaxes(-1, -2), -y, -x, lambda px, py: (-py, -px))
-    _same(other.sample(), TURNS.transposed(scene.sample()))
+    _same(other.sample(), SYMMETRY.transposed(scene.sample()))
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> None:
@@ -167,7 +165,7 @@ def coarse():
 def test_a_capture_that_no_network_reads_is_refused(coarse) -> None:
     capture, truth, gain = coarse
     with pytest.raises(BadInput, match="lights or pixels"):
-        _shape_sample_of(capture, truth, preset_settings("metric"), gain)
+        _shape_sample_of(capture, truth, gain)
 
 
 def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
@@ -205,12 +203,3 @@ def _rim(scene) -> float:
 def test_ranges_that_make_no_sense_are_refused(change, words) -> None:
     with pytest.raises(BadInput, match=words):
         ShapeData(**change)
-
-
-def test_one_round_mends_no_shape(coarse, monkeypatch) -> None:
-    monkeypatch.setattr(shape_data, "can_learn", lambda *a: True)
-    settings = preset_settings("metric")
-    settings = replace(settings, metric=replace(settings.metric, rounds=1, coarse_steps=1))
-    capture, truth, gain = coarse
-    with pytest.raises(BadInput, match="rounds"):
-        _shape_sample_of(capture, truth, settings, gain)

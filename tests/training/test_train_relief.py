@@ -8,10 +8,10 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.training.fields import FIELDS, check_channels
-from splitknit.training.relief import TURNS, ReliefSettings, _draw_batch, _draw_patch, _field_scale, _judged
+from splitknit.training.relief import SYMMETRY, ReliefSettings, _draw_batch, _draw_patch, _field_scale, _judged
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 
-mirrored, transposed, turned_by = TURNS.mirrored, TURNS.transposed, TURNS.turned_by
+flipped, transposed, oriented = SYMMETRY.flipped, SYMMETRY.transposed, SYMMETRY.oriented
 
 SMALL = ReliefSettings(widths=(2, 3), patch_px=16, batch=3)
 OTHER_SEED = ReliefSettings(widths=(2, 3), patch_px=16, batch=3, seed=1)
@@ -38,14 +38,14 @@ def seen_from(sample: np.ndarray, azimuth: float) -> np.ndarray:
     return np.stack([*shown, *sample[scalars]])
 
 
-@pytest.mark.parametrize(("turn", "matrix"), [(mirrored, MIRROR), (transposed, TRANSPOSE)])
+@pytest.mark.parametrize(("turn", "matrix"), [(flipped, MIRROR), (transposed, TRANSPOSE)])
 def test_a_turned_image_shows_under_the_turned_light_what_it_showed_before(turn, matrix) -> None:
     sample = sample_of(0)
     turned = turn(sample)
     for azimuth in (0.0, 0.4, 1.9, -2.6):
         x, y = matrix @ [np.cos(azimuth), np.sin(azimuth)]
         before = seen_from(sample, azimuth)
-        moved = before[:, :, ::-1] if turn is mirrored else before.swapaxes(1, 2)
+        moved = before[:, :, ::-1] if turn is flipped else before.swapaxes(1, 2)
         np.testing.assert_allclose(seen_from(turned, float(np.arctan2(y, x))), moved, atol=2e-6)
 
 
@@ -56,19 +56,19 @@ def test_rows_count_downwards_and_y_upwards() -> None:
     turned = transposed(sample)  # the left column is the first row now: the slope rises downwards
     assert turned.shape == (CHANNELS, 4, 3)
     assert (turned[0, 0] == 7).all() and (turned[3] == 0).all() and (turned[4] == -1).all()
-    flipped = mirrored(sample)
-    assert (flipped[0, :, -1] == 7).all() and (flipped[3] == -1).all()
+    across = flipped(sample)
+    assert (across[0, :, -1] == 7).all() and (across[3] == -1).all()
 
 
 def test_the_eight_turns_are_all_different_and_each_undoes_itself_in_time() -> None:
     sample = sample_of(1, (8, 8))
-    turns = [turned_by(sample, way) for way in range(8)]
+    turns = [oriented(sample, way) for way in range(8)]
     for one, other in itertools.combinations(turns, 2):
         assert not np.array_equal(one, other)
     for way in range(8):
         back = sample
         for _ in range(4):
-            back = turned_by(back, way)
+            back = oriented(back, way)
         np.testing.assert_array_equal(back, sample)
     for one in turns:
         np.testing.assert_array_equal(np.sort(one[WEIGHT], axis=None), np.sort(sample[WEIGHT], axis=None))

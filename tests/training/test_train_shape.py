@@ -12,7 +12,7 @@ from splitknit.training.shape import (
     CHANNELS,
     OF_NIR,
     SLOPES,
-    TURNS,
+    SYMMETRY,
     WEIGHT,
     ShapeSettings,
     _draw_batch,
@@ -97,7 +97,7 @@ def test_batches_follow_from_seed_and_number_and_turn_all_ways() -> None:
     corners = {(patch[22, 0, 0], patch[22, 0, -1]) for patch in _draw_batch([marked], settings, 0)}
     assert len(corners) == 8
     for way in range(8):
-        assert not np.array_equal(TURNS.turned_by(marked, way), TURNS.turned_by(marked, (way + 1) % 8))
+        assert not np.array_equal(SYMMETRY.oriented(marked, way), SYMMETRY.oriented(marked, (way + 1) % 8))
 
 
 def test_fields_are_scaled_by_what_they_vary() -> None:

@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.mirrors.rolled.finger import rolled_finger
 from splitknit.mirrors.rolled.search import SearchSettings
 from splitknit.mirrors.rolled.settings import RolledSettings
-from splitknit.presets import preset_settings
+from splitknit.mirrors.rolled.work import ReliefSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"
@@ -34,7 +34,7 @@ def scene():
 
 def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
     capture, masks = scene.capture(("right",))
-    rolled = rolled_finger(capture, scene.views_of(capture, masks), preset_settings("metric"), QUICK)
+    rolled = rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings(), QUICK)
     x = (np.arange(scene.SIZE[1]) - (scene.SIZE[1] - 1) / 2) / scene.PX
     y = ((scene.SIZE[0] - 1) / 2 - np.arange(scene.SIZE[0])) / scene.PX
     x, y = np.meshgrid(x, y - 2.0)

@@ -17,6 +17,7 @@ from splitknit.mirrors.rolled.finger import Rolled, rolled_finger
 from splitknit.mirrors.rolled.register import ridge_band
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.views import find_mirror_views
+from splitknit.mirrors.rolled.work import ReliefSettings
 from splitknit.presets import preset_settings
 from splitknit.prints.print_map import resample
 from splitknit.prints.ridges import ink
@@ -45,8 +46,8 @@ def measure(folder: Path, settings: RolledSettings | None = None) -> Measured:
     """Roll a capture and compare it with its truth."""
     capture = read_capture(folder)
     chosen = preset_settings("metric")
-    views = find_mirror_views(capture, chosen)
-    rolled = rolled_finger(capture, views, chosen, settings)
+    views = find_mirror_views(capture, chosen, chosen.shape.mirror)
+    rolled = rolled_finger(capture, views, ReliefSettings(), settings)
     front = front_alone(rolled)
     with np.load(folder / "truth.npz") as arrays:
         truth = {

@@ -227,15 +227,20 @@ class Bench:
     def _by_network(self) -> tuple[Reconstruction, FloatArray]:
         """`metric` as shipped, and the glare (L, H, W) that its network drew in the last round."""
         drawn: list[FloatArray] = []
-        original = pipeline.relief_by_network
+        lit: list[Any] = []
+        estimate, describe = pipeline.relief_by_network, pipeline.features
 
-        def listening(white: Any, grid: Any, smooth_mm: Any, light: Any, *others: Any, **named: Any) -> Any:
-            found = original(white, grid, smooth_mm, light, *others, **named)
-            drawn.append(glare_of(found, white.rig, light))
+        def describing(white: Any, grid: Any, smooth_mm: Any, light: Any) -> Any:
+            lit[:] = white.rig, light
+            return describe(white, grid, smooth_mm, light)
+
+        def listening(*given: Any) -> Any:
+            found = estimate(*given)
+            drawn.append(glare_of(found, *lit))
             return found
 
         capture = self.twin.capture
-        with mock.patch.object(pipeline, "relief_by_network", listening):
+        with mock.patch.multiple(pipeline, relief_by_network=listening, features=describing):
             result = reconstruct(capture, self.finger, self._settings(ROWS["metric"]))
         require(
             len(drawn) > 0, "the networks cannot read this capture: its pixels are too large, or its lights too few."
@@ -245,9 +250,8 @@ class Bench:
 
 def reconstruct(capture: Capture, finger: Finger, settings: PipelineSettings) -> Reconstruction:
     """As :func:`splitknit.reconstruct`, of a finger that has been found."""
-    algorithm = pipeline.split_and_knit if settings.method == "thesis" else pipeline.metric
     with mock.patch.object(pipeline, "locate_finger", lambda capture, _: (capture, finger)):
-        return algorithm(capture, settings)
+        return pipeline.reconstruct(capture, settings=settings)
 
 
 def _on_pixels(fields: FloatArray, finger: Finger, shape: tuple[int, int]) -> FloatArray:

@@ -23,11 +23,11 @@ from measure import drift_mm, lights
 from scipy import ndimage
 
 from splitknit.model import default_rig
-from splitknit.pipeline import reconstruct_skin
+from splitknit.pipeline import metric_skin
 from splitknit.simulator.light.skin import SkinSettings
 from splitknit.skin.diffusion import SkinSettings as AssumedSkin
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.surface import MetricSettings
+from splitknit.skin.images import MetricSettings
 
 HERE = Path(__file__).resolve().parent
 OUT = HERE.parent / "out" / "twin"
@@ -89,7 +89,7 @@ def reconstructed(images: Any, way: str, networks: Any) -> Any:
     rig = default_rig()
     white = BandImages(CHANNELS, stack, rig.select([(k,) for k in range(7)]))
     settings = MetricSettings(relief=way, working_pitch_mm=PIXEL_MM, plane_mm=0.0)
-    skin = reconstruct_skin((white,), grid, AssumedSkin(), settings, networks=networks)
+    skin = metric_skin((white,), grid, AssumedSkin(), settings, networks=networks)
     return np.asarray(skin.shape_mm + skin.relief_mm, dtype=np.float64)
 
 

@@ -49,6 +49,7 @@ from splitknit.batch.store import Store, check_target, open_store
 from splitknit.errors import BadInput, given_folders, open_at_once, require
 from splitknit.evaluation.protocol import Comparisons
 from splitknit.evaluation.scores import Ids, Scores, ids_of
+from splitknit.finger.locate import FingerSettings
 from splitknit.io.atomic import hold, private_modes, sweep
 from splitknit.io.capture import read_capture
 from splitknit.io.csv_table import csv_text
@@ -57,7 +58,6 @@ from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.surface import MatchingSettings
 from splitknit.model import Progress
-from splitknit.presets import PipelineSettings
 
 _KINDS = ("finger", "subject", "session")
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
@@ -497,7 +497,7 @@ def _extract_voted(task: _VotedTask) -> MinutiaeDone:
     return MinutiaeDone(len(captures), peak_memory_mb())
 
 
-def _voted(folder: Path, settings: PipelineSettings, matching: MatchingSettings) -> Minutiae:
+def _voted(folder: Path, settings: FingerSettings, matching: MatchingSettings) -> Minutiae:
     """Voted minutiae of a capture; none where leaving out an image leaves nothing."""
     capture = read_capture(folder)
     try:

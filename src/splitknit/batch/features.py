@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,11 +24,11 @@ from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import pack
-from splitknit.model import Capture, Reconstruction, surface_of
+from splitknit.model import Reconstruction, surface_of
 from splitknit.networks.unet import running
 from splitknit.pipeline import reconstruct
 from splitknit.prints.ridges import surface_print
-from splitknit.steps import Memory, frugal
+from splitknit.steps import Memory
 
 PRINT_PPI = 500.0
 QUALITY = ("ridge_contrast", "sharpness", "brightness", "ambient_share", "length_mm", "width_mm")
@@ -96,24 +95,20 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
     reading = ReadSettings(ImageSettings(threads=running().threads))
     with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
         for ref, folder in zip(task.captures, folders, strict=True):
-            capture: Capture | str
-            memory: Memory | None
+            memory: Memory | str
             try:
-                capture = read_capture(folder / ref.name, reading)
-                memory = Memory(capture)
+                memory = Memory(read_capture(folder / ref.name, reading))
             except BadInput as error:
-                # wherever the population lies, the row is the same
-                capture, memory = str(error).replace(f"{folder}/", ""), None
+                memory = str(error).replace(f"{folder}/", "")  # wherever the population lies, the row is the same
             cases = [case for case, wanted in task.cases if ref.name in wanted]
             for case in cases:
                 started = time.perf_counter()
-                with frugal() if case is cases[-1] else nullcontext():
-                    row = _row(ref, capture, memory, case, task)
+                row = _row(ref, memory, case, task, case is cases[-1])
                 seconds[case.name][ref.name] = round(time.perf_counter() - started, 3)
                 rows[case.name].append(row)
                 if not row["acquired"]:
                     failures.append(f"{case.name}, {ref.name}: {row['failure']}")
-            del capture, memory  # before the next one is read
+            del memory  # before the next capture is read
     schema = _feature_schema()
     for case, wanted in task.cases:
         document = case.document()
@@ -137,20 +132,21 @@ def _features_hash(matching: MatchingSettings) -> str:
     return settings_hash({"band": matching.band, "template": matching.template})
 
 
-def _row(
-    ref: CaptureRef, capture: Capture | str, memory: Memory | None, case: Case, task: FeatureTask
-) -> dict[str, Any]:
+def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, last: bool) -> dict[str, Any]:
+    """Row of one case of a capture, or of why it could not be read; `last`: the images may go once they are read."""
     row: dict[str, Any] = {
         "capture": ref.name, "subject": ref.subject, "finger": ref.finger, "session": ref.session,
         "acquired": False, "failure": "", "area_mm2": 0.0, "warnings": [], "input_sha256": "",
         **{f"{name}_{band}": None for band in BANDS for name in QUALITY},
         "template": b"", "print": None, "images": None,
     }  # fmt: skip
-    if isinstance(capture, str):
-        return row | {"failure": capture}
-    row["input_sha256"] = settings_hash(dict(sorted(capture.hashes.items())))
+    if isinstance(memory, str):
+        return row | {"failure": memory}
+    row["input_sha256"] = settings_hash(dict(sorted(memory.capture.hashes.items())))
     try:
-        result = reconstruct(capture, case.preset, case.settings(), memory=memory)
+        result = reconstruct(
+            memory.hand_over() if last else memory.capture, case.preset, case.settings(), memory=memory
+        )
     except BadInput as error:
         return row | {"failure": str(error)}
     surface = surface_of(result)

@@ -42,6 +42,7 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
     """
     from splitknit.mirrors.rolled.finger import rolled_finger
     from splitknit.mirrors.rolled.views import find_mirror_views
+    from splitknit.mirrors.rolled.work import ReliefSettings
     from splitknit.presets import preset_settings
 
     require(
@@ -53,9 +54,10 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
         capture = read_capture(path)
         chosen = preset_settings(preset)
         progress("views", 0.08)
-        views = find_mirror_views(capture, chosen)
+        views = find_mirror_views(capture, chosen, chosen.shape.mirror)
+        relief = ReliefSettings(chosen.metric, chosen.shapelets, chosen.normals.max_slope)
         made = rolled_finger(
-            capture, views, chosen, settings, lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction)
+            capture, views, relief, settings, lambda stage, fraction: progress(stage, 0.15 + 0.55 * fraction)
         )
         return _source(made, preset, capture.hashes, capture.subject), made
 

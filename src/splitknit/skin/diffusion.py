@@ -8,6 +8,7 @@ sigma_t' alone; a table of both, made by random walks (``validation/diffusion/ma
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
@@ -61,6 +62,20 @@ class SkinSettings(Checked):
         trial = np.geomspace(assumed / 4 + 1e-4, assumed * 12 + 1e-2, 60)
         albedo = np.array([diffusion(scattering, float(a)).albedo for a in trial])
         return float(np.exp(np.interp(-wanted, -albedo, np.log(trial))))
+
+    def optics(
+        self, channels: Iterable[str], colour: Mapping[str, float] | None = None, scattering: float = 1.0
+    ) -> dict[str, Diffusion]:
+        """Transfer function of each channel.
+
+        `colour`: of each white channel, its diffuse brightness over that of the first; the absorption follows it where
+        there are several. `scattering`: factor on the assumed scattering.
+        """
+        tint = colour if colour is not None and len(colour) > 1 else {}
+        return {
+            name: diffusion(self.scattering(name) * scattering, self.absorption(name, tint.get(name)))
+            for name in channels
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,32 +1,71 @@
-"""Images of skin on the working grid of the `metric` method, the networks that read them, and the way back."""
+"""Images of skin on the working grid of the `metric` method, the networks for them, and the way back."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from splitknit.errors import require
 from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.networks.unet import load_network, run_network
-from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
+from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
-from splitknit.skin.surface import MetricSettings
+from splitknit.skin.relief import ColourSettings
+from splitknit.skin.shape import CoarsePrior
+
+
+@dataclass(frozen=True, slots=True)
+class MetricSettings(Checked):
+    """Grids and iterations of the `metric` preset on skin."""
+
+    working_pitch_mm: Annotated[float, Limits(0, above=True)] = 0.0264
+    """Pitch of the fine grid: skin passes less than 2 % of anything that a finer one could show."""
+    coarse_pitch_mm: float = 0.106
+    """Pitch of the coarse grid."""
+    plane_mm: float = 1.0
+    """Assumed mean height of the visible skin above the finger plane (it moves the lights only)."""
+    rounds: Annotated[int, Limits(1)] = 2
+    """Estimates of the relief, each on the shape as refined with the one before it."""
+    coarse_steps: Annotated[int, Limits(1)] = 3
+    """Corrections of the shape on the coarse grid."""
+    coarse: CoarsePrior = field(default_factory=CoarsePrior)
+    """Expected slopes of shape and glare on the coarse grid."""
+    relief: Literal["network", "colour"] = "network"
+    """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
+    few lights for the network, are always reconstructed by colour."""
+    network: str = "relief"
+    """Name of a network in the package, or path of an ``.onnx`` file with its card beside it."""
+    shape_network: str = "shape"
+    """The same for the network that refines the shape in the last round; empty: none."""
+    tile_px: int = 704
+    """Side in pixels of a square as large as a tile of the network; memory grows with its square."""
+    by_colour: ColourSettings = field(default_factory=ColourSettings)
+    """Of the method by colour."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        ordered = self.working_pitch_mm <= self.coarse_pitch_mm
+        require(ordered, "metric.working_pitch_mm must be at most metric.coarse_pitch_mm.")
+
 
 _MARGIN_MM = 0.1
-"""Beside the finger's outline, on the working grid: what lies further away is not looked at."""
+"""Beside the finger's outline, on the working grid."""
 NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
     "relief and glare are separated by their colours alone."
 )
 GREY = "the white images are grey: glare cannot be told from skin by its colour."
-HOW = {
+SEPARATED_BY = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
     "colour": "glare by colour, scattering by its transfer function (modelled)",
 }
@@ -143,3 +182,51 @@ def _grid(capture: Capture, window: Window, mask: BoolArray, binning: float) -> 
     )
     view = view_of(capture.rig.camera, rows, columns, binning=binning, along_rays=True)
     return Grid(inside, view.x_mm, view.y_mm, capture.rig.camera.pitch_mm * binning, cut, view.apex_mm)
+
+
+# Images of a coarse camera on a grid twice as fine.
+#
+# The networks were trained on pixels of 17 to 41 um. A camera of 12 to 25 pixels a millimetre shows ridges well enough
+# (6 to 11 pixels a period), in pixels that are too large for them: the images are interpolated to half the pitch.
+
+FACTOR = 2
+
+
+def finer_grid(grid: Grid) -> Grid:
+    """The grid with each of its pixels divided into 2 x 2."""
+    mask = np.repeat(np.repeat(grid.mask, FACTOR, axis=0), FACTOR, axis=1)
+    x, y = grid.x_mm, grid.y_mm
+    if x.ndim == 2:  # the rays of a perspective camera
+        x, y = (_halved(_halved(axis, 0), 1) for axis in (x, y))
+    else:
+        x, y = _halved(x, 0), _halved(y, 0)
+    return Grid(mask, x, y, grid.pitch_mm / FACTOR, grid.cut, grid.apex_mm)
+
+
+def finer_images(band: BandImages) -> BandImages:
+    """Images of a band on :func:`finer_grid`, bicubic."""
+    channels, lights, height, width = band.stack.shape
+    fine = np.empty((channels, lights, height * FACTOR, width * FACTOR), dtype=np.float32)
+    size = (width * FACTOR, height * FACTOR)
+    for c in range(channels):
+        for k in range(lights):
+            cv2.resize(band.stack[c, k], size, dst=fine[c, k], interpolation=cv2.INTER_CUBIC)
+    return BandImages(band.channels, fine, band.rig)
+
+
+def coarser(field: FloatArray) -> FloatArray:
+    """Mean (h, w) of the 2 x 2 pixels of each pixel of the grid as it was; NaN where one of them is."""
+    height, width = field.shape[0] // FACTOR, field.shape[1] // FACTOR
+    blocks = field.reshape(height, FACTOR, width, FACTOR)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
+
+
+def _halved(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Values at the middles of both halves of each pixel along `axis`, straight between their neighbours."""
+    if values.shape[axis] < 2:
+        return np.repeat(values, FACTOR, axis=axis)
+    quarter = np.gradient(values, axis=axis) / 4
+    both = np.stack([values - quarter, values + quarter], axis=axis + 1)
+    shape = list(values.shape)
+    shape[axis] *= FACTOR
+    return np.asarray(both.reshape(shape), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The ridges from the colours of the white band, behind blur and glare, on the fine grid."""
+"""The relief from the colours of the white band, behind scattering and specular reflection, on the fine grid."""
 
 from __future__ import annotations
 
@@ -146,11 +146,11 @@ RIDGE_TRUST = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """What the white band's photometric stereo gives on the fine grid."""
+    """The white band's photometric stereo on the fine grid."""
 
     channels: tuple[str, ...]
     pseudo_normals: FloatArray
-    """(C, h, w, 3) brightness times normal, blurred by the skin, with glare."""
+    """(C, h, w, 3) brightness times normal, blurred by the skin, with specular reflection."""
     transfer: FloatArray
     """(C, rows, columns) of the skin on the grid's frequencies."""
     brightness: FloatArray
@@ -158,7 +158,7 @@ class Measured:
     trust: FloatArray
     """(h, w) in [0, 1]: fades out towards grazing slopes and the outline."""
     region: FloatArray
-    """(h, w) smooth window on the well-seen part, for spectra."""
+    """(h, w) smooth window on the part that faces the camera, for spectra."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +169,7 @@ class Unmixing:
     """One for each channel, on the grid's frequencies."""
     fit: SpectralFit
     glare: FloatArray
-    """(C,) weight of the glare in each channel, one in the first."""
+    """(C,) weight of the specular reflection in each channel, one in the first."""
 
 
 def measure(  # noqa: PLR0917
@@ -203,38 +203,39 @@ def mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lacking:
-    """What the measurement has beyond the current surface."""
+class ReliefResidual:
+    """What the measurement has beyond the prediction from the current surface."""
 
     slopes: list[tuple[FloatArray, FloatArray]]
     """C pairs (h, w)."""
     glare: FloatArray
-    """(C,) weight of glare in each channel's slopes, one in the first."""
-    expected: FloatArray
-    """(h, w, 3) expected pseudo-normals of the first channel."""
+    """(C,) weight of the specular reflection in each channel's slopes, one in the first."""
+    predicted: FloatArray
+    """(h, w, 3) predicted pseudo-normals of the first channel."""
     diffuse: FloatArray
     """(h, w) diffuse brightness of the first channel."""
 
 
-def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> Lacking:
+def relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> ReliefResidual:
     """Slopes that the measurement has beyond the current surface's.
 
-    The expectation is the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with
-    it the darkening of valleys (1 + k h), drops out; the fraction of the glare in the brightness is found by colour.
+    Predicted are the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with it
+    the darkening of valleys (1 + k h), drops out; the fraction of specular reflection in the brightness is estimated by
+    colour.
     """
     normals = grid.forward(np.moveaxis(mean_normals(surface_mm, grid), -1, 0), extend=True)
-    expected = [
+    predicted = [
         np.moveaxis(grid.inverse(normals * measured.transfer[c]) * measured.brightness[c], 0, -1)
         for c in range(len(measured.channels))
     ]
-    level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in expected]
+    level = [grid.smooth(e[..., 2], grid.mask, 0.4) for e in predicted]
     albedo = _diffuse_scale(level, [grid.smooth(g[..., 2], grid.mask, 0.4) for g in measured.pseudo_normals])
     inner = measured.region > 0
     middle = np.float32(np.median(albedo[inner]))
     albedo = grid.smooth(np.clip(albedo, 0.6 * middle, 1.6 * middle), grid.mask, 0.8)
     glare = np.array([1.0 / max(float(np.median((albedo * z)[inner])), 1e-9) for z in level])
     slopes, scales = [], []
-    for c, e in enumerate(expected):
+    for c, e in enumerate(predicted):
         length = np.sqrt((e * e).sum(axis=-1))
         z = np.maximum(e[..., 2], 0.05 * length + np.float32(1e-6))
         diffuse = np.maximum(albedo, np.float32(0.1) * middle) * np.maximum(z, np.float32(0.1) * measured.brightness[c])
@@ -243,7 +244,7 @@ def lacking_slopes(measured: Measured, grid: Grid, surface_mm: FloatArray) -> La
         g = measured.pseudo_normals[c]
         slopes.append(tuple(-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2)))
     trusted = [tuple(_ridge_band(s, grid) * measured.trust for s in pair) for pair in slopes]
-    return Lacking([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), expected[0], scales[0])
+    return ReliefResidual([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), predicted[0], scales[0])
 
 
 def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
@@ -251,21 +252,21 @@ def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -
     return slope - grid.smooth(slope, grid.mask, sigma_mm)
 
 
-def _diffuse_scale(expected: list[FloatArray], seen: list[FloatArray]) -> FloatArray:
-    """Local scale a of seen = a expected + glare, the glare alike in all channels; a single one has no glare."""
-    if len(expected) == 1:
-        return np.asarray(seen[0] / np.maximum(expected[0], np.float32(1e-6)), dtype=np.float32)
-    n = np.float32(len(expected))
-    mean_e, mean_s = sum(expected) / n, sum(seen) / n
-    above = sum((e - mean_e) * (s - mean_s) for e, s in zip(expected, seen, strict=True))
-    below = sum((e - mean_e) ** 2 for e in expected)
+def _diffuse_scale(predicted: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
+    """Local scale a of measured = a predicted + specular, equal in all channels; a single one has no such part."""
+    if len(predicted) == 1:
+        return np.asarray(measured[0] / np.maximum(predicted[0], np.float32(1e-6)), dtype=np.float32)
+    n = np.float32(len(predicted))
+    mean_p, mean_m = sum(predicted) / n, sum(measured) / n
+    above = sum((p - mean_p) * (m - mean_m) for p, m in zip(predicted, measured, strict=True))
+    below = sum((p - mean_p) ** 2 for p in predicted)
     return np.asarray(above / np.maximum(below, np.float32(1e-9)), dtype=np.float32)
 
 
 def unmixing(
     measured: Measured, grid: Grid, slopes: list[tuple[FloatArray, FloatArray]], glare: FloatArray
 ) -> Unmixing:
-    """Weights of the channels from the powers of relief, glare and noise in this capture."""
+    """Weights of the channels from the powers of relief, specular reflection and noise in this capture."""
     centres, along, across = cross_spectra(slopes, measured.region, grid.pitch_mm)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
     wx = np.asarray(grid.omega[0][0], dtype=np.float64)
@@ -277,10 +278,10 @@ def unmixing(
     signal = np.maximum(signal, (0.4 * np.minimum(1, 12 / centres) ** 2) ** 2)
     # ridges are unmixed with little shrinkage: steep flanks shade less than linearly, and noise is removed later
     signal = signal * (1 + (RIDGE_TRUST - 1) * smooth_step(((centres - 7) / 4).astype(np.float32)))
-    mirrored = np.maximum(4 * fit.glare, 1e-5)
+    specular = np.maximum(4 * fit.glare, 1e-5)
     log_omega = np.log(np.maximum(omega, 1e-3))
     fine_signal = np.exp(np.interp(log_omega, np.log(centres), np.log(signal)))
-    fine_glare = np.exp(np.interp(log_omega, np.log(centres), np.log(mirrored)))
+    fine_glare = np.exp(np.interp(log_omega, np.log(centres), np.log(specular)))
     fine_transfer = np.stack([np.interp(omega, wx, row) for row in rows])
     colours = len(measured.channels) > 1
     weights = unmixing_weights(fine_transfer, glare, fine_signal, fine_glare * colours, fit.noise)
@@ -290,8 +291,8 @@ def unmixing(
 def _plausible(fit: SpectralFit) -> SpectralFit:
     """The fit with the relief's power above the ridges' own frequency limited to the fall of a ridge's harmonics.
 
-    Where skin passes next to nothing, an error in the glare's colour looks like relief. The slopes of flat ridges with
-    narrow, steep valleys fall off about as one over the frequency; nothing rougher is believed.
+    Where skin passes next to nothing, an error in the colour of the specular reflection looks like relief. The slopes
+    of flat ridges with narrow, steep valleys fall off about as one over the frequency; nothing rougher is believed.
     """
     omega = fit.omega_per_mm
     ridges = np.flatnonzero((omega >= RIDGE_PER_MM[0]) & (omega <= RIDGE_PER_MM[1]))
@@ -308,7 +309,7 @@ def high_pass(grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
 def update(
     measured: Measured, grid: Grid, slopes: list[tuple[FloatArray, FloatArray]], mix: Unmixing, relief_mm: FloatArray
 ) -> FloatArray:
-    """Relief (h, w) in mm that explains the slopes that are lacking beside the current relief.
+    """Relief (h, w) in mm that explains the residual slopes beside the current relief.
 
     One step of z <- W (p - F(z) + M z): the regularised inverse W acts on everything that was measured, so that
     repeating it settles and does not amplify noise.
@@ -373,7 +374,7 @@ def scattering_sensitivity(
     return float((gain * power).sum(dtype=np.float64) / max(float(power.sum(dtype=np.float64)), 1e-30))
 
 
-# What either way to the relief returns.
+# Result of both methods: by network, and by colour.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -389,7 +390,73 @@ class ReliefEstimate:
     albedo: FloatArray
     """(h, w) diffuse brightness of the first channel, relative."""
     level: FloatArray | None = None
-    """(h, w) brightness of the second channel, specular reflection included, where a network drew the relief."""
-    drawn: FloatArray | None = None
-    """(9, h, w) what that network drew."""
+    """(h, w) brightness of the second channel, specular reflection included, where a network estimated the relief."""
+    output: FloatArray | None = None
+    """(9, h, w) output of that network."""
     facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+# The relief by colour: a linear estimate, refined by prediction and comparison.
+
+
+_SEED = 0
+"""Seed of the noise that is filtered to measure its spectrum."""
+
+
+@dataclass(frozen=True, slots=True)
+class ColourSettings(Checked):
+    """Relief and specular reflection separated by their colours."""
+
+    _group = "metric.by_colour"
+    steps: Annotated[int, Limits(1)] = 2
+    """Corrections of the relief in each round."""
+    model_error: Annotated[float, Limits(0)] = 0.5
+    """Error of the relief that is not noise (glare taken for relief, flanks too steep to be resolved), as a part of the
+    relief's local rms height; measured on simulated fingers, see docs/experiments/accuracy.md."""
+    denoise: LocalWienerSettings = field(default_factory=LocalWienerSettings)
+    """Removal of the noise from the relief."""
+
+
+def relief_by_colour(
+    measured: Measured, grid: Grid, smooth_mm: FloatArray, other: Mapping[str, Diffusion], settings: ColourSettings
+) -> ReliefEstimate:
+    """Relief that explains the slopes of all channels behind scattering and specular reflection.
+
+    Parameters
+    ----------
+    measured : of the white band, see :func:`measure`
+    grid : fine grid
+    smooth_mm : (h, w) the shape without the relief
+    other : transfer function of each channel one standard deviation of the scattering away
+    settings : ColourSettings
+    """
+    relief = np.zeros(grid.shape, dtype=np.float32)
+    for _ in range(settings.steps):
+        residual = relief_residual(measured, grid, smooth_mm + relief)
+        mix = unmixing(measured, grid, _with_relief(residual.slopes, measured, grid, relief), residual.glare)
+        relief = update(measured, grid, residual.slopes, mix, relief)
+        relief, noise = denoise(relief, grid, mix, settings.denoise, _SEED)
+    sensitivity = abs(scattering_sensitivity(measured, grid, mix, other, relief))
+    height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), np.float32(0.0)))
+    model = np.float32(np.hypot(sensitivity, settings.model_error)) * height
+    return ReliefEstimate(
+        relief_mm=relief,
+        deviation_mm=np.sqrt(noise**2 + model**2).astype(np.float32),
+        trust=measured.trust,
+        albedo=np.sqrt((measured.pseudo_normals[0] ** 2).sum(axis=-1)),
+        facts={"relief_by": "colour", "gain_sensitivity": sensitivity},
+    )
+
+
+def _with_relief(
+    slopes: list[tuple[FloatArray, FloatArray]], measured: Measured, grid: Grid, relief: FloatArray
+) -> list[tuple[FloatArray, FloatArray]]:
+    """The residual slopes of the channels if there were no current relief."""
+    if not relief.any():
+        return slopes
+    spectrum = grid.forward(relief)
+    wx, wy, _ = grid.omega
+    return [
+        (x + grid.inverse(spectrum * (1j * wx) * t), y + grid.inverse(spectrum * (1j * wy) * t))
+        for (x, y), t in zip(slopes, measured.transfer, strict=True)
+    ]

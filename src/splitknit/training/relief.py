@@ -18,9 +18,9 @@ import numpy as np
 
 from splitknit.errors import require
 from splitknit.model import FloatArray, Progress, no_progress
+from splitknit.networks.augmentation import Symmetry
 from splitknit.settings import Limits
-from splitknit.skin.learned import RELIEF_MM, RELIEF_TURNS
-from splitknit.skin.turns import Turns
+from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY
 from splitknit.training.fields import (
     FIELDS,
     FieldsLoss,
@@ -61,12 +61,12 @@ WHAT = (
 PARTS = ("relief", "slope", "likelihood", "glare")
 OUTPUTS = 9
 """Of the network: the relief, seven waves of the glare, the logarithm of the relief's variance."""
-TURNS = Turns(
-    vectors=(*RELIEF_TURNS.vectors, (34, 35)),
-    second_waves=(*RELIEF_TURNS.second_waves, (36, 37)),
-    third_waves=(*RELIEF_TURNS.third_waves, (38, 39)),
+SYMMETRY = Symmetry(
+    vectors=(*RELIEF_SYMMETRY.vectors, (34, 35)),
+    second_harmonics=(*RELIEF_SYMMETRY.second_harmonics, (36, 37)),
+    third_harmonics=(*RELIEF_SYMMETRY.third_harmonics, (38, 39)),
 )
-"""How a sample turns."""
+"""Of a sample."""
 JUDGED_PX = 512
 """Side of the middle part of a finger on which the network is evaluated."""
 UNIT_UM = 1000.0 * float(RELIEF_MM)
@@ -203,7 +203,7 @@ def _draw_batch(
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
     return np.stack(
         [
-            TURNS.turned_by(_draw_patch(samples, settings, rng, whole), int(rng.integers(8)))
+            SYMMETRY.oriented(_draw_patch(samples, settings, rng, whole), int(rng.integers(8)))
             for _ in range(settings.batch)
         ]
     )

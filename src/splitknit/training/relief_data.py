@@ -22,8 +22,7 @@ from splitknit.errors import require
 from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
 from splitknit.model import Capture, FloatArray, Rig, default_rig
-from splitknit.pipeline import bands_of
-from splitknit.presets import PipelineSettings, preset_settings
+from splitknit.presets import preset_settings
 from splitknit.settings import Limits
 from splitknit.simulator.camera.sensor import record
 from splitknit.simulator.finger.finger import PoseRanges, finger_surface
@@ -36,7 +35,7 @@ from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
 from splitknit.skin.learned import RELIEF_MM, RIDGE_BAND_MM, azimuth_waves, features
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
-from splitknit.skin.surface import first_shape
+from splitknit.skin.shape import coarse_images, coarse_shape, on_fine_grid
 from splitknit.training.scenes import (
     Range,
     Scene,
@@ -144,26 +143,26 @@ def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16],
     scene = _draw_scene(number, data)
     capture, truth = photograph_scene(scene)
     mix = float(np.random.default_rng(number).random())
-    settings = preset_settings("metric")
     skin = {
         name: float(truth[f"skin_{name}"]) for name in ("scattering_factor", "melanin", "blood", "roughness", "glare")
     }
-    return _sample_of(capture, truth, settings, mix), {**scene.facts(), "skin": skin, "estimated_share": mix}
+    return _sample_of(capture, truth, mix), {**scene.facts(), "skin": skin, "estimated_share": mix}
 
 
-def _sample_of(
-    capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, mix: float
-) -> NDArray[np.float16]:
+def _sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], mix: float) -> NDArray[np.float16]:
     """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
 
-    `capture`, `truth`: of the simulator; `settings`: of the reconstruction; `mix`: fraction of the reconstruction's
-    smooth shape in [0, 1]; the rest is the true shape.
+    `capture`, `truth`: of the simulator; `mix`: fraction of the reconstruction's smooth shape in [0, 1]; the rest is
+    the true shape.
     """
+    settings = preset_settings("metric")
     finger = find_finger(capture, settings)
-    white, nir, _ = bands_of(capture, settings)
-    seen = (white,) if nir is white else (white, nir)
-    grid, bands, binning = skin_images(capture, seen, finger.window, finger.inside, settings.metric.working_pitch_mm)
-    found = first_shape(bands, grid, settings.skin, settings.metric)
+    lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
+    grid, bands, binning = skin_images(capture, lit, finger.window, finger.inside, settings.metric.working_pitch_mm)
+    images = coarse_images(bands, grid, settings.metric.coarse_pitch_mm, settings.metric.plane_mm)
+    optics = settings.skin.optics(images.channels)
+    shape = coarse_shape(images, optics, settings.metric.coarse_steps, settings.metric.coarse)
+    found = on_fine_grid(shape.height_mm, images)
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
     true = on_grid.shape_mm()
     level = true[grid.mask].mean(dtype=np.float64)

@@ -19,7 +19,7 @@ import numpy as np
 from splitknit.errors import require
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.settings import Limits
-from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_TURNS
+from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_SYMMETRY
 from splitknit.training.fields import (
     FIELDS,
     FieldsLoss,
@@ -63,8 +63,8 @@ WEIGHT = 34
 """Number of the weight in a sample, in [0, 1]."""
 CHANNELS = 35
 OUTPUTS = 2
-TURNS = replace(SHAPE_TURNS, vectors=(*SHAPE_TURNS.vectors, (32, 33)))
-"""How a sample turns."""
+SYMMETRY = replace(SHAPE_SYMMETRY, vectors=(*SHAPE_SYMMETRY.vectors, (32, 33)))
+"""Of a sample."""
 OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
 """Fields that are zero without near-infrared images."""
 JUDGED_WIDE_PX = 17
@@ -211,7 +211,7 @@ def _draw_batch(samples: Sequence[Sample], settings: ShapeSettings, iteration: i
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
     patches = []
     for _ in range(settings.batch):
-        patch = TURNS.turned_by(_draw_patch(samples, settings, rng), int(rng.integers(8)))
+        patch = SYMMETRY.oriented(_draw_patch(samples, settings, rng), int(rng.integers(8)))
         patches.append(_without_nir(patch) if rng.random() < settings.no_nir_share else patch)
     return np.stack(patches)
 

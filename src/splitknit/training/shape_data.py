@@ -19,8 +19,8 @@ from splitknit.finger.locate import find_finger
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients
 from splitknit.model import BoolArray, Capture, FloatArray, default_rig
-from splitknit.pipeline import bands_of, reconstruct_skin
-from splitknit.presets import PipelineSettings, preset_settings
+from splitknit.pipeline import metric_skin
+from splitknit.presets import preset_settings
 from splitknit.settings import Limits
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.scene import TwinSettings
@@ -107,20 +107,18 @@ def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dic
     capture, truth = photograph_scene(scene)
     names = ("scattering_factor", "melanin", "blood", "roughness", "glare")
     skin = {name: float(truth[f"skin_{name}"]) for name in names}
-    sample = _shape_sample_of(capture, truth, preset_settings("metric"), gain)
+    sample = _shape_sample_of(capture, truth, gain)
     return sample, {**scene.facts(), "skin": skin, "relief_gain": gain}
 
 
-def _shape_sample_of(
-    capture: Capture, truth: Mapping[str, NDArray[Any]], settings: PipelineSettings, gain: float
-) -> NDArray[np.float16]:
+def _shape_sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], gain: float) -> NDArray[np.float16]:
     """Fields, missing slopes and weight (35, h, w) of one capture with its truth. `capture`, `truth`: of the simulator;
-    `settings`: of the reconstruction; `gain`: height of the relief that it is given, over the true one.
+    `gain`: height of the relief that the reconstruction is given, over the true one.
     """
+    settings = preset_settings("metric")
     finger = find_finger(capture, settings)
-    white, nir, _ = bands_of(capture, settings)
-    seen = (white,) if nir is white else (white, nir)
-    grid, bands, binning = skin_images(capture, seen, finger.window, finger.inside, settings.metric.working_pitch_mm)
+    lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
+    grid, bands, binning = skin_images(capture, lit, finger.window, finger.inside, settings.metric.working_pitch_mm)
     require(can_learn(bands[0], grid.pitch_mm), "the lights or pixels are not such that a network draws the relief.")
     on_grid = TruthOnGrid(truth, finger.window, grid, binning)
     relief, wide = _split_relief(on_grid, grid)
@@ -129,7 +127,7 @@ def _shape_sample_of(
     kept: list[FloatArray] = []
 
     def no_slopes(fields: FloatArray) -> FloatArray:
-        kept.append(fields)
+        kept.append(fields.copy())  # their memory is used for other orientations
         return np.zeros((2, *fields.shape[1:]), dtype=np.float32)
 
     def true_relief(fields: FloatArray) -> FloatArray:
@@ -137,8 +135,7 @@ def _shape_sample_of(
         return drawn if fields.shape[1:] == drawn.shape[1:] else np.zeros((9, *fields.shape[1:]), dtype=np.float32)
 
     networks = Networks(true_relief, no_slopes)
-    reconstruct_skin(bands, grid, settings.skin, settings.metric, None, networks)
-    require(len(kept) > 0, "the reconstruction mends no shape: metric.rounds must be two at least.")
+    metric_skin(bands, grid, settings.skin, settings.metric, networks)
     factor = max(1, round(settings.metric.coarse_pitch_mm / grid.pitch_mm))
     return _assembled_shape(kept[0], on_grid.shape_mm() + wide, on_grid.mask, coarsen(grid, factor), factor)
 

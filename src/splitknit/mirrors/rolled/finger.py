@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, BlendSettings,
 from splitknit.mirrors.rolled.chart import Chart, surface_normals
 from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
-from splitknit.mirrors.rolled.work import MIN_MEETING, MirrorViews, Work
+from splitknit.mirrors.rolled.work import MIN_MEETING, MirrorViews, ReliefSettings, Work
 from splitknit.model import BoolArray, Capture, FloatArray
 
 _POWER = 8.0
@@ -25,9 +24,6 @@ _POWER = 8.0
 _DEVIATION_FLOOR_UM = 4.0
 """Added to the relief's standard deviation, so that no view is trusted without limit."""
 
-
-if TYPE_CHECKING:  # the pipeline lies above
-    from splitknit.presets import PipelineSettings
 
 Array = NDArray[np.float64]
 
@@ -60,7 +56,7 @@ SURE_MEETING = 0.4
 def rolled_finger(
     capture: Capture,
     views: MirrorViews,
-    settings: PipelineSettings,
+    settings: ReliefSettings,
     rolled: RolledSettings | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Rolled:
@@ -71,7 +67,7 @@ def rolled_finger(
     capture : with the white band; the camera's rays are parallel
     views : the front and one mirror beside the finger at least, where each shows the finger and how the mirrors lie,
         and the smooth finger
-    settings : of the pipeline
+    settings : of the views' relief
     rolled : RolledSettings
 
     Raises

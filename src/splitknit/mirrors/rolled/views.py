@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger.locate import BEYOND_CREASE_MM, enlarged
+from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged
 from splitknit.finger.mask import finger_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease
@@ -21,11 +20,9 @@ from splitknit.mirrors.planes import MirrorPlane
 from splitknit.mirrors.rolled.body import body_between_mirrors
 from splitknit.mirrors.rolled.view_lights import glass_in
 from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import find_views, view_binning
 from splitknit.model import BoolArray, Capture, FloatArray
-
-if TYPE_CHECKING:  # the pipeline lies above
-    from splitknit.presets import PipelineSettings
 
 Array = NDArray[np.float64]
 SIDES = ("left", "right")
@@ -48,7 +45,7 @@ def _check_mirrors(capture: Capture) -> None:
     )
 
 
-def find_mirror_views(capture: Capture, settings: PipelineSettings) -> MirrorViews:
+def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
     """Views of the finger in one picture, and mirrors where the views' outlines have them.
 
     Raises
@@ -74,15 +71,17 @@ def find_mirror_views(capture: Capture, settings: PipelineSettings) -> MirrorVie
         camera,
         mirrors,
         capture.tip_direction_deg or 0.0,
-        settings.shape.mirror,
+        mirror,
         lambda shape: skin_slopes(capture, grey, views, shape),
     )
     front = enlarged(views.front, capture.shape, binning)
-    found = [MirrorView("front", _above_crease(front, views.front, mean, capture, settings, binning))]
-    for name, mirror in mirrors.items():
-        plane = between.planes.get(name, MirrorPlane.nominal(mirror))
+    if settings.cut_at_crease:
+        front = _above_crease(front, views.front, mean, capture, binning)
+    found = [MirrorView("front", front)]
+    for name, glass in mirrors.items():
+        plane = between.planes.get(name, MirrorPlane.nominal(glass))
         mask = enlarged(views.mirrors[name], capture.shape, binning) if name in between.planes else None
-        found.append(MirrorView(name, mask, glass_in(mirror, plane.normal, plane.offset_mm), name in between.cut))
+        found.append(MirrorView(name, mask, glass_in(glass, plane.normal, plane.offset_mm), name in between.cut))
     unseen = [name for name in SIDES if name in mirrors and name not in seen]
     return MirrorViews(tuple(found), between.body, _notes(between.cut, between.useless, unseen))
 
@@ -107,12 +106,8 @@ def _notes(cut: Sequence[str], useless: Sequence[str], unseen: Sequence[str]) ->
     return tuple(found)
 
 
-def _above_crease(  # noqa: PLR0917
-    mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, settings: PipelineSettings, binning: int
-) -> BoolArray:
+def _above_crease(mask: BoolArray, small: BoolArray, mean: FloatArray, capture: Capture, binning: int) -> BoolArray:
     """The front's mask without what lies beyond the finger's first crease."""
-    if not settings.cut_at_crease:
-        return mask
     upright = find_upright(small, capture.tip_direction_deg or 0.0)
     px_per_mm = capture.rig.camera.px_per_mm / binning
     crease = find_crease(pick_channel(mean, "grey"), small, upright, px_per_mm)

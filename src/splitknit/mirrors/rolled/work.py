@@ -6,8 +6,7 @@ The ridges of a view come from photometric stereo on a surface that is known but
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.interpolate import RectBivariateSpline
 from splitknit.imaging.band import Window, has_colour, linear_channels
 from splitknit.imaging.geometry import bounding_box, gradients_from_normals, height_gradients, normals_from_gradients
 from splitknit.imaging.view import view_of
-from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, shapelets
+from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
 from splitknit.mirrors.rolled.body import outside
 from splitknit.mirrors.rolled.chart import Chart, Sight, heights, read, surface_normals
@@ -29,18 +28,14 @@ from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.skin.finer import FACTOR, coarser, finer_grid, finer_images
 from splitknit.skin.grid import BandImages, Grid, coarsen, refine
-from splitknit.skin.images import shipped_networks
-from splitknit.skin.learned import can_learn, relief_by_network
+from splitknit.skin.images import FACTOR, MetricSettings, coarser, finer_grid, finer_images, shipped_networks
+from splitknit.skin.learned import can_learn, features, relief_by_network
 from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
 """Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
 
-
-if TYPE_CHECKING:
-    from splitknit.presets import PipelineSettings
 
 Array = NDArray[np.float64]
 
@@ -83,6 +78,16 @@ class _ViewRelief:
         return relief, read(self.deviation_mm, column, row), read(self.trust, column, row)
 
 
+@dataclass(frozen=True, slots=True)
+class ReliefSettings:
+    """How the relief of a view is found: grids and networks of the `metric` method, and shapelets where it has none."""
+
+    metric: MetricSettings = field(default_factory=MetricSettings)
+    shapelets: ShapeletSettings = field(default_factory=lambda: ShapeletSettings(scales=4))
+    max_slope: float = 6.0
+    """Steeper slopes are shortened to this."""
+
+
 def _view_relief(  # noqa: PLR0917
     capture: Capture,
     sight: Sight,
@@ -90,13 +95,13 @@ def _view_relief(  # noqa: PLR0917
     glasses: Sequence[Glass],
     chart: Chart,
     radius_mm: Array,
-    settings: PipelineSettings,
+    settings: ReliefSettings,
     prior: float = 0.0,
 ) -> _ViewRelief:
     """Ridges of the finger as one view shows them.
 
     `capture`: its white band is used; `sight`, `mask`: the view, and where (H, W) it shows the finger; `glasses`: all
-    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges; `settings`: of the pipeline; `prior`: see
+    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges; `settings`: of its relief; `prior`: see
     :func:`splitknit.mirrors.rolled.work._held_normals`.
     """
     white = capture.bands["white"]
@@ -157,7 +162,7 @@ def _ridges(  # noqa: PLR0917
     inner: FloatArray,
     prior: float,
     capture: Capture,
-    settings: PipelineSettings,
+    settings: ReliefSettings,
 ) -> tuple[FloatArray, FloatArray, FloatArray, str]:
     """Relief along the line of sight, its standard deviation, trust, and how they were found."""
     light = fine_lighting(images.rig, low, low_height, factor, grid)
@@ -166,14 +171,14 @@ def _ridges(  # noqa: PLR0917
     networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
         g = _held_normals(images.stack / light.entering, light, smooth, grid, prior)
-        found = relief_by_network(images, grid, smooth, light, networks.relief, g)
+        found = relief_by_network(features(images, grid, smooth, light, g), grid, smooth, networks.relief)
         return found.relief_mm, found.deviation_mm, found.trust * lit, "network"
     trust = trust_of(slant_of(smooth, grid.pitch_mm), grid) * lit
     stack = images.stack.mean(axis=0)
     entering = light.entering if capture.material == "skin" else None
     g = pseudo_normals(stack, images.rig, smooth, grid.mask, light.trust, view=grid.view, entering=entering)
     normals = g / np.maximum(np.linalg.norm(g, axis=-1, keepdims=True), np.float32(1e-9))
-    slopes = gradients_from_normals(normals, grid.mask, settings.normals.max_slope)
+    slopes = gradients_from_normals(normals, grid.mask, settings.max_slope)
     shape = height_gradients(smooth, grid.pitch_mm)
     beyond = [(slope - base) * trust for slope, base in zip(slopes, shape, strict=True)]
     evened = [b - grid.smooth(b, grid.mask, 0.3) for b in beyond]
@@ -193,8 +198,8 @@ def _lit(light: Lighting, grid: Grid) -> FloatArray:
 def _enlarged(fields: FloatArray, factor: int, shape: tuple[int, int]) -> FloatArray:
     """Fields (L, h, w) of the coarse grid on the fine one."""
     result = np.empty((len(fields), *shape), dtype=np.float32)
-    for room, field in zip(result, fields, strict=True):
-        large = cv2.resize(field, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
+    for room, one in zip(result, fields, strict=True):
+        large = cv2.resize(one, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
         missing = [(0, n - m) for n, m in zip(shape, large.shape, strict=True)]
         room[...] = np.pad(np.asarray(large), missing, mode="edge")
     return result
@@ -328,7 +333,7 @@ class Work:
     """A finger between its mirrors while it is put together."""
 
     def __init__(  # noqa: D107 - the class says it
-        self, capture: Capture, views: MirrorViews, settings: PipelineSettings, rolled: RolledSettings
+        self, capture: Capture, views: MirrorViews, settings: ReliefSettings, rolled: RolledSettings
     ) -> None:
         self.capture, self.settings, self.rolled = capture, settings, rolled
         self.notes = views.notes
