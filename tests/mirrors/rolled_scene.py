@@ -126,7 +126,7 @@ def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
     built = {mirror.name: mirror for mirror in capture.rig.mirrors}
     sides = {name: mask for name, mask in masks.items() if name != "front"}
     ellipse = MirrorShapeSettings(section="ellipse")
-    body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig.camera, built, settings=ellipse).body
+    body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig, settings=ellipse).body
     glasses = {
         name: Glass(name, plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
         for name, mirror in built.items()

@@ -63,7 +63,7 @@ def ellipse_mask(half_width: float, slant: float) -> np.ndarray:
 
 def test_rows_measure_between_the_pixels() -> None:
     mask = ellipse_mask(6.03, 0.0)
-    rows = rows_of(mask, CAMERA, 1, np.array([0.0, 1.0]), 0.15)
+    rows = rows_of(mask, CAMERA, 1, np.array([0.0, 1.0]))
     middle = np.abs(rows.along_mm + 3) < 5
     assert np.nanmedian(rows.width_mm[middle]) == pytest.approx(12.06, abs=0.06)
     assert rows.tip_mm == pytest.approx(12.0, abs=0.06)
@@ -72,14 +72,14 @@ def test_rows_measure_between_the_pixels() -> None:
 def test_medial_line_is_robust_and_the_axis_follows_the_finger() -> None:
     mask = ellipse_mask(6.0, np.tan(np.deg2rad(12.0)))
     mask[250:290, 0:120] = True  # a spur: a fold of the sleeve
-    axis, rows = finger_axis(mask, CAMERA, 1, np.array([0.0, 1.0]), 0.15)
+    axis, rows = finger_axis(mask, CAMERA, 1, np.array([0.0, 1.0]))
     assert np.rad2deg(np.arctan2(axis[0], axis[1])) == pytest.approx(12.0, abs=0.6)
     assert abs(medial_line(rows)[0]) < 5e-3
 
 
 def test_an_empty_view_is_refused() -> None:
     with pytest.raises(BadInput, match="is empty"):
-        rows_of(np.zeros((400, 300), dtype=bool), CAMERA, 1, np.array([0.0, 1.0]), 0.15)
+        rows_of(np.zeros((400, 300), dtype=bool), CAMERA, 1, np.array([0.0, 1.0]))
 
 
 def test_reflected_rays_see_the_finger_itself() -> None:
