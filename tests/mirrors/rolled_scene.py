@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.mirrors.rolled.body import body_between_mirrors
-from splitknit.mirrors.rolled.reflection import plane_of
+from splitknit.mirrors.rolled.reflection import Plane
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -128,7 +128,7 @@ def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
     ellipse = MirrorShapeSettings(section="ellipse")
     body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig, settings=ellipse).body
     glasses = {
-        name: Glass(name, plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
+        name: Glass(name, Plane(mirror.point_mm, mirror.normal), np.asarray(mirror.corners_mm), mirror.reflectance)
         for name, mirror in built.items()
     }
     return MirrorViews(tuple(MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()), body)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.mirrors.rolled.blend import RolledSettings
 from splitknit.mirrors.rolled.finger import Rolled
-from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.model import FloatArray
 from splitknit.prints.curvature import CurvatureSettings, curvature
 from splitknit.prints.enhance import Enhanced, gabor_enhance, stft_enhance
