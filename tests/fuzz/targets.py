@@ -85,8 +85,8 @@ from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq
 from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.inputs import _read_surface as read_matched
 from splitknit.matching.inputs import read_side
-from splitknit.matching.inputs import read_surface as read_matched
 from splitknit.matching.minutiae_record import (
     Minutiae,
     SpaceMinutiae,

@@ -9,9 +9,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.prints.print_quality import (
-    Part,
     PrintQualitySettings,
     QualityFigures,
+    _Part,
     _quality_figures,
     print_quality,
     score_of,
@@ -119,8 +119,8 @@ def test_the_score_rises_with_every_figure() -> None:
 
 
 def test_the_score_is_a_product_of_powers() -> None:
-    none = {name: Part(0.0, 1.0, 0.0) for name in PrintQualitySettings().parts()}
-    chosen = {"ridge_share": Part(0.0, 1.0, 3.0), "coherence": Part(0.0, 1.0, 1.0)}
+    none = {name: _Part(0.0, 1.0, 0.0) for name in PrintQualitySettings().parts()}
+    chosen = {"ridge_share": _Part(0.0, 1.0, 3.0), "coherence": _Part(0.0, 1.0, 1.0)}
     settings = PrintQualitySettings(**{**none, **chosen})
     score, worth = score_of(replace(GOOD, ridge_share=0.5, coherence=0.25), settings)
     assert score == pytest.approx(100 * 0.5**3 * 0.25)
@@ -180,6 +180,6 @@ def test_bad_input() -> None:
     with pytest.raises(BadInput, match="nothing of the finger"):
         print_quality(values, 0 * weight, field)
     with pytest.raises(BadInput, match="two different"):
-        Part(0.5, 0.5, 1.0)
+        _Part(0.5, 0.5, 1.0)
     with pytest.raises(BadInput, match="weight"):
-        Part(0.0, 0.5, -1.0)
+        _Part(0.0, 0.5, -1.0)

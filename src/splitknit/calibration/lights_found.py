@@ -44,7 +44,7 @@ class LightLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class _JudgedLed:
     """One LED and what is thought of it."""
 
     band: str
@@ -80,7 +80,7 @@ class LightCalibration:
     """What was found."""
 
     method: str
-    judged: tuple[Judged, ...]
+    judged: tuple[_JudgedLed, ...]
     chosen: Mapping[LedName, LedEstimate]
     facts: dict[str, Any]
     """For ``--json``."""
@@ -88,7 +88,7 @@ class LightCalibration:
     """Why it is refused, None where it is not."""
 
 
-def calibrate_lights(
+def fit_lights(
     tips: Sequence[Tip],
     camera: Camera,
     circle: Circle,
@@ -169,7 +169,7 @@ def rig_of(
 
 
 def _led_facts(
-    judged: Judged,
+    judged: _JudgedLed,
     chosen: Mapping[LedName, LedEstimate],
     plain: Mapping[LedName, LedEstimate],
     joint: JointFit | None,
@@ -231,7 +231,7 @@ def _joint_facts(joint: JointFit, tips: Sequence[Tip]) -> dict[str, Any]:
     }
 
 
-def _totals(judged: Sequence[Judged], leds: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+def _totals(judged: Sequence[_JudgedLed], leds: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     words = [one.verdict for one in judged]
     return {
         "leds": len(judged),
@@ -245,7 +245,7 @@ def _totals(judged: Sequence[Judged], leds: Sequence[Mapping[str, Any]]) -> dict
     }
 
 
-def _warnings(judged: Sequence[Judged], joint: JointFit | None, tips: Sequence[Tip], method: str) -> list[str]:
+def _warnings(judged: Sequence[_JudgedLed], joint: JointFit | None, tips: Sequence[Tip], method: str) -> list[str]:
     warnings = []
     if any(one.verdict == "unchecked" for one in judged):
         warnings.append(
@@ -364,7 +364,7 @@ def _judge(
     copied: Set[tuple[str, int]],
     strays: Set[tuple[str, int]],
     limit_deg: float,
-) -> tuple[Judged, ...]:
+) -> tuple[_JudgedLed, ...]:
     """Give every LED (band, number, disagreement in degrees or None) its verdict.
 
     ``copied`` goes before ``off the circle``, that before ``disagrees``; ``unchecked`` is an LED that one position of
@@ -380,11 +380,11 @@ def _judge(
             word = UNCHECKED
         else:
             word = DISAGREES if apart > limit_deg else OK
-        judged.append(Judged(band, led, apart, word))
+        judged.append(_JudgedLed(band, led, apart, word))
     return tuple(judged)
 
 
-def _refusal(judged: Sequence[Judged], limit_deg: float) -> str | None:
+def _refusal(judged: Sequence[_JudgedLed], limit_deg: float) -> str | None:
     """One sentence that names every LED that is refused and what to do; None where there is none."""
     apart = [f"{one.name} ({one.disagreement_deg:.1f} deg)" for one in judged if one.verdict == DISAGREES]
     same = [one.name for one in judged if one.verdict == COPIED]

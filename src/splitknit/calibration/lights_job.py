@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, read_tips
 from splitknit.calibration.lights import Circle, combine
-from splitknit.calibration.lights_found import LightSettings, calibrate_lights, rig_of
+from splitknit.calibration.lights_found import LightSettings, fit_lights, rig_of
 from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput, Refused, read_bytes, require
@@ -274,7 +274,7 @@ def _of_tips(
 ) -> dict[str, Any]:
     """Find the LEDs, refuse or write."""
     name = str(job.table or job.images)
-    found = calibrate_lights(
+    found = fit_lights(
         tips,
         inputs.camera,
         circle,

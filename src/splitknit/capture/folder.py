@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.capture.enrolment import Enrolment, Place
+from splitknit.capture.enrolment import Enrolment, EnrolledFinger
 from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused
@@ -24,7 +24,7 @@ from splitknit.io.targets import check_capture
 from splitknit.model import Progress, Rig, no_progress
 
 MARKER = "session.json"
-Ask = Callable[[Place, str | None], str]
+Ask = Callable[[EnrolledFinger, str | None], str]
 """Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
 
 
@@ -121,8 +121,8 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
 
 def capture_enrolment(
     enrolment: Enrolment,
-    places: list[Place],
-    open_devices: Callable[[Place], AbstractContextManager[Opened]],
+    places: list[EnrolledFinger],
+    open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
     options: CaptureOptions,
     *,
     ask: Ask | None = None,
@@ -150,7 +150,7 @@ def capture_enrolment(
     notes: list[str] = []
     for k, place in enumerate(places):
 
-        def report(stage: str, fraction: float, k: int = k, place: Place = place) -> None:
+        def report(stage: str, fraction: float, k: int = k, place: EnrolledFinger = place) -> None:
             progress(f"{place.subject} {place.finger}", (k + fraction) / len(places))
 
         answer, facts = _one_finger(enrolment, place, open_devices, options, ask=ask, progress=report)
@@ -175,8 +175,8 @@ def capture_enrolment(
 
 def _one_finger(
     enrolment: Enrolment,
-    place: Place,
-    open_devices: Callable[[Place], AbstractContextManager[Opened]],
+    place: EnrolledFinger,
+    open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
     options: CaptureOptions,
     *,
     ask: Ask | None,

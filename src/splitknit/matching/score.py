@@ -92,7 +92,7 @@ def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Logistic:
+class _Logistic:
     """Probability that a pair is genuine, where both kinds are equally likely beforehand."""
 
     slope: float
@@ -103,7 +103,7 @@ class Logistic:
         return 0.5 * (1.0 + math.tanh(0.5 * (self.slope * similarity + self.offset)))
 
 
-def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> Logistic:
+def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> _Logistic:
     """Logistic regression on similarities, both classes of equal weight, slope held back by `prior`.
 
     Parameters
@@ -113,7 +113,7 @@ def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float 
 
     Returns
     -------
-    Logistic
+    _Logistic
 
     Raises
     ------
@@ -143,4 +143,4 @@ def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float 
         answer -= step
         if float(np.abs(step).max()) < 1e-10:
             break
-    return Logistic(float(answer[0] / scale), float(answer[1] - answer[0] * middle / scale))
+    return _Logistic(float(answer[0] / scale), float(answer[1] - answer[0] * middle / scale))

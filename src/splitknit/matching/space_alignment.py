@@ -52,7 +52,7 @@ class AgreementSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Agreement:
+class _Agreement:
     """Minutiae that agree, and the motion."""
 
     a: Index
@@ -109,13 +109,13 @@ def _rigid_motion(a: Array, b: Array) -> tuple[Array, Array]:
     return rotation, middle_b - rotation @ middle_a
 
 
-def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: AgreementSettings) -> Agreement:
+def best_agreement(a: Framed, b: Framed, pairs: tuple[Index, Index], settings: AgreementSettings) -> _Agreement:
     """Let correspondences (K, n) of a few minutiae vote for motions, refine the best of them, and keep the best.
 
     Of equally good ones the first is kept; with none, nothing agrees.
     """
     none = np.zeros(0, dtype=np.intp)
-    best = Agreement(none, none, np.eye(3), np.zeros(3))
+    best = _Agreement(none, none, np.eye(3), np.zeros(3))
     for chosen in _voted(a, b, pairs):
         found = _moved(a, b, pairs[0][chosen].ravel(), pairs[1][chosen].ravel(), settings)
         for _ in range(_ROUNDS):
@@ -166,7 +166,7 @@ def _voted(a: Framed, b: Framed, pairs: tuple[Index, Index]) -> list[Index]:
     return groups
 
 
-def _agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: AgreementSettings) -> Agreement:
+def _agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: AgreementSettings) -> _Agreement:
     """Minutiae that agree after a motion, paired one to one, the nearest first."""
     there, ahead = a.places[0] @ rotation.T + shift_mm, a.places[1] @ rotation.T
     apart = there[:, None] - b.places[0][None]
@@ -181,7 +181,7 @@ def _agreeing(a: Framed, b: Framed, rotation: Array, shift_mm: Array, settings: 
     cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / _HEIGHT_MM) ** 2
     cost += (turned / np.deg2rad(_THETA_DEG)) ** 2 + (risen / np.deg2rad(_PHI_DEG)) ** 2
     chosen = _one_to_one(i, j, cost)
-    return Agreement(i[chosen], j[chosen], rotation, shift_mm)
+    return _Agreement(i[chosen], j[chosen], rotation, shift_mm)
 
 
 def _one_to_one(i: Index, j: Index, cost: Array) -> Index:
@@ -246,7 +246,7 @@ def close_points(a: scipy.spatial.cKDTree, b: scipy.spatial.cKDTree) -> tuple[In
     return found["i"][order], found["j"][order]
 
 
-def _moved(a: Framed, b: Framed, left: Index, right: Index, settings: AgreementSettings) -> Agreement:
+def _moved(a: Framed, b: Framed, left: Index, right: Index, settings: AgreementSettings) -> _Agreement:
     """What agrees after the motion that takes minutiae `left` best to `right`."""
     rotation, shift = _rigid_motion(_armed(a, left), _armed(b, right))
     return _agreeing(a, b, rotation, shift, settings)

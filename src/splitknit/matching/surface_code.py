@@ -208,7 +208,7 @@ class SurfaceMatchSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceMatch:
+class _SurfaceMatch:
     """How similar two surface codes are."""
 
     similarity: float
@@ -223,7 +223,7 @@ class SurfaceMatch:
     """False where one side is a failure to acquire, or the two cannot overlap enough."""
 
 
-NOT_COMPARED = SurfaceMatch(0.0, 1.0, 0.0, 0.0, compared=False)
+NOT_COMPARED = _SurfaceMatch(0.0, 1.0, 0.0, 0.0, compared=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +290,7 @@ class PreparedSurface:
 
 def surface_code_match(
     a: SurfaceCode | PreparedSurface, b: SurfaceCode | PreparedSurface, settings: SurfaceMatchSettings | None = None
-) -> SurfaceMatch:
+) -> _SurfaceMatch:
     """Compare two surface codes.
 
     Comparing A with B gives what B with A gives.
@@ -332,7 +332,7 @@ def surface_code_match(
         best = min(best, _counted(left, right, (turn, row, column), least), key=lambda found: found.distance)
     if not swapped:
         return best
-    return SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
+    return _SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
 
 
 def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[tuple[float, float, float]]:
@@ -371,7 +371,9 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
     return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[:_CANDIDATES]]
 
 
-def _counted(a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], min_mm2: float) -> SurfaceMatch:
+def _counted(
+    a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], min_mm2: float
+) -> _SurfaceMatch:
     """Minimum distance around a candidate: turns within a step, shifts within a coarse place."""
     settings, pitch = a.settings, a.surface_code.pitch_mm
     step = settings.turn_step_deg
@@ -397,7 +399,9 @@ def _counted(a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, 
             distance = np.where(area >= min_mm2, unequal / np.maximum(PLANES * total, 1), 1.0)
             k = int(np.argmin(distance))
             if distance[k] < best.distance:
-                best = SurfaceMatch(1 - float(distance[k]), float(distance[k]), float(area[k]), turns[k], compared=True)
+                best = _SurfaceMatch(
+                    1 - float(distance[k]), float(distance[k]), float(area[k]), turns[k], compared=True
+                )
     return best
 
 

@@ -69,13 +69,13 @@ class Body:
         """Distance from the tip over the length, just above zero beyond the tip, at most one."""
         return np.asarray(np.minimum(np.maximum((self.tip_mm - u) / self.length_mm, 1e-6), 1.0))
 
-    def sections(self, u: Array) -> Sections:
+    def sections(self, u: Array) -> _Sections:
         """Centre, half axes and shear at `u` (n,)."""
         w = self.fraction(u)
         s = np.sqrt(w)
         along, root = _between(self._lines[0], w), _between(self._lines[1], s)
         shear = self.shear + self.shear_slope * (w - 0.5)
-        return Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
+        return _Sections(along[..., 0], along[..., 1], s * root[..., 0], s * root[..., 1], shear, self.squareness)
 
     def grown(self, step: Array) -> Body:
         """With `step` (4 K,) added to the coefficients."""
@@ -83,7 +83,7 @@ class Body:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sections:
+class _Sections:
     """Sections of a body at n places."""
 
     t: Array

@@ -47,7 +47,7 @@ class CurvatureSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curvature:
+class _Curvature:
     """Of every pixel; NaN where it is not known."""
 
     k_max: FloatArray
@@ -65,7 +65,7 @@ def curvature(  # noqa: PLR0917
     settings: CurvatureSettings | None = None,
     x_mm: FloatArray | None = None,
     y_mm: FloatArray | None = None,
-) -> Curvature:
+) -> _Curvature:
     """Principal curvatures and shape index of a surface.
 
     Parameters
@@ -115,7 +115,7 @@ def curvature(  # noqa: PLR0917
         whole = np.full(mask.shape, np.nan, dtype=np.float32)
         whole[box] = np.where(known, field, np.float32(np.nan))
         results.append(whole)
-    return Curvature(*results)
+    return _Curvature(*results)
 
 
 def _powers(degree: int) -> list[tuple[int, int]]:

@@ -94,8 +94,8 @@ def relief_print(  # noqa: PLR0917
     relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
     sigma = 0.5 * input_per_print if input_per_print > 1 else 0.0
-    weight = blur(inside, sigma)
-    relief = blur(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
+    weight = gaussian_mean(inside, sigma)
+    relief = gaussian_mean(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
@@ -132,14 +132,14 @@ def _ink(relief: FloatArray, weight: FloatArray, settings: PrintSettings) -> NDA
 
 def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard deviation about it."""
-    total: FloatArray = np.maximum(blur(weight, sigma), np.float32(1e-3))
+    total: FloatArray = np.maximum(gaussian_mean(weight, sigma), np.float32(1e-3))
     centred: FloatArray = values
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
-        centred = (centred - blur(centred * weight, sigma) / total) * (weight > 0)
-    return centred, np.sqrt(np.maximum(blur(centred * centred * weight, sigma) / total, np.float32(0.0)))
+        centred = (centred - gaussian_mean(centred * weight, sigma) / total) * (weight > 0)
+    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, np.float32(0.0)))
 
 
-def blur(image: FloatArray, sigma: float) -> FloatArray:
+def gaussian_mean(image: FloatArray, sigma: float) -> FloatArray:
     """Gaussian mean (h, w), zero beyond the border; `sigma` in pixels, 0 for none."""
     if sigma <= 0.0:
         return image
@@ -205,8 +205,8 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
         typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
     )
     score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
-    around = np.maximum(blur(weight, _NARROW * sigma), np.float32(1e-3))
-    near = np.sqrt(blur(centred * centred * weight, _NARROW * sigma) / around)
+    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), np.float32(1e-3))
+    near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
     dark = 0.5 + 0.5 * np.tanh(np.float32(settings.contrast) * score)
     return np.asarray(np.round(255.0 * (1.0 - shown * dark)).astype(np.uint8))

@@ -40,7 +40,7 @@ CUT_TURN_DEG = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyBetweenMirrors:
+class _BodyBetweenMirrors:
     """What the outlines determine."""
 
     body: Body
@@ -58,7 +58,7 @@ def body_between_mirrors(
     tip_direction_deg: float = 0.0,
     settings: MirrorShapeSettings | None = None,
     slopes_on: Callable[[MirrorShape], Slopes | None] | None = None,
-) -> BodyBetweenMirrors:
+) -> _BodyBetweenMirrors:
     """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front.
 
     Parameters
@@ -120,7 +120,7 @@ def body_between_mirrors(
             fit = fit_body(start, outlines, chosen, slopes)
     refuse_misfit(fit, mirrors)
     found = {name: fit.poses[name].of(mirror) for name, mirror in mirrors.items()}
-    return BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in mirrors), tuple(useless))
+    return _BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in mirrors), tuple(useless))
 
 
 def _still_shown(rows: OutlineRows, side: str, mirror: Mirror, camera: Camera) -> OutlineRows | None:

@@ -66,7 +66,7 @@ FEW = 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Correction:
+class _Correction:
     """What moves the surface and the mirrors."""
 
     radius_mm: Array
@@ -127,7 +127,7 @@ class ViewRidges:
 
 def align(
     chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[ViewRidges], *, pose_free: bool = True
-) -> Correction:
+) -> _Correction:
     """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at once.
 
     Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
@@ -180,7 +180,7 @@ def align(
     smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
     poses = [(float(a), float(b), float(c)) for a, b, c in values[count:].reshape(-1, 3)]
-    return Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
+    return _Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
 
 
 class _Part:
@@ -322,7 +322,7 @@ class RidgeSearchSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewMatch:
+class _ViewMatch:
     """Surface and pose at which two views' ridges lie on each other."""
 
     radius_mm: Array
@@ -339,7 +339,7 @@ def search(
     front: ViewRidges,
     mirror: ViewRidges,
     settings: RidgeSearchSettings | None = None,
-) -> ViewMatch:
+) -> _ViewMatch:
     """Find how the surface bulges and where the mirror lies.
 
     Parameters
@@ -349,7 +349,7 @@ def search(
     settings : RidgeSearchSettings, optional
     """
     chosen = settings or RidgeSearchSettings()
-    nothing = ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
+    nothing = _ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
     rows, columns = np.nonzero(mirror.known)
     if rows.size < 500:
         return nothing
@@ -402,7 +402,7 @@ def search(
     _, at = refined(at, slice(None))
     best = score(modes @ at.astype(np.float32), slice(None))
     if best < MIN_CORRELATION:
-        return ViewMatch(nothing.radius_mm, nothing.pose, best)
+        return _ViewMatch(nothing.radius_mm, nothing.pose, best)
     there = (
         (np.sign(chart.angle_rad) == side) * np.sin(2 * chart.angle_rad) ** 2 * (np.abs(chart.angle_rad) < np.pi / 2)
     )
@@ -410,7 +410,7 @@ def search(
     rising = np.clip(rising, float(along.min()), float(along.max()))
     further = (np.abs(chart.angle_rad) - np.pi / 4) / np.deg2rad(20.0)
     radius = there[None] * (at[3] + at[4] * rising[:, None] + at[5] * further[None])
-    return ViewMatch(radius, (float(at[0]), float(at[1]), float(at[2])), best)
+    return _ViewMatch(radius, (float(at[0]), float(at[1]), float(at[2])), best)
 
 
 def _explained(modes: FloatArray, move: Array, spread: Array, pitch_mm: float) -> Array:
