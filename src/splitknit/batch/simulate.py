@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.workers import run_jobs
-from splitknit.capture.enrolment import PLAN_FILE, Enrolment, EnrolledFinger, open_enrolment, plan_enrolment
+from splitknit.capture.enrolment import PLAN_FILE, EnrolledFinger, Enrolment, open_enrolment, plan_enrolment
 from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file, atomic_folder, hold, sweep
 from splitknit.io.capture import write_capture

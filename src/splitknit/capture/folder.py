@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.capture.enrolment import Enrolment, EnrolledFinger
+from splitknit.capture.enrolment import EnrolledFinger, Enrolment
 from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused
