@@ -784,7 +784,7 @@ def _radiometry() -> list[Files]:
 def _radiometric(folder: Path, files: Files) -> object:
     return _any(
         lambda: _read_radiometry_plan(folder),
-        lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb", {}, folder),
+        lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb"),
     )
 
 

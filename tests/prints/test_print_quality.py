@@ -33,7 +33,7 @@ def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) 
 
 def figures(values: np.ndarray, weight: np.ndarray | None = None, least: float | None = 10.0) -> QualityFigures:
     weight = np.ones(values.shape, np.float32) if weight is None else weight
-    return _quality_figures(values, weight, ridge_field(ink(values, weight)), min_height_um=least)
+    return _quality_figures(values, weight, ridge_field(ink(values, weight)), 500.0, least)
 
 
 def test_height_period_and_extent() -> None:
@@ -163,7 +163,7 @@ def test_resolution_does_not_matter() -> None:
     from splitknit.prints.ridges import PrintSettings
 
     image = ink(large, weight, PrintSettings(ppi=1000.0))
-    fine = _quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, min_height_um=10.0)
+    fine = _quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, 10.0)
     coarse = figures(values)
     assert fine.ridge_height_um == pytest.approx(coarse.ridge_height_um, rel=0.03)
     assert fine.ridge_area_mm2 == pytest.approx(coarse.ridge_area_mm2, rel=0.03)

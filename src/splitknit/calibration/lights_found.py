@@ -75,6 +75,21 @@ class LightSettings:
     nail: NailSettings = field(default_factory=NailSettings)
 
 
+@dataclass(frozen=True, slots=True)
+class LightsAsked:
+    """What is asked of the calibration of lights."""
+
+    name: str
+    """Of the table, for messages."""
+    method: str | None = None
+    """None is the joint fit for three positions of the nail or more (two, with a calibrated camera), and else the
+    thesis's construction."""
+    keep: bool = False
+    """Keep LEDs that would be refused."""
+    calibrated: bool = False
+    """Whether the camera is."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LightCalibration:
     """What was found."""
@@ -88,28 +103,24 @@ class LightCalibration:
     """Why it is refused, None where it is not."""
 
 
-def fit_lights(
+def find_leds(
     tips: Sequence[Tip],
     camera: Camera,
     circle: Circle,
+    settings: LightSettings,
     *,
-    name: str,
-    method: str | None = None,
-    settings: LightSettings | None = None,
-    keep: bool = False,
-    calibrated: bool = False,
+    how: LightsAsked,
 ) -> LightCalibration:
     """Find and judge every LED of a table.
 
-    `method` None is the joint fit for three positions of the nail or more (two, with a `calibrated` camera), and else
-    the thesis's construction. The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
+    The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
 
     Raises
     ------
     BadInput
-        If the table `name` is incomplete or impossible.
+        If the table is incomplete or impossible.
     """
-    settings = settings or LightSettings()
+    name, method, keep = how.name, how.method, how.keep
     _check_tips(tips, camera.image_size, name)
     try:
         _check_nails(tips, camera, settings.limits)
@@ -122,7 +133,7 @@ def fit_lights(
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least.")
-    method = method or ("joint" if positions > (1 if calibrated else 2) else "circle")
+    method = method or ("joint" if positions > (1 if how.calibrated else 2) else "circle")
     chosen: dict[LedName, LedEstimate] = {(one.band, one.led): one for one in plain}
     if method == "joint" and joint is not None:
         chosen |= {(one.band, one.led): one for one in joint.leds}

@@ -55,6 +55,9 @@ class CaptureOptions:
     overwrite: bool = False
     """Replace an earlier capture."""
     watch_focus: WatchFocus | None = None
+    ask: Ask | None = None
+    """Of an enrolment: asks for each finger, and again after a verdict; None takes them as they come and stops at the
+    first verdict."""
 
 
 def capture_to_folder(
@@ -124,8 +127,6 @@ def capture_enrolment(
     places: list[EnrolledFinger],
     open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
     options: CaptureOptions,
-    *,
-    ask: Ask | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Capture the fingers of an enrolment that are waiting, one after the other.
@@ -134,7 +135,7 @@ def capture_enrolment(
     ----------
     places : what to capture now, in this order
     open_devices : gives the devices for a finger
-    ask : asks for each finger, and again after a verdict; None takes them as they come and stops at the first verdict
+    options : CaptureOptions
 
     Returns
     -------
@@ -153,7 +154,7 @@ def capture_enrolment(
         def report(stage: str, fraction: float, k: int = k, place: EnrolledFinger = place) -> None:
             progress(f"{place.subject} {place.finger}", (k + fraction) / len(places))
 
-        answer, facts = _one_finger(enrolment, place, open_devices, options, ask=ask, progress=report)
+        answer, facts = _one_finger(enrolment, place, open_devices, options, report)
         if answer == "stop":
             break
         if facts is None:
@@ -178,12 +179,10 @@ def _one_finger(
     place: EnrolledFinger,
     open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
     options: CaptureOptions,
-    *,
-    ask: Ask | None,
     progress: Progress,
 ) -> tuple[str, dict[str, Any] | None]:
     """Answer and facts of one finger; asked for until it is good, skipped or stopped."""
-    why: str | None = None
+    ask, why = options.ask, None
     while True:
         answer = "go" if ask is None else ask(place, why)
         if answer != "go":

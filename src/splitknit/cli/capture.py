@@ -76,6 +76,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         keep=options.keep,
         overwrite=options.overwrite,
         watch_focus=_FocusBar() if sys.stderr.isatty() and not options.json else None,
+        ask=_ask if options.device == "pi" and sys.stdin.isatty() else None,
     )
     if options.enrolment is not None:
         return _run_enrolment(options, how, settings, rig)
@@ -169,7 +170,6 @@ def _run_enrolment(
     places = waiting[: options.next]
     with ExitStack() as stack:
         progress = stack.enter_context(Progress(options))
-        asks = options.device == "pi" and sys.stdin.isatty()
         if options.device == "pi" and places:
             devices = stack.enter_context(opened_pi(rig, settings))
 
@@ -179,9 +179,7 @@ def _run_enrolment(
             seed, impression = enrolment.seeds(place, options.seed or 0)
             return opened_twin(settings, seed, impression)
 
-        facts = capture_enrolment(
-            enrolment, places, open_devices, how, ask=_ask if asks else None, progress=progress.update
-        )
+        facts = capture_enrolment(enrolment, places, open_devices, how, progress.update)
     lines = [
         f"{len(facts['captured'])} fingers captured now; {facts['finished']} of {facts['total']} are finished in "
         f"{options.enrolment}.",

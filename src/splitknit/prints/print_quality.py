@@ -61,18 +61,13 @@ def _quality_figures(
     values: FloatArray,
     weight: FloatArray,
     found: RidgeField,
-    ppi: float = 500.0,
-    *,
-    min_purity: float = 0.3,
-    min_height_um: float | None = None,
-    period_tolerance: float = 0.35,
+    ppi: float,
+    min_height_um: float | None,
 ) -> QualityFigures:
     """Measure the figures of a print's quality.
 
-    `values`, `weight`, `found`, `ppi`: as in :func:`splitknit.prints.print_quality.print_quality`; `least_purity`:
-    float, fraction of what varies around a place that one wave must explain; `least_height_um`: float, optional,
-    minimum height of ridges above their valleys; None where `values` are not in um; `period_tolerance`: float, how far
-    a period may lie from the median, relative. Raises BadInput if the shapes disagree or nothing lies on the finger.
+    `values`, `weight`, `found`, `ppi`: as of :func:`print_quality`; `min_height_um`: of ridges above their valleys,
+    None where `values` are not in um. Raises BadInput if the shapes disagree or nothing lies on the finger.
     """
     in_um = min_height_um is not None
     if values.ndim != 2 or values.shape != weight.shape:
@@ -90,12 +85,12 @@ def _quality_figures(
         return QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, float(finger.sum()) * cell, 0, 1, 0)
     first, second, purity = _waves(values, weight, looked, px)
     height = 2.0 * np.abs(first)
-    strong = looked.mask & (purity > min_purity)
+    strong = looked.mask & (purity > _MIN_PURITY)
     if min_height_um is not None:
         strong &= height > min_height_um
     period = 1.0 / (found.frequency_px * np.float32(px))
     typical = float(np.median(period[looked.mask]))
-    near = (period > typical * (1.0 - period_tolerance)) & (period < typical * (1.0 + period_tolerance))
+    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
     return QualityFigures(
         ridge_share=float(strong.sum() / finger.sum()),
         ridge_height_um=float(np.median(height[looked.mask])) if in_um else None,
@@ -282,15 +277,7 @@ def print_quality(
     periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
     """
     settings = settings or PrintQualitySettings()
-    figures = _quality_figures(
-        values,
-        weight,
-        found,
-        ppi,
-        min_purity=_MIN_PURITY,
-        min_height_um=_MIN_HEIGHT_UM if in_um else None,
-        period_tolerance=_PERIOD_TOLERANCE,
-    )
+    figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)
     score, worth = score_of(figures, settings)
     return PrintQuality(score, figures, worth)
 
