@@ -68,7 +68,7 @@ class RidgeBand:
         return float(self.valid.sum()) * self.pitch_mm**2
 
 
-def ridge_band(  # noqa: PLR0917
+def ridge_band(  # noqa: PLR0917 - as the guide calls it
     ridge_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -138,7 +138,9 @@ def ridge_band(  # noqa: PLR0917
         f"the ridge band would have {grid[0]} x {grid[1]} pixels, more than any finger's; check the pitch of the "
         f"surface ({pitch_mm:g} mm).",
     )
-    columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, settings)
+    columns, rows, slant_cos = band_places(
+        mask, shape_mm, transform, (size[0], size[1]), pitch_mm=pitch_mm, settings=settings
+    )
 
     sigma = settings.noise_mm / pitch_mm
     weight = gaussian_blur(mask.astype(np.float32), sigma)
@@ -220,11 +222,12 @@ def _ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatA
     return (0.5 * np.arctan2(2 * xy, difference)).astype(np.float32), coherence.astype(np.float32)
 
 
-def band_places(  # noqa: PLR0917
+def band_places(
     mask: BoolArray,
     shape_mm: FloatArray | None,
     transform: NDArray[np.float64],
     size: tuple[int, int],
+    *,
     pitch_mm: float,
     settings: RidgeBandSettings,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -182,12 +182,13 @@ class _ThesisMatch:
     compared: bool
 
 
-def finger_images(  # noqa: PLR0917
+def finger_images(
     normals: FloatArray,
     ridge_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
     input_from_upright: NDArray[np.float64] | None = None,
+    *,
     upright_size: tuple[int, int] | None = None,
     shape_normals: FloatArray | None = None,
 ) -> FingerImages:

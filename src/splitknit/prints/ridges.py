@@ -38,13 +38,13 @@ class PrintSettings(Checked):
     """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
 
 
-def relief_print(  # noqa: PLR0917
+def relief_print(
     ridge_mm: FloatArray,
     mask: BoolArray,
     px_per_mm: float,
     input_from_upright: NDArray[np.float64],
     upright_size: tuple[int, int],
-    ppi: float = 500.0,
+    *,
     settings: PrintSettings | None = None,
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
@@ -60,8 +60,6 @@ def relief_print(  # noqa: PLR0917
     input_from_upright : (3, 3) float64
         Takes (column, row, 1) of the upright frame to the input.
     upright_size : (rows, columns) of the upright frame
-    ppi : float
-        Resolution in pixels per inch, used where `settings` is not given.
     settings : PrintSettings, optional
         Resolution and contrast.
 
@@ -83,7 +81,7 @@ def relief_print(  # noqa: PLR0917
     >>> relief_print(relief, np.ones((40, 60), bool), 500 / 25.4, np.eye(3), (40, 60)).shape
     (40, 60)
     """
-    settings = PrintSettings(ppi=ppi) if settings is None else settings
+    settings = settings or PrintSettings()
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     input_per_print = px_per_mm * MM_PER_INCH / settings.ppi
@@ -150,8 +148,9 @@ def gaussian_mean(image: FloatArray, sigma: float) -> FloatArray:
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
     return relief_print(
-        surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size, ppi
-    )
+        surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size,
+        settings=PrintSettings(ppi=ppi),
+    )  # fmt: skip
 
 
 # Grey values of a print: ridges dark, contrast even up to the edges, paper white where there are no ridges.
