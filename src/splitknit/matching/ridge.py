@@ -27,6 +27,7 @@ from splitknit.matching.elastic import (
     spectrum_of,
 )
 from splitknit.matching.ridge_band import gaussian_blur
+from splitknit.matching.score import prepared_side, prepared_sides
 from splitknit.matching.template import Template, pack
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -349,11 +350,7 @@ def ridge_match(
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based
     fingerprint verification system (local patches).
     """
-    left, right = prepared(a, settings), prepared(b, settings)
-    require(
-        left.settings == right.settings,
-        "the two sides were prepared with different settings; prepare both with the same.",
-    )
+    left, right = prepared_sides(a, b, Prepared, settings)
     if left.template.empty or right.template.empty:
         return RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
     require(
@@ -377,12 +374,7 @@ def ridge_match(
 
 def prepared(side: Template | Prepared, settings: RidgeMatchSettings | None = None) -> Prepared:
     """`side`, ready for many comparisons."""
-    if isinstance(side, Prepared):
-        require(
-            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
-        )
-        return side
-    return Prepared(side, settings or RidgeMatchSettings())
+    return prepared_side(side, Prepared, settings)
 
 
 def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.matching.minutiae_record import Packing
+from splitknit.matching.score import prepared_sides
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -311,11 +312,7 @@ def surface_code_match(
     A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
     37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our addition.
     """
-    left, right = (_prepared(side, settings) for side in (a, b))
-    require(
-        left.settings == right.settings,
-        "the two sides were prepared with different settings; prepare both with the same.",
-    )
+    left, right = prepared_sides(a, b, PreparedSurface, settings)
     pitch = left.surface_code.pitch_mm
     if left.surface_code.empty or right.surface_code.empty:
         return NOT_COMPARED
@@ -419,12 +416,3 @@ def _placed(
         come.append(slice(low - start, high - start))
     moved[tuple(to)], covered[tuple(to)] = code[tuple(come)], mask[tuple(come)]
     return moved, covered
-
-
-def _prepared(side: SurfaceCode | PreparedSurface, settings: SurfaceMatchSettings | None) -> PreparedSurface:
-    if isinstance(side, PreparedSurface):
-        require(
-            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
-        )
-        return side
-    return PreparedSurface(side, settings or SurfaceMatchSettings())
