@@ -13,6 +13,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -73,15 +74,15 @@ def bench(image: np.ndarray, rig: Any, names: tuple[str, ...], rounds: int) -> d
     """All steps with these mirrors alone."""
     settings = preset_settings("metric")
     binning = view_binning(rig.camera.px_per_mm)
-    mirrors = {mirror.name: mirror for mirror in rig.mirrors if mirror.name in names}
+    rig = replace(rig, mirrors=tuple(mirror for mirror in rig.mirrors if mirror.name in names))
 
     def views() -> Any:
         size = (image.shape[1] // binning, image.shape[0] // binning)
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        return views_in(small, rig.camera, mirrors, binning, settings.mask, settings.shape.mirror)
+        return views_in(small, rig, binning, settings.mask)
 
     found, first = timed(views, rounds)
-    shape, second = timed(lambda: mirror_shape(found, rig.camera, mirrors), rounds)
+    shape, second = timed(lambda: mirror_shape(found, rig), rounds)
     rows, columns = (np.flatnonzero(found.front.any(axis=k)) * binning for k in (1, 0))
     window = slice(int(rows[0]), int(rows[-1])), slice(int(columns[0]), int(columns[-1]))
     (_, _, z), third = timed(lambda: shape.points(*window), rounds)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from splitknit.gallery.key import Key
 from splitknit.gallery.shards import Shards, merged, rescored_count, scan_shard, write_shards
-from splitknit.matching.code import ProbeSettings, code_of, code_size, probe_codes, ridge_field
+from splitknit.matching.code import ProbeSettings, code_field, code_of, code_size, probe_codes
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.search import CodeIndex, SearchSettings, glance, identify
@@ -99,7 +99,7 @@ def in_memory(probe: Template, others: list[Template], stored: list[bytes], roun
         f"{IN_MEMORY} codes in memory",
         {
             "code of a gallery finger": lambda: code_of(others[0]),
-            "its ridge field alone": lambda: ridge_field(others[0]),
+            "its ridge field alone": lambda: code_field(others[0]),
             f"codes of a probe ({len(variants)} variants)": lambda: probe_codes(probe),
             "all codes compared with them": lambda: index.nearest(variants, settings.candidates),
             "search by codes, from the template": lambda: index.search(probe, settings.candidates),

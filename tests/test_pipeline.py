@@ -19,7 +19,7 @@ from splitknit.io.capture import read_capture
 from splitknit.io.npz import read_npz
 from splitknit.io.provenance import provenance
 from splitknit.io.results import read_result, write_mesh
-from splitknit.matching.inputs import read_surface
+from splitknit.matching.inputs import _read_surface
 from splitknit.matching.surface import surface_images
 from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig, surface_of
 from splitknit.pipeline import reconstruct, undoes_blur
@@ -257,7 +257,7 @@ def test_what_is_not_split_is_matched_by_its_height(
     kept = read_result(tmp_path / "result")
     assert kept.whole
     of_heights = surface_images(replace(surface_of(split), ridge_mm=unsplit.ridge_mm + unsplit.shape_mm))
-    for result in (surface_of(unsplit), surface_of(kept), read_surface(tmp_path / "result" / "height.npz")):
+    for result in (surface_of(unsplit), surface_of(kept), _read_surface(tmp_path / "result" / "height.npz")):
         np.testing.assert_array_equal(surface_images(result).channels["relief"], of_heights.channels["relief"])
     relief = surface_images(surface_of(split)).channels["relief"]
     assert np.corrcoef(relief.ravel(), of_heights.channels["relief"].ravel())[0, 1] < 0.5

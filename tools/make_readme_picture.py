@@ -17,7 +17,7 @@ import splitknit
 from splitknit.imaging.band import linear_image
 from splitknit.io.pictures import Frame, grey, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
-from splitknit.prints.ridges import relief_print
+from splitknit.prints.ridges import PrintSettings, relief_print
 from splitknit.report.figures import oblique_view, small_fields, upright_surface
 from splitknit.report.result import PRINT_PPI
 
@@ -77,7 +77,7 @@ def main() -> None:
         1 / result.pitch_mm,
         result.input_from_upright,
         result.upright_size,
-        PRINT_PPI,
+        settings=PrintSettings(ppi=PRINT_PPI),
     )
     rows, columns = np.nonzero(inked < 250)
     inked = inked[max(rows.min() - 12, 0) : rows.max() + 13, max(columns.min() - 12, 0) : columns.max() + 13]

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from camera_views import BOARD, MATRIX, SIZE, seen, turned, views
 
-from splitknit.calibration.camera import calibrate_camera, fit_lens
+from splitknit.calibration.camera import fit_camera, fit_lens
 from splitknit.errors import BadInput
 
 
 def test_a_long_lens_is_found_and_its_distortion_held():
-    found = calibrate_camera(views(0), BOARD, SIZE)
+    found = fit_camera(views(0), BOARD, SIZE)
     lens = found.lens
     assert lens.matrix[0, 0] == pytest.approx(2650, rel=1e-3)
     assert lens.matrix[0, 0] == lens.matrix[1, 1]
@@ -30,7 +30,7 @@ def test_a_long_lens_is_found_and_its_distortion_held():
 def test_tilts_are_those_of_the_boards():
     rotations = [turned(tilt, 50 * tilt) for tilt in (12, 18, 25, 30, 33, 36)]
     marks = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
-    found = calibrate_camera([seen(marks, r, (0, 0, 140.0)) for r in rotations], BOARD, SIZE)
+    found = fit_camera([seen(marks, r, (0, 0, 140.0)) for r in rotations], BOARD, SIZE)
     assert found.tilts_deg == pytest.approx([12, 18, 25, 30, 33, 36], abs=0.02)
     towards = np.array([-r[:, 2] for r in rotations])
     assert np.degrees(np.arccos(np.clip((found.lens.normals * towards).sum(axis=1), -1, 1))).max() < 0.02
@@ -44,7 +44,7 @@ def test_tilts_are_those_of_the_boards():
     ],
 )
 def test_terms_that_the_photographs_show_are_fitted(distortion, fitted):
-    lens = calibrate_camera(views(1, 12, distortion=distortion, noise_px=0.01), BOARD, SIZE).lens
+    lens = fit_camera(views(1, 12, distortion=distortion, noise_px=0.01), BOARD, SIZE).lens
     assert lens.fitted == (*fitted, "cx", "cy")
     assert lens.matrix[0, 0] == pytest.approx(2650, rel=1e-3)
     for term, value in zip(("k1", "k2", "p1", "p2", "k3"), distortion, strict=True):
@@ -56,7 +56,7 @@ def test_terms_that_the_photographs_show_are_fitted(distortion, fitted):
 def test_a_short_lens_shows_more_terms():
     matrix = np.array([[530.0, 0, 402], [0, 530, 270], [0, 0, 1]])
     sets = views(2, 12, matrix=matrix, distortion=(-0.3, 0.12, 0, 0, 0), distance=32.0, noise_px=0.02)
-    lens = calibrate_camera(sets, BOARD, SIZE).lens
+    lens = fit_camera(sets, BOARD, SIZE).lens
     assert lens.fitted[:2] == ("k1", "k2")
     assert lens.distortion[:2] == pytest.approx((-0.3, 0.12), abs=0.02)
 
@@ -80,7 +80,7 @@ def test_a_bad_photograph_is_left_out_and_named():
     sets[5] = sets[5] + rng.normal(0, 0.3, sets[5].shape)
     sets[9] = sets[9] + rng.normal(0, 1.0, sets[9].shape)
     names = [f"photo{k}.png" for k in range(12)]
-    found = calibrate_camera(sets, BOARD, SIZE, names)
+    found = fit_camera(sets, BOARD, SIZE, names)
     assert list(found.rejected) == ["photo9.png", "photo5.png"]
     assert found.rejected["photo9.png"] == pytest.approx(1.4, rel=0.2)
     assert found.rejected["photo5.png"] == pytest.approx(0.42, rel=0.2)
@@ -91,24 +91,24 @@ def test_a_bad_photograph_is_left_out_and_named():
 
 
 def test_even_photographs_are_all_believed():
-    rejected = [len(calibrate_camera(views(seed, 13), BOARD, SIZE).rejected) for seed in range(10, 13)]
+    rejected = [len(fit_camera(views(seed, 13), BOARD, SIZE).rejected) for seed in range(10, 13)]
     assert sum(rejected) == 0
 
 
 def test_the_same_photograph_twice_counts_once():
     sets = views(5, 6)
     twice = [*sets, sets[2] + 0.05, sets[0][::-1]]
-    found = calibrate_camera(twice, BOARD, SIZE, list("abcdefgh"))
+    found = fit_camera(twice, BOARD, SIZE, list("abcdefgh"))
     assert found.repeated == {"g": "c", "h": "a"}
     assert found.used == tuple("abcdef")
     with pytest.raises(BadInput, match=r"only 4 of 8 photographs .* can be used \(4 of them twice\)"):
-        calibrate_camera([*sets[:4], *sets[:4]], BOARD, SIZE)
+        fit_camera([*sets[:4], *sets[:4]], BOARD, SIZE)
 
 
 def test_order_does_not_matter():
     sets = views(6, 8, distortion=(0.15, 0, 0, 0, 0))
-    one = calibrate_camera(sets, BOARD, SIZE).lens
-    other = calibrate_camera([v[::-1] for v in sets[::-1]], BOARD, SIZE).lens
+    one = fit_camera(sets, BOARD, SIZE).lens
+    other = fit_camera([v[::-1] for v in sets[::-1]], BOARD, SIZE).lens
     assert other.matrix == pytest.approx(one.matrix, abs=0.02)
     assert other.view_rms_px[::-1] == pytest.approx(one.view_rms_px, abs=1e-4)
 
@@ -116,19 +116,19 @@ def test_order_does_not_matter():
 def test_boards_parallel_to_the_sensor_are_refused():
     for seed in range(3):
         with pytest.raises(BadInput, match="parallel"):
-            calibrate_camera(views(seed, tilts=(0, 0)), BOARD, SIZE)
+            fit_camera(views(seed, tilts=(0, 0)), BOARD, SIZE)
     with pytest.raises(BadInput, match=r"nearly parallel .*focal length and distance cannot be separated"):
-        calibrate_camera(views(8, tilts=(0, 2), noise_px=0.1), BOARD, SIZE)
+        fit_camera(views(8, tilts=(0, 2), noise_px=0.1), BOARD, SIZE)
 
 
 def test_little_tilt_is_warned_about():
-    found = calibrate_camera(views(9, tilts=(1, 4), noise_px=0.005), BOARD, SIZE)
+    found = fit_camera(views(9, tilts=(1, 4), noise_px=0.005), BOARD, SIZE)
     assert any("parallel" in words or "uncertain" in words for words in found.warnings)
 
 
 def test_what_cannot_be_told_of_the_principal_point_is_said(monkeypatch):
     monkeypatch.setattr("splitknit.calibration.camera._PRINCIPAL_LIMIT", 1e-4)
-    found = calibrate_camera(views(0), BOARD, SIZE)
+    found = fit_camera(views(0), BOARD, SIZE)
     assert found.lens.matrix[:2, 2].tolist() == [399.5, 274.5]
     assert "principal point" in found.lens.fixed
     assert any("principal point is not determined" in words for words in found.warnings)
@@ -137,7 +137,7 @@ def test_what_cannot_be_told_of_the_principal_point_is_said(monkeypatch):
 def test_boards_in_one_corner_are_warned_about():
     marks = BOARD.points_mm - BOARD.points_mm.mean(axis=0)
     sets = [0.5 * seen(marks, turned(10 + 3 * k, 70 * k), (0, 0, 140.0)) for k in range(8)]
-    found = calibrate_camera(sets, BOARD, SIZE)
+    found = fit_camera(sets, BOARD, SIZE)
     assert found.coverage < 0.4
     assert any("cover" in words for words in found.warnings)
 
@@ -145,8 +145,8 @@ def test_boards_in_one_corner_are_warned_about():
 def test_stretched_photographs_are_refused():
     sets = [v * (1.05, 1.0) for v in views(11)]
     with pytest.raises(BadInput, match=r"no squares \(fx / fy = 1\.05"):
-        calibrate_camera(sets, BOARD, SIZE)
-    lens = calibrate_camera([v * (1.005, 1.0) for v in views(11)], BOARD, SIZE).lens
+        fit_camera(sets, BOARD, SIZE)
+    lens = fit_camera([v * (1.005, 1.0) for v in views(11)], BOARD, SIZE).lens
     assert lens.matrix[0, 0] / lens.matrix[1, 1] == pytest.approx(1.005, abs=5e-4)
     assert "aspect" in lens.fitted
 
@@ -154,16 +154,16 @@ def test_stretched_photographs_are_refused():
 def test_corners_that_fit_no_camera_are_refused():
     rng = np.random.default_rng(3)
     with pytest.raises(BadInput, match=r"focal length|determine the camera|can be used"):
-        calibrate_camera([v + rng.normal(0, 40, v.shape) for v in views(12, 5)], BOARD, SIZE)
+        fit_camera([v + rng.normal(0, 40, v.shape) for v in views(12, 5)], BOARD, SIZE)
 
 
 def test_what_is_no_set_of_corners_is_refused():
     sets = views(13, 6)
     with pytest.raises(BadInput, match=r"only 4 of 4 photographs .* but 5 are needed"):
-        calibrate_camera(sets[:4], BOARD, SIZE)
+        fit_camera(sets[:4], BOARD, SIZE)
     with pytest.raises(BadInput, match=r"of the shape \(54, 2\)"):
-        calibrate_camera([*sets[:5], sets[5][:-1]], BOARD, SIZE)
+        fit_camera([*sets[:5], sets[5][:-1]], BOARD, SIZE)
     with pytest.raises(BadInput, match="finite"):
-        calibrate_camera([*sets[:5], sets[5] * np.nan], BOARD, SIZE)
+        fit_camera([*sets[:5], sets[5] * np.nan], BOARD, SIZE)
     with pytest.raises(BadInput, match="2 names for 6 views"):
-        calibrate_camera(sets, BOARD, SIZE, ["a", "b"])
+        fit_camera(sets, BOARD, SIZE, ["a", "b"])

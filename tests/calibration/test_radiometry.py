@@ -12,9 +12,9 @@ from splitknit.calibration.card_model import CardPlane, card_light
 from splitknit.calibration.radiometry import (
     PROVENANCE,
     RadiometrySettings,
-    calibrate_radiometry,
     check_card,
     check_facts,
+    fit_radiometry,
 )
 from splitknit.errors import BadInput
 from splitknit.io.provenance import canonical_json
@@ -39,7 +39,7 @@ def capture(rig):
 
 @pytest.fixture(scope="module")
 def found(rig, capture):
-    return calibrate_radiometry(capture, as_placed(rig))
+    return fit_radiometry(capture, as_placed(rig))
 
 
 def worst(rig, calibrated, height_mm=0.0):
@@ -64,7 +64,7 @@ def test_flat_field_within_one_per_cent(rig, found):
 
 def test_leds_a_millimetre_off(rig):
     placed = as_placed(rig, 1.0, seed=3)
-    moved = calibrate_radiometry(photograph(rig, placed, exposures=EXPOSURES), placed)
+    moved = fit_radiometry(photograph(rig, placed, exposures=EXPOSURES), placed)
     assert worst(rig, moved.rig) < 0.005
     assert worst(rig, moved.rig, 10.0) < 0.01
 
@@ -73,7 +73,7 @@ def test_srgb_files_with_eight_bits(rig):
     """The room's light is taken off in linear light, not in the values."""
     placed = as_placed(rig)
     capture = photograph(rig, placed, exposures=EXPOSURES, sensor=SensorSettings(encoding="srgb"))
-    assert worst(rig, calibrate_radiometry(capture, placed).rig) < 0.004
+    assert worst(rig, fit_radiometry(capture, placed).rig) < 0.004
 
 
 def test_a_card_on_a_tilted_base(rig):
@@ -82,9 +82,9 @@ def test_a_card_on_a_tilted_base(rig):
     capture = photograph(
         rig, as_placed(rig), scene=lambda own: scene_of(own, height_mm=1.5, tilt_deg=tilt), exposures=EXPOSURES
     )
-    known = calibrate_radiometry(capture, as_placed(rig), CardPlane(1.5, tilt))
+    known = fit_radiometry(capture, as_placed(rig), CardPlane(1.5, tilt))
     assert worst(rig, known.rig) < 0.003
-    unknown = calibrate_radiometry(capture, as_placed(rig), CardPlane(1.5))
+    unknown = fit_radiometry(capture, as_placed(rig), CardPlane(1.5))
     assert 0.004 < worst(rig, unknown.rig) < 0.015
 
 
@@ -108,18 +108,18 @@ def test_what_is_written_down(rig, found):
 def test_same_card_same_rig(rig, capture, found):
     """Whatever fall-off the capture's own rig file claims."""
     bands = {name: replace(band, shading=(-0.3, 0.1)) for name, band in capture.bands.items()}
-    again = calibrate_radiometry(replace(capture, bands=bands), as_placed(rig))
+    again = fit_radiometry(replace(capture, bands=bands), as_placed(rig))
     assert canonical_json(rig_to_json(again.rig)) == canonical_json(rig_to_json(found.rig))
 
 
 def test_room_light(rig):
     placed = as_placed(rig)
     bright = photograph(rig, placed, scene=lambda own: scene_of(own, 0.08), exposures=EXPOSURES)
-    lit = calibrate_radiometry(bright, placed)
+    lit = fit_radiometry(bright, placed)
     assert any("light from elsewhere is 8" in warning for warning in lit.warnings)
     assert worst(rig, lit.rig) < 0.004
     bands = {name: replace(band, ambient=None) for name, band in bright.bands.items()}
-    without = calibrate_radiometry(replace(bright, bands=bands), placed, settings=RadiometrySettings(limit_percent=5))
+    without = fit_radiometry(replace(bright, bands=bands), placed, settings=RadiometrySettings(limit_percent=5))
     assert any("there is no ambient image of the band white" in warning for warning in without.warnings)
     assert worst(rig, without.rig) > 0.005
 
@@ -131,8 +131,8 @@ def test_black_level_of_the_dark_frame_serves_where_none_is_given(rig, capture):
         for name, band in capture.bands.items()
     }
     lifted = replace(capture, bands=raised)
-    assert worst(rig, calibrate_radiometry(lifted, placed, black_level=3000.0).rig) < 0.004
-    ignored = calibrate_radiometry(lifted, placed, settings=RadiometrySettings(limit_percent=5))
+    assert worst(rig, fit_radiometry(lifted, placed, black_level=3000.0).rig) < 0.004
+    ignored = fit_radiometry(lifted, placed, settings=RadiometrySettings(limit_percent=5))
     assert worst(rig, ignored.rig) > 0.01
 
 
@@ -193,15 +193,15 @@ def test_each_led_once(rig, capture):
     short = replace(white, pixels=white.pixels[:6], leds=white.leds[:6], exposure=white.exposure[:6])
     short = replace(short, black_level=white.black_level[:6])
     with pytest.raises(BadInput, match=r"13 images for the rig's 14 LEDs: LED 6 \(white 6\) is missing"):
-        calibrate_radiometry(replace(capture, bands={**capture.bands, "white": short}), placed)
+        fit_radiometry(replace(capture, bands={**capture.bands, "white": short}), placed)
     with pytest.raises(BadInput, match=r"LED 7 \(nir 0\), 8 \(nir 1\), .* are missing"):
-        calibrate_radiometry(replace(capture, bands={"white": white}), placed)
+        fit_radiometry(replace(capture, bands={"white": white}), placed)
     twice = replace(white, leds=(*white.leds[:6], (0,)))
     with pytest.raises(BadInput, match=r"LED 0 \(white 0\) lights two images"):
-        calibrate_radiometry(replace(capture, bands={**capture.bands, "white": twice}), placed)
+        fit_radiometry(replace(capture, bands={**capture.bands, "white": twice}), placed)
     together = replace(white, leds=(*white.leds[:6], (5, 6)))
     with pytest.raises(BadInput, match="is lit by 2 LEDs"):
-        calibrate_radiometry(replace(capture, bands={**capture.bands, "white": together}), placed)
+        fit_radiometry(replace(capture, bands={**capture.bands, "white": together}), placed)
 
 
 def test_images_that_are_black_or_clipped(rig, capture):
@@ -215,9 +215,9 @@ def test_images_that_are_black_or_clipped(rig, capture):
         return replace(capture, bands={**capture.bands, "white": replace(white, pixels=pixels, files=names)})
 
     with pytest.raises(BadInput, match=r"white_3.png is black \(.*\): LED 3 \(white 3\) did not light"):
-        calibrate_radiometry(with_image(3, lambda image: image // 200), placed)
+        fit_radiometry(with_image(3, lambda image: image // 200), placed)
     with pytest.raises(BadInput, match=r"white_2.png is clipped: .* at full scale .*; take the card with a shorter"):
-        calibrate_radiometry(with_image(2, lambda image: np.minimum(image.astype(int) * 2, 65535).astype("u2")), placed)
+        fit_radiometry(with_image(2, lambda image: np.minimum(image.astype(int) * 2, 65535).astype("u2")), placed)
 
 
 def test_cards_that_do_not_serve(rig, capture, monkeypatch):
@@ -230,20 +230,20 @@ def test_cards_that_do_not_serve(rig, capture, monkeypatch):
         pytest.raises(BadInput, match=r"LED 4 \(white 4\) lights the card otherwise .*rms is \d"),
     ):
         patch.setattr("splitknit.calibration.flat_field.DUST_PERCENT", 50.0)
-        calibrate_radiometry(replace(capture, bands=bands), placed)
+        fit_radiometry(replace(capture, bands=bands), placed)
     with pytest.raises(BadInput, match="lights the card otherwise"):
-        calibrate_radiometry(capture, placed, settings=RadiometrySettings(limit_percent=0.02))
+        fit_radiometry(capture, placed, settings=RadiometrySettings(limit_percent=0.02))
 
 
 def test_rigs_that_do_not_fit(rig, capture):
     placed = as_placed(rig)
     with pytest.raises(BadInput, match="220 x 320 pixels, but the rig's camera has 110 x 160"):
-        calibrate_radiometry(capture, as_placed(built_rig(5, scale=0.05)))
+        fit_radiometry(capture, as_placed(built_rig(5, scale=0.05)))
     with pytest.raises(BadInput, match="a rig of 14 LEDs, but the rig to calibrate has 7"):
-        calibrate_radiometry(capture, Rig(placed.camera, placed.leds[:7]))
+        fit_radiometry(capture, Rig(placed.camera, placed.leds[:7]))
     distant = replace(placed.leds[0], position_mm=None, direction=(0.0, 0.0, 1.0))
     with pytest.raises(BadInput, match="LED 0 of the rig has a direction, but no position_mm; calibrate the lights"):
-        calibrate_radiometry(capture, Rig(placed.camera, (distant, *placed.leds[1:])))
+        fit_radiometry(capture, Rig(placed.camera, (distant, *placed.leds[1:])))
 
 
 def test_names_and_cells(rig, capture):
@@ -271,4 +271,4 @@ def test_a_mottled_card_is_not_laid_to_an_led(rig, capture):
         for name, band in capture.bands.items()
     }
     with pytest.raises(BadInput, match=r"the card is not uniform: it differs by 1\.\d % from place to place"):
-        calibrate_radiometry(replace(capture, bands=bands), as_placed(rig))
+        fit_radiometry(replace(capture, bands=bands), as_placed(rig))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splitknit.capture.exposure import ExposureSettings, _level_of, _split, find_exposure, survey
+from splitknit.capture.exposure import ExposureSettings, _level_of, _split, find_exposure, survey, typical_level
 from splitknit.capture.shots import _clipped_fraction
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput
@@ -32,7 +32,8 @@ class Bench:
     def find(self, settings=SETTINGS):
         seen = survey(self, list(self.light), CAMERA, settings)
         dark = self.room * seen.exposure_s * seen.gain * 2.3 / 3
-        return find_exposure(self, seen, REGION, dark, camera=CAMERA, settings=settings)
+        lit = {led: typical_level(frame, REGION) - dark for led, frame in seen.frames.items()}
+        return find_exposure(self, seen, REGION, CAMERA, settings).promising(seen, lit)
 
 
 @pytest.mark.parametrize("strength", [0.35, 2.0, 20.0, 200.0, 2000.0])

@@ -14,7 +14,7 @@ from fake_picamera2 import World
 from test_contract_pi import PINS, pins, recording_line  # noqa: F401 - a fixture
 
 from splitknit.capture.pi import PiCameraSettings, PiLightBank, open_pi
-from splitknit.capture.streams import Grab, StreamCamera, open_genicam, open_uvc
+from splitknit.capture.streams import StreamCamera, _Grab, open_genicam, open_uvc
 from splitknit.devices import ExposureRange
 from splitknit.errors import BadInput
 from splitknit.imaging.band import decode_table
@@ -51,7 +51,7 @@ class SimulatedStream:
                     exposure_s, gain = wanted_s, wanted_gain
             self.taken.append((began + max(FRAME_NS, round(exposure_s * 1e9)), exposure_s, gain))
 
-    def grab(self) -> Grab:
+    def grab(self) -> _Grab:
         world = self.world
         if self.kind == "triggered":
             began, exposure_s, gain = world.now_ns, self.exposure_s, self.gain
@@ -68,8 +68,8 @@ class SimulatedStream:
         world.now_ns = max(world.now_ns, ended)
         pixels = self.pixels_of(began, ended, exposure_s, gain)
         if self.kind == "blind":
-            return Grab(pixels, self.now_s())
-        return Grab(pixels, self.now_s(), began * 1e-9, exposure_s, gain)
+            return _Grab(pixels, self.now_s())
+        return _Grab(pixels, self.now_s(), began * 1e-9, exposure_s, gain)
 
     def pixels_of(self, began: int, ended: int, exposure_s: float, gain: float) -> np.ndarray:
         lit = self.world.lit_throughout(began, ended)

@@ -7,7 +7,7 @@ import pytest
 
 from handmade import finger
 from splitknit.errors import BadInput
-from splitknit.evaluation.accuracy import _local_correlation, compare, high_pass
+from splitknit.evaluation.accuracy import _local_correlation, compare, high_passed
 
 
 def test_the_truth_agrees_with_itself() -> None:
@@ -99,7 +99,7 @@ def test_wrong_truth_is_refused() -> None:
 def test_high_pass_keeps_ridges_and_drops_slopes() -> None:
     x = np.arange(300, dtype=np.float32)[None].repeat(80, axis=0)
     ridges = np.sin(2 * np.pi * x / 10).astype(np.float32)
-    kept = high_pass(ridges + 0.05 * x, np.ones(x.shape, bool), 8.0)
+    kept = high_passed(ridges + 0.05 * x, np.ones(x.shape, bool), 8.0)
     assert np.abs(kept[:, 40:-40] - ridges[:, 40:-40]).max() < 0.01
 
 

@@ -85,8 +85,8 @@ from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
 from splitknit.io.wsq_image import encode_wsq
 from splitknit.matching.code import CODE_VERSION, code_of
+from splitknit.matching.inputs import _read_surface as read_matched
 from splitknit.matching.inputs import read_side
-from splitknit.matching.inputs import read_surface as read_matched
 from splitknit.matching.minutiae_record import (
     Minutiae,
     SpaceMinutiae,
@@ -784,7 +784,7 @@ def _radiometry() -> list[Files]:
 def _radiometric(folder: Path, files: Files) -> object:
     return _any(
         lambda: _read_radiometry_plan(folder),
-        lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb", {}, folder),
+        lambda: read_stack([folder / f"white_{k}.png" for k in range(2)], (5, 6), "srgb"),
     )
 
 

@@ -17,13 +17,13 @@ from splitknit.matching.code import (
     SCALE,
     FactorModel,
     ProbeSettings,
+    code_field,
     code_model,
     code_of,
     code_size,
     laid_on,
     origin_of,
     probe_codes,
-    ridge_field,
     sampled,
 )
 from splitknit.matching.ridge_band import RidgeBand
@@ -54,7 +54,7 @@ def moved(template: Template, turn_deg: float, right_mm: float, down_mm: float) 
 
 @pytest.mark.parametrize("direction_deg", [-60.0, 0.0, 25.0, 70.0])
 def test_field_knows_direction_and_frequency(direction_deg: float) -> None:
-    field = ridge_field(straight(0.5, direction_deg))
+    field = code_field(straight(0.5, direction_deg))
     still = np.zeros(1)
     channels, weights = sampled(field, still, still, still + 2.0)
     inner = weights[0] > 0.95
@@ -67,19 +67,19 @@ def test_field_knows_direction_and_frequency(direction_deg: float) -> None:
 
 
 def test_wider_ridges_have_lower_frequency() -> None:
-    found = [np.median(ridge_field(straight(period, 20.0)).maps[2]) for period in (0.38, 0.42, 0.46, 0.5, 0.6)]
+    found = [np.median(code_field(straight(period, 20.0)).maps[2]) for period in (0.38, 0.42, 0.46, 0.5, 0.6)]
     assert (np.diff(found) < -0.03).all()
 
 
 def test_variant_undoes_a_turn_and_a_shift(templates) -> None:
     template, still = templates[0], np.zeros(1)
     other = moved(template, 7.0, 0.6, -0.4)
-    shown, seen = sampled(ridge_field(template), np.deg2rad([7.0]), still, still)
-    wrong, _ = sampled(ridge_field(template), np.deg2rad([-7.0]), still, still)
+    shown, seen = sampled(code_field(template), np.deg2rad([7.0]), still, still)
+    wrong, _ = sampled(code_field(template), np.deg2rad([-7.0]), still, still)
     # the origin follows the outline, which turns too: the shift is looked for
     steps = np.arange(-2.0, 2.1, 0.25)
     right, down = (part.ravel() for part in np.meshgrid(steps, steps))
-    here, weights = sampled(ridge_field(other), np.zeros(right.size), right, down)
+    here, weights = sampled(code_field(other), np.zeros(right.size), right, down)
     both = np.minimum(weights, seen)
 
     def apart(reference: np.ndarray) -> float:
@@ -94,7 +94,7 @@ def test_laid_on_agrees_with_sampled() -> None:
     template = straight(0.45, 10.0)
     variant = np.deg2rad(8.0), 1.0, -2.0
     matrix = laid_on(template, template, *variant)
-    field = ridge_field(template)
+    field = code_field(template)
     rows, columns = np.mgrid[: field.maps.shape[1], : field.maps.shape[2]].astype(np.float32)
     cells = np.arange(CELLS).reshape(ROWS, COLUMNS)[3:12, 3:14].ravel()
     places = np.stack([cells % COLUMNS - COLUMNS // 2, cells // COLUMNS + 1], axis=1) * 10.0 + origin_of(template)
@@ -137,7 +137,7 @@ def test_failures_to_acquire() -> None:
     with pytest.raises(BadInput, match="failure to acquire"):
         probe_codes(_failed_template())
     with pytest.raises(BadInput, match="failure to acquire"):
-        ridge_field(_failed_template())
+        code_field(_failed_template())
 
 
 @pytest.mark.parametrize("wrong", [{"turn_deg": -1.0}, {"right_mm": float("nan")}, {"right_mm": 1e4}])

@@ -201,18 +201,18 @@ def test_the_middle_of_some_values_is_their_median() -> None:
 def test_the_work_of_a_comparison_is_counted(templates, monkeypatch) -> None:
     """Correlations of whole prints, local comparisons, and spectra: none is made twice for a prepared side."""
     done: Counter[str] = Counter()
-    for name in ("ridge_view", "_peak", "compare_patches", "block_directions"):
+    for name in ("_ridge_view", "_peak", "compare_patches", "_block_directions"):
         work = getattr(ridge, name)
         monkeypatch.setattr(ridge, name, lambda *given, _n=name, _w=work: done.update([_n]) or _w(*given))
     one, same, other = (Prepared(templates[k]) for k in (0, 1, 3))
     ridge_match(one, same)
     assert done["_peak"] <= 18  # nine rotations, each there and half a step on
-    assert done["ridge_view"] <= done["_peak"] + 1
-    assert done["block_directions"] == 2
+    assert done["_ridge_view"] <= done["_peak"] + 1
+    assert done["_block_directions"] == 2
     assert done["compare_patches"] <= 4  # two candidates, one refinement, the score
     done.clear()
     ridge_match(one, same)
-    assert done["ridge_view"] == done["block_directions"] == 0
+    assert done["_ridge_view"] == done["_block_directions"] == 0
     ridge_match(one, other)
     assert done["compare_patches"] <= 8
     own = Prepared(templates[0])

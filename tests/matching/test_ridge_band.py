@@ -8,7 +8,7 @@ import scipy.fft
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import rotation_about
-from splitknit.matching.ridge import _PLANE_PX, PhaseSettings, ridge_view
+from splitknit.matching.ridge import _PLANE_PX, PhaseSettings, _ridge_view
 from splitknit.matching.ridge_band import RidgeBandSettings, print_band, ridge_band
 
 PITCH = 0.05
@@ -110,7 +110,7 @@ def test_whitening_sharpens_the_peak() -> None:
     band = ridge_band(stripes(0.4) + 0.3 * stripes(1.3, 0.6), np.ones((300, 300), np.bool_), PITCH)
 
     def width(whitening: float) -> float:
-        one = ridge_view(band.value, 0.1, 0.0, PhaseSettings(whitening))
+        one = _ridge_view(band.value, 0.1, 0.0, PhaseSettings(whitening))
         around = scipy.fft.irfft2(one.conj() * one, s=_PLANE_PX)
         assert around[0, 0] == around.max() == pytest.approx(1.0, abs=0.05)
         return float((np.abs(around) > 0.5).sum())

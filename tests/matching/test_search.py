@@ -101,7 +101,7 @@ def test_identify_finds_the_finger_among_strangers_without_their_templates(impre
 
     for impression, template in list(zip(impressions, templates, strict=True))[1::3]:
         asked.clear()
-        found = identify(template, fetch, index, 20, SearchSettings(finalists=2))
+        found = identify(template, fetch, index, 20, settings=SearchSettings(finalists=2))
         assert len(asked) == 20
         assert len(found) == 2
         assert found[0].id == f"finger {impression.finger}"

@@ -12,13 +12,20 @@ from space_samples import again, finger, turned
 from splitknit.errors import BadInput
 from splitknit.matching.minutiae3d import (
     _ANGLE_DEG,
+    _HEIGHT_MM,
     _LENGTH_MM,
+    _PHI_DEG,
+    _THETA_DEG,
+    AgreementSettings,
     Minutiae3DSettings,
     PreparedMinutiae3D,
     PreparedTetrahedra,
     TetrahedraSettings,
-    _similar_pairs,
-    _similar_tetrahedra,
+    _agreeing,
+    _fraction_of_both,
+    _Framed,
+    _one_to_one,
+    _rigid_motion,
     minutiae3d_match,
     tetrahedra_match,
 )
@@ -27,17 +34,6 @@ from splitknit.matching.minutiae_record import (
     no_space_minutiae,
     pack_space_minutiae,
     unpack_space_minutiae,
-)
-from splitknit.matching.space_alignment import (
-    _HEIGHT_MM,
-    _PHI_DEG,
-    _THETA_DEG,
-    AgreementSettings,
-    Framed,
-    _agreeing,
-    _one_to_one,
-    _rigid_motion,
-    fraction_of_both,
 )
 
 MATCHERS = [minutiae3d_match, tetrahedra_match]
@@ -119,7 +115,7 @@ def test_sides_must_be_prepared_with_the_same_settings() -> None:
 
 def test_pairs_as_slow_loops_find_them() -> None:
     a, b = PreparedMinutiae3D(finger(6, 14)), PreparedMinutiae3D(again(finger(6, 14), 1))
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _similar_pairs(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in a.correspondences(b)), strict=True)}
     settings, slow = Minutiae3DSettings(), set()
     for pair in _near(a, settings.neighbours):
         for other in _near(b, settings.neighbours):
@@ -131,7 +127,7 @@ def test_pairs_as_slow_loops_find_them() -> None:
     assert fast == slow
 
 
-def _near(side: Framed, count: int) -> list[tuple[int, int]]:
+def _near(side: _Framed, count: int) -> list[tuple[int, int]]:
     places = side.places[0]
     found = []
     for i in range(len(places)):
@@ -140,7 +136,7 @@ def _near(side: Framed, count: int) -> list[tuple[int, int]]:
     return found
 
 
-def _look(side: Framed, i: int, j: int) -> tuple[float, float, float]:
+def _look(side: _Framed, i: int, j: int) -> tuple[float, float, float]:
     places, directions = side.places
     line = places[j] - places[i]
     ahead = np.arctan2(line[1], line[0])
@@ -152,7 +148,7 @@ def test_tetrahedra_as_slow_loops_find_them() -> None:
     settings = TetrahedraSettings(neighbours=4, edge_mm=0.6, angle_deg=30.0)
     a = PreparedTetrahedra(finger(7, 12), settings)
     b = PreparedTetrahedra(again(finger(7, 12), 1, kept=1.0), settings)
-    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in _similar_tetrahedra(a, b)), strict=True)}
+    fast = {(*left, *right) for left, right in zip(*(one.tolist() for one in a.correspondences(b)), strict=True)}
     slow = set()
     for left in _tetrahedra(a, 4):
         for right in _tetrahedra(b, 4):
@@ -167,7 +163,7 @@ def test_tetrahedra_as_slow_loops_find_them() -> None:
     assert fast == slow
 
 
-def _tetrahedra(side: Framed, neighbours: int) -> list[tuple[int, ...]]:
+def _tetrahedra(side: _Framed, neighbours: int) -> list[tuple[int, ...]]:
     near: dict[int, list[int]] = {}
     for i, j in _near(side, neighbours):
         near.setdefault(i, []).append(j)
@@ -177,7 +173,7 @@ def _tetrahedra(side: Framed, neighbours: int) -> list[tuple[int, ...]]:
     return [four for four, edge in edges.items() if edge >= 0.6]
 
 
-def _worst_angle(a: Framed, left: tuple[int, ...], b: Framed, right: tuple[int, ...], edge_mm: float) -> float | None:
+def _worst_angle(a: _Framed, left: tuple[int, ...], b: _Framed, right: tuple[int, ...], edge_mm: float) -> float | None:
     worst = 0.0
     for i, j in permutations(range(4), 2):
         lines = [side.places[0][c[j]] - side.places[0][c[i]] for side, c in ((a, left), (b, right))]
@@ -191,7 +187,7 @@ def _worst_angle(a: Framed, left: tuple[int, ...], b: Framed, right: tuple[int, 
 
 
 def test_agreement_as_a_slow_loop_finds_it() -> None:
-    a, b = Framed(finger(8)), Framed(again(finger(8), 2))
+    a, b = _Framed(finger(8)), _Framed(again(finger(8), 2))
     settings = AgreementSettings()
     rotation, shift = np.eye(3), np.array([0.2, -0.1, 0.1])
     found = _agreeing(a, b, rotation, shift, settings)
@@ -234,8 +230,8 @@ def test_motions_are_found_back() -> None:
 def test_pairing_and_score() -> None:
     i, j = np.array([0, 0, 1, 2]), np.array([0, 1, 0, 2])
     assert _one_to_one(i, j, np.array([2.0, 1.0, 0.5, 9.0])).tolist() == [2, 1, 3]
-    assert fraction_of_both(30, 60, 50) == 0.3
-    assert fraction_of_both(0, 0, 5) == 0.0
+    assert _fraction_of_both(30, 60, 50) == 0.3
+    assert _fraction_of_both(0, 0, 5) == 0.0
 
 
 def test_packed_minutiae_are_read_again() -> None:

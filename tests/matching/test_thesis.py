@@ -137,7 +137,7 @@ def test_upright_images_turn_their_normals() -> None:
     mask[10:20, 12:26] = True
     relief = np.zeros((30, 40), np.float32)
     turn = rotation_about((19.5, 14.5), -np.pi / 2)  # upright content is the input turned counter-clockwise
-    found = finger_images(normals, relief, mask, 0.1, turn, (60, 60))
+    found = finger_images(normals, relief, mask, 0.1, turn, upright_size=(60, 60))
     assert found.mask.shape == pytest.approx((14, 10), abs=1)
     middle = tuple(float(found.channels[f"normal_{axis}"][7, 5]) for axis in "xyz")
     assert middle == pytest.approx((0.0, 0.6, 0.8), abs=1e-5)

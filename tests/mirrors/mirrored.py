@@ -9,7 +9,7 @@ import numpy as np
 
 from splitknit.mirrors.mirror import MirrorShape
 from splitknit.mirrors.views import Views
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+from splitknit.model import BoolArray, FloatArray, Mirror, Rig
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, place
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
@@ -23,8 +23,7 @@ SCALE = 0.2
 class Scene:
     """A finger between mirrors that stand where they truly are."""
 
-    camera: Camera
-    mirrors: dict[str, Mirror]
+    rig: Rig
     views: Views
     shape_mm: FloatArray
     mask: BoolArray
@@ -34,7 +33,7 @@ class Scene:
         _, _, z = shape.points(slice(None), slice(None))
         common = np.isfinite(z) & self.mask
         depth = cv2.distanceTransform(np.pad(common, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
-        return float(np.std((z - self.shape_mm)[depth > 0.33 * self.camera.px_per_mm]))
+        return float(np.std((z - self.shape_mm)[depth > 0.33 * self.rig.camera.px_per_mm]))
 
 
 def turned(mirror: Mirror, turn_deg: float, lean_deg: float, shift_mm: float) -> Mirror:
@@ -62,5 +61,4 @@ def scene(
     placement, skin = place(body, pose, rig.camera), skin_map(master, finger.skin)
     front = finger_surface(finger, pose, rig.camera, master=master)
     masks = {m.name: mirror_view(body, skin, placement, rig.camera, m).mask for m in rig.mirrors}
-    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
-    return Scene(rig.camera, mirrors, Views(front.mask, masks, 1), front.shape_mm, front.mask)
+    return Scene(rig, Views(front.mask, masks, 1), front.shape_mm, front.mask)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.mirrors.rolled.body import body_between_mirrors
-from splitknit.mirrors.rolled.reflection import plane_of
+from splitknit.mirrors.rolled.reflection import Plane
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.mirrors.rolled.work import MirrorView, MirrorViews
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -126,9 +126,9 @@ def views_of(capture: Capture, masks: dict[str, np.ndarray]) -> MirrorViews:
     built = {mirror.name: mirror for mirror in capture.rig.mirrors}
     sides = {name: mask for name, mask in masks.items() if name != "front"}
     ellipse = MirrorShapeSettings(section="ellipse")
-    body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig.camera, built, settings=ellipse).body
+    body = body_between_mirrors(Views(masks["front"], sides, 1), capture.rig, settings=ellipse).body
     glasses = {
-        name: Glass(name, plane_of(mirror), np.asarray(mirror.corners_mm), mirror.reflectance)
+        name: Glass(name, Plane(mirror.point_mm, mirror.normal), np.asarray(mirror.corners_mm), mirror.reflectance)
         for name, mirror in built.items()
     }
     return MirrorViews(tuple(MirrorView(name, mask, glasses.get(name)) for name, mask in masks.items()), body)

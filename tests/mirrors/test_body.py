@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.mirrors.body import MAX_SQUARE, Body, Sections, basis
+from splitknit.mirrors.body import MAX_SQUARE, Body, _Sections, basis
 from splitknit.mirrors.outline import finger_axis, medial_line, rows_of
 from splitknit.mirrors.planes import MirrorPlane, Touching, touching
 from splitknit.model import Camera, Mirror
@@ -14,10 +14,10 @@ from splitknit.model import Camera, Mirror
 CAMERA = Camera(10.0, (400, 300))
 
 
-def section(squareness: float, shear: float) -> tuple[Sections, np.ndarray]:
+def section(squareness: float, shear: float) -> tuple[_Sections, np.ndarray]:
     """One section, and 4000 points of its upper half and, mirrored, of its lower one."""
     one = np.ones(1)
-    sections = Sections(1.5 * one, -4.0 * one, 8.0 * one, 6.0 * one, shear * one, squareness)
+    sections = _Sections(1.5 * one, -4.0 * one, 8.0 * one, 6.0 * one, shear * one, squareness)
     w = np.linspace(-np.pi / 2, np.pi / 2, 2000)
     x, z = np.sin(w), np.cos(w) * (1 + squareness * np.sin(w) ** 2)
     points = np.column_stack([np.r_[x, x], np.r_[z, -z]])
@@ -43,7 +43,7 @@ def test_support_answers_to_its_half_axes() -> None:
     for name, slope in (("a", by_a), ("b", by_b)):
         grown = {key: getattr(sections, key) for key in ("t", "z", "a", "b", "shear", "squareness")}
         grown[name] = grown[name] + 1e-4
-        assert (Sections(**grown).support(*normal)[0] - value) / 1e-4 == pytest.approx(slope, abs=1e-3)
+        assert (_Sections(**grown).support(*normal)[0] - value) / 1e-4 == pytest.approx(slope, abs=1e-3)
 
 
 def test_splines_sum_to_one_and_bodies_end_round() -> None:
@@ -63,7 +63,7 @@ def ellipse_mask(half_width: float, slant: float) -> np.ndarray:
 
 def test_rows_measure_between_the_pixels() -> None:
     mask = ellipse_mask(6.03, 0.0)
-    rows = rows_of(mask, CAMERA, 1, np.array([0.0, 1.0]), 0.15)
+    rows = rows_of(mask, CAMERA, 1, np.array([0.0, 1.0]))
     middle = np.abs(rows.along_mm + 3) < 5
     assert np.nanmedian(rows.width_mm[middle]) == pytest.approx(12.06, abs=0.06)
     assert rows.tip_mm == pytest.approx(12.0, abs=0.06)
@@ -72,14 +72,14 @@ def test_rows_measure_between_the_pixels() -> None:
 def test_medial_line_is_robust_and_the_axis_follows_the_finger() -> None:
     mask = ellipse_mask(6.0, np.tan(np.deg2rad(12.0)))
     mask[250:290, 0:120] = True  # a spur: a fold of the sleeve
-    axis, rows = finger_axis(mask, CAMERA, 1, np.array([0.0, 1.0]), 0.15)
+    axis, rows = finger_axis(mask, CAMERA, 1, np.array([0.0, 1.0]))
     assert np.rad2deg(np.arctan2(axis[0], axis[1])) == pytest.approx(12.0, abs=0.6)
     assert abs(medial_line(rows)[0]) < 5e-3
 
 
 def test_an_empty_view_is_refused() -> None:
     with pytest.raises(BadInput, match="is empty"):
-        rows_of(np.zeros((400, 300), dtype=bool), CAMERA, 1, np.array([0.0, 1.0]), 0.15)
+        rows_of(np.zeros((400, 300), dtype=bool), CAMERA, 1, np.array([0.0, 1.0]))
 
 
 def test_reflected_rays_see_the_finger_itself() -> None:

@@ -10,10 +10,9 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
+from splitknit.mirrors.rolled.blend import RolledSettings
 from splitknit.mirrors.rolled.finger import Rolled, _apart, _base, rolled_finger
-from splitknit.mirrors.rolled.register import ridge_band
-from splitknit.mirrors.rolled.search import SearchSettings
-from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.register import RidgeSearchSettings, ridges_of
 from splitknit.mirrors.rolled.views import _check_mirrors, _notes
 from splitknit.mirrors.rolled.work import ReliefSettings, _lit
 from splitknit.model import Capture
@@ -21,7 +20,9 @@ from splitknit.prints.rolled import _coverage_deg
 from splitknit.skin.grid import Grid
 from splitknit.skin.light import Lighting
 
-QUICK = RolledSettings(pitch_mm=0.07, search=SearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3))
+QUICK = RolledSettings(
+    pitch_mm=0.07, search=RidgeSearchSettings(across_mm=(0.6, 0.06), along_mm=(0.06, 0.06), candidates=3)
+)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,7 @@ def test_ridges_are_found_around_the_finger_the_right_way_round(finger: Rolled) 
     truth, slant = truth_of(finger)
     pitch = finger.chart.pitch_mm
     known = finger.blended.known
-    seen, there = (ridge_band(f.astype(np.float32), known, pitch) for f in (finger.blended.relief_mm, truth))
+    seen, there = (ridges_of(f.astype(np.float32), known, pitch) for f in (finger.blended.relief_mm, truth))
     straight = (finger.chart.length_mm[:, None] < 0) & (finger.chart.length_mm[:, None] > -12)
     for low, high in ((-90, -60), (-60, -30), (-30, 0), (0, 30), (30, 60), (60, 90)):
         where = known & straight & (slant > low) & (slant < high)
@@ -81,7 +82,7 @@ def test_one_mirror_is_enough_and_none_is_refused() -> None:
     assert one.names == ("front", "right")
     truth, slant = truth_of(one)
     pitch, known = one.chart.pitch_mm, one.blended.known
-    seen, there = (ridge_band(f.astype(np.float32), known, pitch) for f in (one.blended.relief_mm, truth))
+    seen, there = (ridges_of(f.astype(np.float32), known, pitch) for f in (one.blended.relief_mm, truth))
     left = known & (slant > -55) & (slant < -20) & (one.chart.length_mm[:, None] < 0)
     assert np.corrcoef(seen[left], there[left])[0, 1] > 0.75
     degrees = np.rad2deg(one.chart.angle_rad)

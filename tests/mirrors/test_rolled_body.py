@@ -45,7 +45,7 @@ def off_surface(body) -> np.ndarray:
 
 
 def test_the_body_is_the_finger(drawn) -> None:
-    found = body_between_mirrors(views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG.camera, MIRRORS)
+    found = body_between_mirrors(views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG)
     assert found.cut == ()
     assert found.useless == ()
     # an ellipse is drawn, a flatter pad expected
@@ -60,27 +60,29 @@ def test_a_cut_view_still_tells_where_its_mirror_lies(drawn) -> None:
     turned = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     middle = np.mean(mirror.corners_mm, axis=0)
     corners = tuple(tuple(float(v) for v in middle + turned @ (np.array(c) - middle)) for c in mirror.corners_mm)
-    wrong = {**MIRRORS, "left": replace(mirror, corners_mm=corners)}
+    wrong = replace(mirror, corners_mm=corners)
     # the picture ends where the pad bulges most
     column = int(np.flatnonzero(drawn["left"].any(axis=0))[0]) + round(0.6 * scene.PX)
     camera = replace(RIG.camera, image_size=(scene.SIZE[0], scene.SIZE[1] - 2 * column))
     cut = {name: np.ascontiguousarray(mask[:, column : scene.SIZE[1] - column]) for name, mask in drawn.items()}
-    found = body_between_mirrors(views(cut["front"], left=cut["left"]), camera, wrong)
+    found = body_between_mirrors(
+        views(cut["front"], left=cut["left"]), replace(RIG, camera=camera, mirrors=(wrong, MIRRORS["right"]))
+    )
     assert found.cut == ("left",)
     plane = found.planes["left"]
     assert np.rad2deg(np.arccos(min(1.0, float(plane.normal @ mirror.normal)))) < 0.6
-    assert np.rad2deg(np.arccos(float(wrong["left"].normal @ mirror.normal))) > 0.6
+    assert np.rad2deg(np.arccos(float(wrong.normal @ mirror.normal))) > 0.6
     # of a view that ends beyond the pad's rim nothing is left but the far side, which alone makes no body
     straight = drawn["left"].copy()
     edge = round((scene.SIZE[1] - 1) / 2 - 27.5 * scene.PX)
     straight[:, :edge] = False
     near = replace(mirror, corners_mm=tuple((max(x, -27.5), y, z) for x, y, z in mirror.corners_mm))
     with pytest.raises(BadInput, match="mirrors cut its sides off"):
-        body_between_mirrors(views(drawn["front"], left=straight), RIG.camera, {"left": near})
+        body_between_mirrors(views(drawn["front"], left=straight), replace(RIG, mirrors=(near,)))
 
 
 def test_the_radius_is_where_the_body_ends(drawn) -> None:
-    body = body_between_mirrors(views(drawn["front"], right=drawn["right"]), RIG.camera, MIRRORS).body
+    body = body_between_mirrors(views(drawn["front"], right=drawn["right"]), RIG).body
     chart = _shape_of(body).chart.coarser(8)
     radius = _radius_of(body, chart)
     assert not outside(body, chart.points(radius - 0.05)).any()
@@ -88,9 +90,7 @@ def test_the_radius_is_where_the_body_ends(drawn) -> None:
 
 
 def test_a_rolled_finger_is_flat_where_it_rolled_to(drawn) -> None:
-    body = body_between_mirrors(
-        views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG.camera, MIRRORS
-    ).body
+    body = body_between_mirrors(views(drawn["front"], left=drawn["left"], right=drawn["right"]), RIG).body
     chart = _shape_of(body).chart
     radius = np.full(chart.shape, 7.0)
     flat, roll = 0.16, 0.1

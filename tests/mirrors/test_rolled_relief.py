@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from splitknit.finger.locate import FingerSettings
-from splitknit.mirrors.rolled.register import ridge_band
-from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.blend import RolledSettings
+from splitknit.mirrors.rolled.register import ridges_of
 from splitknit.mirrors.rolled.views import find_mirror_views
 from splitknit.mirrors.rolled.work import ReliefSettings, Work
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -32,6 +32,6 @@ def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() 
         shown = view.window
         true = truth["relief_um" if name == "front" else f"{prefix}relief_um"][shown] * np.float32(1e-3)
         known = np.isfinite(view.relief_mm) & truth[f"{prefix}mask"][shown] & (view.trust > 0.95)
-        seen, there = (ridge_band(np.nan_to_num(f), known, 1 / px_per_mm) for f in (view.relief_mm, true))
+        seen, there = (ridges_of(np.nan_to_num(f), known, 1 / px_per_mm) for f in (view.relief_mm, true))
         assert np.corrcoef(seen[known], there[known])[0, 1] > least
         assert seen[known].std() > 0.5 * there[known].std()

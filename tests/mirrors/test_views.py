@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,12 +12,13 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.imaging.areas import mirror_outline, without_mirrors
 from splitknit.mirrors.views import find_views, view_binning
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
 
 CAMERA = Camera(5.0, (300, 460))
 LEFT = Mirror("left", ((-15.0, -25.0, -20.0), (-15.0, 12.0, -20.0), (-37.0, 12.0, 2.0), (-37.0, -25.0, 2.0)))
 RIGHT = Mirror("right", ((15.0, -25.0, -20.0), (15.0, 12.0, -20.0), (37.0, 12.0, 2.0), (37.0, -25.0, 2.0)))
 MIRRORS = {"left": LEFT, "right": RIGHT}
+RIG = Rig(CAMERA, (), mirrors=(LEFT, RIGHT))
 
 
 def bright(image: FloatArray, _: float) -> BoolArray:
@@ -45,7 +47,7 @@ FRONT, BESIDE = (190, 80), ((70, 60), (330, 60))
 
 
 def test_front_and_mirrors_are_distinguished() -> None:
-    views = find_views(picture(FRONT, *BESIDE), CAMERA, MIRRORS, bright, 1)
+    views = find_views(picture(FRONT, *BESIDE), RIG, bright, 1)
     assert set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -55,7 +57,7 @@ def test_front_and_mirrors_are_distinguished() -> None:
 
 
 def test_a_mirror_without_a_finger_is_left_out() -> None:
-    assert set(find_views(picture(FRONT, BESIDE[1]), CAMERA, MIRRORS, bright, 1).mirrors) == {"right"}
+    assert set(find_views(picture(FRONT, BESIDE[1]), RIG, bright, 1).mirrors) == {"right"}
 
 
 @pytest.mark.parametrize(
@@ -69,12 +71,12 @@ def test_a_mirror_without_a_finger_is_left_out() -> None:
 )
 def test_what_is_refused(image: Callable[[], FloatArray], words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        find_views(image(), CAMERA, MIRRORS, bright, 1)
+        find_views(image(), RIG, bright, 1)
 
 
 def test_no_mirrors_no_views() -> None:
     with pytest.raises(BadInput, match="the rig has no mirrors"):
-        find_views(picture(FRONT), CAMERA, {}, bright, 1)
+        find_views(picture(FRONT), replace(RIG, mirrors=()), bright, 1)
 
 
 def test_the_front_is_left_alone() -> None:
@@ -100,7 +102,7 @@ def large(*fingers: tuple[int, int]) -> tuple[FloatArray, Camera]:
 
 def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> None:
     image, camera = large(FRONT, *BESIDE)
-    views = find_views(image, camera, MIRRORS, bright, 1, outlined)
+    views = find_views(image, replace(RIG, camera=camera), bright, 1, outlined)
     assert views.binning == 1 and set(views.mirrors) == {"left", "right"}
     for mask, (first, width) in zip(
         (views.front, views.mirrors["left"], views.mirrors["right"]), (FRONT, *BESIDE), strict=True
@@ -124,4 +126,4 @@ def test_outlines_are_found_in_the_image_around_what_a_small_copy_shows() -> Non
 def test_the_same_is_refused_where_outlines_are_found_apart(fingers: tuple[tuple[int, int], ...], words: str) -> None:
     image, camera = large(*fingers)
     with pytest.raises(BadInput, match=words):
-        find_views(image, camera, MIRRORS, bright, 1, outlined)
+        find_views(image, replace(RIG, camera=camera), bright, 1, outlined)

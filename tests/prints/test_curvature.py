@@ -67,7 +67,7 @@ def test_the_camera_does_not_matter() -> None:
     nearer = 1 - z / 40
     mask = np.hypot(x, y) < 5
     places = ((x * nearer).astype(np.float32), (y * nearer).astype(np.float32))
-    found = curvature(z.astype(np.float32), mask, PITCH, WIDE, *places)
+    found = curvature(z.astype(np.float32), mask, PITCH, WIDE, places)
     inner = np.hypot(x, y) < 4
     assert np.allclose(found.k_max[inner], -1 / 8, rtol=0.03)
     assert np.allclose(found.k_min[inner], -1 / 8, rtol=0.03)

@@ -19,9 +19,9 @@ from splitknit.prints.from_file import (
     _ridge_period_px,
     minutiae_of,
     pressed_print,
+    print_at_500_ppi,
     read_one_finger,
     read_print_file,
-    resampled,
 )
 from splitknit.prints.make import enhance, minutiae_by_phase
 
@@ -69,7 +69,7 @@ def test_every_format_and_resolution_gives_the_same_print(tmp_path: Path, scale:
     (stored,) = read_print_file(file)
     assert isinstance(stored, PrintFile)
     assert stored.resolution_ppi == pytest.approx(500 * scale, rel=1e-3)
-    one = resampled(stored)
+    one = print_at_500_ppi(stored)
     assert one.image.shape == (500, 380)
     known, others = found_in(one.image)
     assert known >= len(PLACES) - 1
@@ -85,7 +85,7 @@ def test_unmarked_prints_are_measured_and_asked_about(tmp_path: Path, scale: flo
     assert "\n" not in str(refused.value)
     one = read_one_finger(file, 500 * scale)
     assert isinstance(one, PrintFile)
-    assert resampled(one).image.shape == (500, 380)
+    assert print_at_500_ppi(one).image.shape == (500, 380)
 
 
 def test_resolutions_of_screens_are_asked_about(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.prints.print_quality import (
-    Part,
     PrintQualitySettings,
     QualityFigures,
+    _Part,
     _quality_figures,
     print_quality,
     score_of,
@@ -33,7 +33,7 @@ def waves(height_um: float = 50.0, second: float = 0.0, period_mm: float = 0.5) 
 
 def figures(values: np.ndarray, weight: np.ndarray | None = None, least: float | None = 10.0) -> QualityFigures:
     weight = np.ones(values.shape, np.float32) if weight is None else weight
-    return _quality_figures(values, weight, ridge_field(ink(values, weight)), min_height_um=least)
+    return _quality_figures(values, weight, ridge_field(ink(values, weight)), 500.0, least)
 
 
 def test_height_period_and_extent() -> None:
@@ -119,8 +119,8 @@ def test_the_score_rises_with_every_figure() -> None:
 
 
 def test_the_score_is_a_product_of_powers() -> None:
-    none = {name: Part(0.0, 1.0, 0.0) for name in PrintQualitySettings().parts()}
-    chosen = {"ridge_share": Part(0.0, 1.0, 3.0), "coherence": Part(0.0, 1.0, 1.0)}
+    none = {name: _Part(0.0, 1.0, 0.0) for name in PrintQualitySettings().parts()}
+    chosen = {"ridge_share": _Part(0.0, 1.0, 3.0), "coherence": _Part(0.0, 1.0, 1.0)}
     settings = PrintQualitySettings(**{**none, **chosen})
     score, worth = score_of(replace(GOOD, ridge_share=0.5, coherence=0.25), settings)
     assert score == pytest.approx(100 * 0.5**3 * 0.25)
@@ -163,7 +163,7 @@ def test_resolution_does_not_matter() -> None:
     from splitknit.prints.ridges import PrintSettings
 
     image = ink(large, weight, PrintSettings(ppi=1000.0))
-    fine = _quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, min_height_um=10.0)
+    fine = _quality_figures(large, weight, ridge_field(image, 1000.0), 1000.0, 10.0)
     coarse = figures(values)
     assert fine.ridge_height_um == pytest.approx(coarse.ridge_height_um, rel=0.03)
     assert fine.ridge_area_mm2 == pytest.approx(coarse.ridge_area_mm2, rel=0.03)
@@ -180,6 +180,6 @@ def test_bad_input() -> None:
     with pytest.raises(BadInput, match="nothing of the finger"):
         print_quality(values, 0 * weight, field)
     with pytest.raises(BadInput, match="two different"):
-        Part(0.5, 0.5, 1.0)
+        _Part(0.5, 0.5, 1.0)
     with pytest.raises(BadInput, match="weight"):
-        Part(0.0, 0.5, -1.0)
+        _Part(0.0, 0.5, -1.0)

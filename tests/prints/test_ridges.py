@@ -33,7 +33,9 @@ def _direction_deg(image: NDArray[np.uint8]) -> float:
 def test_size_is_exactly_the_resolution() -> None:
     mask = np.ones((300, 400), bool)
     assert relief_print(_stripes(20), mask, PX_PER_MM, np.eye(3), (300, 400)).shape == (150, 200)
-    assert relief_print(_stripes(20), mask, PX_PER_MM, np.eye(3), (300, 400), ppi=1000).shape == (300, 400)
+    assert relief_print(
+        _stripes(20), mask, PX_PER_MM, np.eye(3), (300, 400), settings=PrintSettings(ppi=1000)
+    ).shape == (300, 400)
 
 
 def test_print_is_mirrored() -> None:

@@ -108,8 +108,9 @@ def test_yaw_and_perspective_do_not_matter() -> None:
         z = np.sqrt(np.maximum(RADIUS**2 - (x * (1 - z / 60)) ** 2, 0.01)) - RADIUS
     seen = mask & (np.abs(x) < 7)
     near = surface_grid(
-        z.astype(np.float32), seen, 1 / PX_PER_MM, np.eye(3), mask.shape, (x * (1 - z / 60)).astype(np.float32),
-        (y * (1 - z / 60)).astype(np.float32), GridSettings(pitch_mm=0.4),
+        z.astype(np.float32), seen, 1 / PX_PER_MM, np.eye(3), mask.shape,
+        xy_mm=((x * (1 - z / 60)).astype(np.float32), (y * (1 - z / 60)).astype(np.float32)),
+        settings=GridSettings(pitch_mm=0.4),
     )  # fmt: skip
     laid = unroll(near)
     assert _off_arc(near, laid.flat_mm, 55) < 0.05
@@ -133,4 +134,4 @@ def test_nonsense_is_refused() -> None:
     with pytest.raises(BadInput, match="too small"):
         surface_grid(flat, np.ones_like(mask), 0.001, np.eye(3), flat.shape)
     with pytest.raises(BadInput, match="no finite height"):
-        surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, wide * np.float32(np.nan), wide)
+        surface_grid(wide, wide == 0, 0.05, np.eye(3), wide.shape, xy_mm=(wide * np.float32(np.nan), wide))

@@ -14,7 +14,7 @@ from splitknit.training.shape import (
     SLOPES,
     SYMMETRY,
     WEIGHT,
-    ShapeSettings,
+    ShapeNetSettings,
     _draw_batch,
     _draw_patch,
     _field_scale,
@@ -23,7 +23,7 @@ from splitknit.training.shape import (
     _without_nir,
 )
 
-SMALL = ShapeSettings(widths=(2, 3), patch_px=16, batch=3, beyond_px=4)
+SMALL = ShapeNetSettings(widths=(2, 3), patch_px=16, batch=3, beyond_px=4)
 
 
 def sample_of(seed: int, shape: tuple[int, int] = (24, 20)) -> np.ndarray:
@@ -124,7 +124,7 @@ def test_fields_are_scaled_by_what_they_vary() -> None:
 )
 def test_settings_out_of_range_are_refused(change, words) -> None:
     with pytest.raises(BadInput, match=words):
-        ShapeSettings(**change)
+        ShapeNetSettings(**change)
 
 
 def test_a_network_is_judged_by_the_slopes_that_are_left() -> None:

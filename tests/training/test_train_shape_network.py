@@ -15,7 +15,7 @@ from splitknit.training.shape import (
     SLOPES,
     WEIGHT,
     WHAT,
-    ShapeSettings,
+    ShapeNetSettings,
     _field_scale,
     _judge_whole,
     _shape_losses,
@@ -24,7 +24,7 @@ from splitknit.training.shape import (
 
 torch = pytest.importorskip("torch")
 
-SETTINGS = ShapeSettings(
+SETTINGS = ShapeNetSettings(
     widths=(8, 8), patch_px=16, batch=4, iterations=150, warm_up=5, learning_rate=1e-2, beyond_px=4, precision="float32"
 )
 
@@ -90,7 +90,9 @@ def test_training_lowers_the_loss_and_betters_the_figures() -> None:
 
 def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
     plain, decaying = (
-        _shape_trainer(ShapeSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES)
+        _shape_trainer(
+            ShapeNetSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES
+        )
         for decay in (0.0, 100.0)
     )
     np.testing.assert_array_equal(plain.network.scale.numpy(), _field_scale(SAMPLES, plain.settings))
@@ -103,7 +105,7 @@ def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
 
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
 def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
-    settings = ShapeSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=4, precision=precision)
+    settings = ShapeNetSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=4, precision=precision)
     whole = _shape_trainer(settings, SAMPLES)
     whole.train(6)
     first = _shape_trainer(settings, SAMPLES)
@@ -116,7 +118,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
         np.testing.assert_array_equal(one, other)
     assert not all(np.array_equal(*pair) for pair in zip(weights_of(whole), weights_of(first), strict=True))
     other = _shape_trainer(
-        ShapeSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=5, wide_share=2.0), SAMPLES
+        ShapeNetSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=5, wide_share=2.0), SAMPLES
     )
     with pytest.raises(BadInput, match=r"beyond_px, wide_share.*resume with the same"):
         other.restore(first.state())
@@ -139,7 +141,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
 
 def test_the_network_has_the_layers_of_the_one_that_ships() -> None:
     shapes = {
-        name: tuple(part.shape) for name, part in fields_network(ShapeSettings().widths, 32, 2).state_dict().items()
+        name: tuple(part.shape) for name, part in fields_network(ShapeNetSettings().widths, 32, 2).state_dict().items()
     }
     assert shapes["down.0.0.weight"] == (24, 32, 3, 3) and shapes["down.3.2.weight"] == (64, 64, 3, 3)
     assert shapes["up.0.0.weight"] == (64, 128, 3, 3) and shapes["out.weight"] == (2, 24, 1, 1)

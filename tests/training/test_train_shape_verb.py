@@ -21,7 +21,7 @@ from splitknit.training.shape import (
     SLOPES,
     WEIGHT,
     WHAT,
-    ShapeSettings,
+    ShapeNetSettings,
     _network_metrics,
     train_shape,
 )
@@ -31,7 +31,7 @@ from splitknit.training.trainer import HELD_OUT_FROM
 
 def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
     options = build_parser().parse_args(["train", "shape", "--out", "run"])
-    data, settings = ShapeData(), ShapeSettings()
+    data, settings = ShapeData(), ShapeNetSettings()
     for name in ("fingers", "held_out", "first"):
         assert getattr(options, name) == getattr(data, name)
     for name in ("iterations", "batch", "seed", "threads", "device", "precision"):
@@ -42,7 +42,7 @@ def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
 torch = pytest.importorskip("torch")
 
 DATA = ShapeData(fingers=3, held_out=2, first=10)
-SETTINGS = ShapeSettings(
+SETTINGS = ShapeNetSettings(
     widths=(4, 6), patch_px=16, batch=2, iterations=5, report_every=2, beyond_px=4, precision="float32"
 )
 

@@ -10,16 +10,16 @@ import pytest
 
 from script_folder import scripts_of
 from splitknit.errors import BadInput
+from splitknit.mirrors.rolled.blend import RolledSettings
 from splitknit.mirrors.rolled.finger import rolled_finger
-from splitknit.mirrors.rolled.search import SearchSettings
-from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.register import RidgeSearchSettings
 from splitknit.mirrors.rolled.work import ReliefSettings
 
 TESTS = Path(__file__).resolve().parents[1]
 FOLDER = TESTS.parent / "validation" / "mirror"
 QUICK = RolledSettings(
     pitch_mm=0.07,
-    search=SearchSettings(across_mm=(0.3, 0.06), along_mm=(0.0, 0.06), candidates=2),
+    search=RidgeSearchSettings(across_mm=(0.3, 0.06), along_mm=(0.0, 0.06), candidates=2),
 )
 
 

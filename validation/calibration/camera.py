@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.calibration.camera import CameraCalibration, calibrate_camera, fit_lens
+from splitknit.calibration.camera import CameraCalibration, fit_camera, fit_lens
 from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit.calibration.targets import Board, find_board, find_disc
 from splitknit.model import Rig
@@ -109,13 +109,12 @@ def measure(seed: int, scale: float) -> dict[str, dict[str, float]]:
     sharp = photographs(seed, scale)
     size = sharp.rig.camera.image_size
     cases = {
-        f"{count} photographs": errors_of(sharp, calibrate_camera(sharp.corners[:count], BOARD, size))
-        for count in (15, 8, 5)
+        f"{count} photographs": errors_of(sharp, fit_camera(sharp.corners[:count], BOARD, size)) for count in (15, 8, 5)
     }
     moved = BOARD.points_mm + np.random.default_rng([seed, 1]).normal(0, PRINT_ERROR_MM, (54, 2))
     cases["15, corners printed 10 um off"] = errors_of(sharp, fit_lens(moved, sharp.corners, size))
     blurred = photographs(seed, scale, f_number=2.0)
-    cases["15, lens at f/2"] = errors_of(blurred, calibrate_camera(blurred.corners, BOARD, size))
+    cases["15, lens at f/2"] = errors_of(blurred, fit_camera(blurred.corners, BOARD, size))
     return cases
 
 

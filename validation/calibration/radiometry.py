@@ -84,14 +84,14 @@ def measure(seed: int, scale: float, case: Any) -> tuple[Any, dict[str, float], 
     from radiometry_cards import Card, as_placed, photograph
 
     from splitknit.calibration.card_model import CardPlane
-    from splitknit.calibration.radiometry import calibrate_radiometry
+    from splitknit.calibration.radiometry import fit_radiometry
     from splitknit.simulator.rigs import built_rig
 
     rig = built_rig(seed, scale=scale)
     stored = as_placed(rig, case.error_mm, seed)
     tilt = tuple(rig.provenance["base_tilt_deg"]) if case.base_tilt == "known" else (0.0, 0.0)
     capture = photograph(Card(rig, case, seed=seed), stored, case, seed)
-    found = calibrate_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
+    found = fit_radiometry(capture, stored, CardPlane(0.0, (float(tilt[0]), float(tilt[1]))))
     truth = Card(rig, case, even=True)
     return found, errors(found.rig, truth, 0.0), float(found.flat_field.rms_percent.max())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from flat_fingers import Laid
 
-from splitknit.matching.code import CELLS, COLUMNS, ROWS, FactorModel, origin_of, ridge_field, sampled
+from splitknit.matching.code import CELLS, COLUMNS, ROWS, FactorModel, code_field, origin_of, sampled
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
 
@@ -40,8 +40,8 @@ def within(pairs: list[Laid], rng: np.random.Generator, copies: int = 2) -> Floa
             continue
         turn, right, down = relation(b, a)
         jitter = rng.uniform(-1.0, 1.0, (3, copies)) * np.array([np.deg2rad(JITTER_DEG), JITTER_MM, JITTER_MM])[:, None]
-        other, seen = sampled(ridge_field(b.template), turn + jitter[0], right + jitter[1], down + jitter[2])
-        own, known = sampled(ridge_field(a.template), STILL, STILL, STILL)
+        other, seen = sampled(code_field(b.template), turn + jitter[0], right + jitter[1], down + jitter[2])
+        own, known = sampled(code_field(a.template), STILL, STILL, STILL)
         weight = np.minimum(known, seen)
         squares += ((own - other) ** 2 * weight[:, None]).sum(axis=0)
         weights += weight.sum(axis=0)
@@ -53,7 +53,7 @@ def offset(templates: list[Template], complete: FloatArray) -> FloatArray:
 
     Few surfaces know it: cells that only some show are drawn towards zero (five surfaces' worth).
     """
-    seen = [sampled(ridge_field(template), STILL, STILL, STILL) for template in templates if not template.empty]
+    seen = [sampled(code_field(template), STILL, STILL, STILL) for template in templates if not template.empty]
     channels, weights = (np.concatenate(parts) for parts in zip(*seen, strict=True))
     away = (channels - complete.mean(axis=0)) * weights[:, None]
     return np.asarray(away.sum(axis=0) / (weights.sum(axis=0) + 5.0), dtype=np.float32)

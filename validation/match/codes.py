@@ -34,10 +34,10 @@ from splitknit.matching.code import (
     CODE_VERSION,
     SCALE,
     FactorModel,
+    code_field,
     code_model,
     code_of,
     probe_codes,
-    ridge_field,
     sampled,
 )
 from splitknit.matching.search import CodeIndex, SearchSettings, identify
@@ -131,7 +131,7 @@ def split(templates: dict[str, Template]) -> tuple[dict[str, Template], dict[str
 def impostor_codes(channels: FloatArray, outlines: list[Template]) -> NDArray[np.int8]:
     """(N, K) codes of complete fields, each seen through one of the outlines in turn."""
     still = np.zeros(1)
-    weights = np.concatenate([sampled(ridge_field(template), still, still, still)[1] for template in outlines])
+    weights = np.concatenate([sampled(code_field(template), still, still, still)[1] for template in outlines])
     found = []
     for start in range(0, len(channels), 250):
         part = channels[start : start + 250]

@@ -14,7 +14,7 @@ import numpy as np
 from flat_fingers import BELOW_TIP_MM, log_periods
 
 from splitknit.io.atomic import atomic_file
-from splitknit.matching.code import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, ridge_field
+from splitknit.matching.code import CELLS, CHANNELS, COLUMNS, ROWS, STEP_MM, code_field
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
 from splitknit.simulator.finger.ridges import orientation_field
@@ -36,7 +36,7 @@ def frequency_of_period() -> tuple[FloatArray, FloatArray]:
     for period in periods:
         wave = np.sqrt(2.0) * np.sin(2 * np.pi * np.arange(160) * 0.1 / period)
         level = np.digitize(np.tile(wave, (160, 1)), (-0.98, 0.0, 0.98)).astype(np.uint8)
-        field = ridge_field(Template(level, np.ones(level.shape, dtype=np.bool_), 0.1))
+        field = code_field(Template(level, np.ones(level.shape, dtype=np.bool_), 0.1))
         found.append(float(np.median(field.maps[2])))
     return periods.astype(np.float32), np.array(found, dtype=np.float32)
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from splitknit.io.capture import read_capture
-from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, seam_lines, seam_steps
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, RolledSettings, seam_lines, seam_steps
 from splitknit.mirrors.rolled.chart import read
 from splitknit.mirrors.rolled.finger import Rolled, rolled_finger
-from splitknit.mirrors.rolled.register import ridge_band
-from splitknit.mirrors.rolled.settings import RolledSettings
+from splitknit.mirrors.rolled.register import ridges_of
 from splitknit.mirrors.rolled.views import find_mirror_views
 from splitknit.mirrors.rolled.work import ReliefSettings
 from splitknit.presets import preset_settings
@@ -112,11 +111,11 @@ def _against_truth(rolled: Rolled, front: Rolled, truth: dict[str, Any]) -> dict
     result: dict[str, Any] = {}
     for name, one in (("rolled", rolled), ("front", front)):
         known = one.blended.known[::STEP, ::STEP]
-        seen = ridge_band(np.ascontiguousarray(one.blended.relief_mm[::STEP, ::STEP]), known, pitch)
+        seen = ridges_of(np.ascontiguousarray(one.blended.relief_mm[::STEP, ::STEP]), known, pitch)
         # where two views are mixed, the truth is that of the one that counts more: ridges that do not meet cost
         there = np.take_along_axis(np.stack(by_view), best[None], axis=0)[0] if name == "rolled" else by_view[0]
         known = known & np.isfinite(there)
-        there = ridge_band(np.nan_to_num(there).astype(np.float32), known, pitch)
+        there = ridges_of(np.nan_to_num(there).astype(np.float32), known, pitch)
         result[name] = _by_band(there, seen, known & region, slant)
         if name == "rolled":
             result["seams"] = _seams(rolled, seen, there, known & region, pitch)
@@ -184,7 +183,7 @@ def _seams(rolled: Rolled, seen: Any, there: Any, known: Any, pitch: float) -> d
     fractions = rolled.blended.fractions[:, ::STEP, ::STEP]
     best = np.argmax(fractions, axis=0)
     cut = np.take_along_axis(rolled.view_reliefs[:, ::STEP, ::STEP], best[None], axis=0)[0]
-    cut = ridge_band(np.ascontiguousarray(cut), rolled.blended.known[::STEP, ::STEP], pitch)
+    cut = ridges_of(np.ascontiguousarray(cut), rolled.blended.known[::STEP, ::STEP], pitch)
     result = {}
     for place, name in enumerate(rolled.names[1:], start=1):
         line = seam_lines(fractions, 0, place) & known

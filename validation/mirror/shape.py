@@ -90,17 +90,16 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
     seen: dict[bool, Any] = {}
     for case, (method, mirrors, with_slopes, off) in CASES.items():
         taken = replace(capture, rig=rigs[off])
-        nominal = {mirror.name: mirror for mirror in rigs[off].mirrors}
         own = MirrorShapeSettings(method=method)
         try:
             if off not in seen:
-                seen[off] = found_views(taken, settings.mask, settings.shape.mirror)
+                seen[off] = found_views(taken, settings.mask)
             views, grey = seen[off]
             part = Views(views.front, {n: m for n, m in views.mirrors.items() if n in mirrors}, views.binning)
-            shape = mirror_shape(part, taken.rig.camera, nominal, own)
+            shape = mirror_shape(part, taken.rig, own)
             if with_slopes:
                 slopes = skin_slopes(taken, grey, views, shape)
-                shape = mirror_shape(part, taken.rig.camera, nominal, own, slopes=slopes)
+                shape = mirror_shape(part, taken.rig, own, slopes=slopes)
             yield case, rms_mm(shape, truth)
         except BadInput as error:
             yield case, str(error)

@@ -37,7 +37,7 @@ from splitknit.separation.single_image import single_image
 from splitknit.separation.stacks import StackSettings
 from splitknit.simulator.camera.sensor import SensorSettings, record
 from splitknit.simulator.light.separation import Checkerboard, checkerboard_images, pattern_states, separate_truth
-from splitknit.training.separation_data import Photograph, SeparationData, enhance, photographs, surface_of
+from splitknit.training.separation_data import Photograph, SeparationData, drawn_surface, enhanced_contrast, photographs
 from splitknit.training.trainer import HELD_OUT_FROM
 
 HERE = Path(__file__).resolve().parent
@@ -63,7 +63,9 @@ def main() -> int:
     rows: list[dict[str, Any]] = []
     for kind in ("palm", "finger"):
         for index in range(FIRST, FIRST + count):
-            rows += judge(photographs(kind, index, SEED, data, enhance)[0], (kind, index), network, fractions, data)
+            rows += judge(
+                photographs(kind, index, SEED, data, enhanced_contrast)[0], (kind, index), network, fractions, data
+            )
             print(f"{kind} {index - FIRST + 1} of {count}", file=sys.stderr, flush=True)
     result = {
         "network": {"name": network.card.name, "sha256": network.card.sha256},
@@ -103,7 +105,7 @@ def constant_fractions(data: SeparationData, count: int) -> np.ndarray:
     up, down = np.zeros(4), np.zeros(4)
     for kind in ("palm", "finger"):
         for index in range(HELD_OUT_FROM + FRACTION_FROM, HELD_OUT_FROM + FRACTION_FROM + count):
-            image, direct = channels(photographs(kind, index, SEED, data, enhance)[0])
+            image, direct = channels(photographs(kind, index, SEED, data, enhanced_contrast)[0])
             up += (image * direct).mean(axis=(1, 2))
             down += (image * image).mean(axis=(1, 2))
     return up / down
@@ -165,7 +167,7 @@ def by_one_image(
 ) -> dict[str, np.ndarray]:
     """Nayar's separation from a single image under a checkerboard, brought to full size."""
     facts = photograph.facts
-    surface = surface_of(*name, SEED, data)
+    surface = drawn_surface(*name, SEED, data)
     skin, led = facts["skin"], Led("white", position_mm=tuple(facts["led_mm"]))
     pattern = Checkerboard(data.check_mm, steps=5)
     white = separate_truth(surface, led, skin, check_mm=data.check_mm, phases="centred")

@@ -45,7 +45,7 @@ def relief_images(capture: Capture, scales: Sequence[int] = SCALES) -> FingerIma
         result = reconstruct(capture, "pr-split", {"shapelets.scales": count}, memory=memory)
         images = finger_images(
             result.normals, result.ridge_mm, result.mask, result.pitch_mm, result.input_from_upright,
-            result.upright_size,
+            upright_size=result.upright_size,
         )  # fmt: skip
         channels[f"snk{count}"] = images.channels["relief"]
     return replace(images, channels=channels)

@@ -236,7 +236,7 @@ class _TetrahedraMatcher(_SpaceMatcher):
 
     def compare(self, a: Any, b: Any) -> Values:
         found = tetrahedra_match(a, b)
-        return {"similarity": found.similarity, "agreeing": float(found.agreeing), "alike": float(found.tetrahedra)}
+        return {"similarity": found.similarity, "agreeing": float(found.agreeing), "alike": float(found.proposals)}
 
 
 class _SurfaceCodeMatcher(Matcher):

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.workers import run_jobs
-from splitknit.capture.enrolment import PLAN_FILE, Enrolment, Place, open_enrolment, plan_enrolment
+from splitknit.capture.enrolment import PLAN_FILE, EnrolledFinger, Enrolment, open_enrolment, plan_enrolment
 from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_file, atomic_folder, hold, sweep
 from splitknit.io.capture import write_capture
@@ -37,7 +37,7 @@ _FORMAT, _VERSION = "splitknit-population", 1
 class Job:
     """The waiting captures of one finger: its print is drawn once for all of them."""
 
-    places: tuple[Place, ...]
+    places: tuple[EnrolledFinger, ...]
 
 
 def simulate_population(
@@ -143,16 +143,20 @@ def _simulate_job(job: Job, settings: PopulationSettings, real: RealPrints, fold
     return len(job.places)
 
 
-def _jobs_of(waiting: Sequence[Place]) -> list[Job]:
+def _jobs_of(waiting: Sequence[EnrolledFinger]) -> list[Job]:
     """The waiting captures by finger, subject by subject."""
-    by_finger: dict[tuple[str, str], list[Place]] = {}
+    by_finger: dict[tuple[str, str], list[EnrolledFinger]] = {}
     for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
         by_finger.setdefault((place.subject, place.finger), []).append(place)
     return [Job(tuple(places)) for places in by_finger.values()]
 
 
 def _simulated(
-    enrolment: Enrolment, settings: PopulationSettings, real: RealPrints, waiting: Sequence[Place], workers: int
+    enrolment: Enrolment,
+    settings: PopulationSettings,
+    real: RealPrints,
+    waiting: Sequence[EnrolledFinger],
+    workers: int,
 ) -> Iterator[tuple[int, str]]:
     """Do all jobs; yield how many captures are done, and which finger was the last."""
     jobs = _jobs_of(waiting)

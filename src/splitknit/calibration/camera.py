@@ -34,7 +34,7 @@ _GROSS_ASPECT = 0.015
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LensFit:
+class _LensFit:
     """A camera matrix with distortion, and where the board stood in each view."""
 
     matrix: Points
@@ -63,7 +63,7 @@ class _Views:
     """Columns, rows of the images."""
 
 
-def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> LensFit:
+def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
     """Fit matrix and distortion; each term only where the views determine it.
 
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
@@ -127,7 +127,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
             estimate = " and ".join(f"{values[term]:.2g} +- {deviations[term]:.2g}" for term in step)
             fixed[_called(step)] = f"0: the photographs give {estimate}"
     best.deviations.update(_focal_deviations(views, kept, best))
-    return LensFit(
+    return _LensFit(
         best.matrix,
         best.distortion,
         best.deviations,
@@ -139,7 +139,7 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
     )
 
 
-def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> LensFit:
+def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) -> _LensFit:
     """One fit with the terms `kept` free."""
     flags = _flags(kept)
     columns, rows = views.size
@@ -170,10 +170,10 @@ def _fit(views: _Views, kept: tuple[str, ...], start: LensFit | None = None) -> 
     normals = np.array([-cv2.Rodrigues(np.asarray(turn))[0][:, 2] for turn in turns])
     normals *= np.where(normals[:, 2:] > 0, -1.0, 1.0)
     given = {name: value for name, value in spread.items() if name in (*kept, "fx", "fy")}
-    return LensFit(matrix, tuple(distortion.ravel()[:5].tolist()), given, rms, each.ravel(), normals, kept)
+    return _LensFit(matrix, tuple(distortion.ravel()[:5].tolist()), given, rms, each.ravel(), normals, kept)
 
 
-def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views) -> float:
+def _aspect_deviation(value: float, held: _LensFit, free: _LensFit, views: _Views) -> float:
     """Standard deviation of fx / fy, which OpenCV does not give: found from how much worse the fit is without it.
 
     The sum of squares falls by the variance of one coordinate times (value / deviation)^2.
@@ -183,7 +183,7 @@ def _aspect_deviation(value: float, held: LensFit, free: LensFit, views: _Views)
     return abs(value) / float(np.sqrt(fall))
 
 
-def _focal_deviations(views: _Views, kept: tuple[str, ...], best: LensFit) -> dict[str, float]:
+def _focal_deviations(views: _Views, kept: tuple[str, ...], best: _LensFit) -> dict[str, float]:
     """Standard deviations of fx and fy, not less than fits with other focal lengths show."""
     shown = []
     for factor in (0.97, 1.03):
@@ -257,7 +257,7 @@ _MIN_COVERAGE = 0.5
 class CameraCalibration:
     """A calibrated camera, with what it rests on."""
 
-    lens: LensFit
+    lens: _LensFit
     image_size: tuple[int, int]
     """Rows, columns."""
     used: tuple[str, ...]
@@ -275,7 +275,7 @@ class CameraCalibration:
     warnings: tuple[str, ...]
 
 
-def calibrate_camera(
+def fit_camera(
     corner_sets: Sequence[Any], board: Board, image_size: tuple[int, int], names: Sequence[str] | None = None
 ) -> CameraCalibration:
     """Calibrate a camera by Zhang's method, with rejection of bad views.
@@ -386,7 +386,7 @@ def _coverage(corners: Points, image_size: tuple[int, int]) -> float:
     return float(across.mean())
 
 
-def _judged(lens: LensFit, tilts: NDArray[np.float64], variety: float, coverage: float) -> tuple[str, ...]:
+def _judged(lens: _LensFit, tilts: NDArray[np.float64], variety: float, coverage: float) -> tuple[str, ...]:
     """Warnings, or the refusal of views that determine too little."""
     ratio = float(lens.matrix[0, 0] / lens.matrix[1, 1])
     require(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.calibration.camera import CameraCalibration, calibrate_camera
+from splitknit.calibration.camera import CameraCalibration, fit_camera
 from splitknit.calibration.plane import (
     DepthOfField,
     PlanePose,
@@ -119,7 +119,7 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> _Found
         progress("fitting", 0.86)
         names, corners = list(photos.corners), list(photos.corners.values())
         try:
-            fit = calibrate_camera(corners, board, size, names)
+            fit = fit_camera(corners, board, size, names)
         except BadInput as error:
             raise BadInput(f"{job.folder}: {error}") from error
         boardless = photos.without

@@ -128,28 +128,21 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
     return np.asarray(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def _card_gloss(  # noqa: PLR0917
-    camera: Camera,
-    leds: Sequence[Led],
-    pixels: Array,
-    card: CardPlane,
-    fit: tuple[CardModel, Answer, Order],
-    rest: Array,
-) -> tuple[float, float]:
+def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array) -> tuple[float, float]:
     """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error.
 
-    `fit`: model, its best parameters and their order; `rest`: (L, N) residuals of the fit, NaN where dust was found.
-    Least squares of the residuals on the spot and on all slopes of the model: what beams and aims could explain as well
-    is not counted. The greatest of a narrow and a wide spot, in its errors, is returned.
+    `half_angles_deg`: (L, N) of :func:`_half_angles`; `fit`: the best parameters and their order; `rest`: (L, N)
+    residuals of the fit, NaN where dust was found. Least squares of the residuals on the spot and on all slopes of the
+    model: what beams and aims could explain as well is not counted. The greatest of a narrow and a wide spot, in its
+    errors, is returned.
     """
-    model, answer, order = fit
-    angles = np.stack([_half_angles(camera, led, pixels, card) for led in leds])
+    answer, order = fit.answer, fit.order
     used = np.isfinite(rest)
     left = np.where(used, rest, 0.0)
     size = model.size(order)
     normal, slope = np.zeros((size, size)), np.zeros(size)
     across = np.zeros((len(WIDTHS_DEG), size))
-    spots = [np.exp(-0.5 * (angles / width) ** 2) * used for width in WIDTHS_DEG]
+    spots = [np.exp(-0.5 * (half_angles_deg / width) ** 2) * used for width in WIDTHS_DEG]
     for k in range(model.count):
         places, rows = model.slopes(answer, order, k)
         rows = rows * used[k]
@@ -284,7 +277,8 @@ def fit_flat_field(
     best = next(k for k, value in enumerate(rms) if value <= enough)
     fit = fits[best]
     rest = np.where(dust, np.nan, residuals[-1])
-    gloss, gloss_error = _card_gloss(camera, leds, places, plane, (model, fits[-1].answer, fits[-1].order), rest)
+    angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
+    gloss, gloss_error = _card_gloss(model, angles, fits[-1], rest)
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
     return FlatField(
         camera=lens,

@@ -44,7 +44,7 @@ class LightLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class _JudgedLed:
     """One LED and what is thought of it."""
 
     band: str
@@ -75,12 +75,27 @@ class LightSettings:
     nail: NailSettings = field(default_factory=NailSettings)
 
 
+@dataclass(frozen=True, slots=True)
+class LightsAsked:
+    """What is asked of the calibration of lights."""
+
+    name: str
+    """Of the table, for messages."""
+    method: str | None = None
+    """None is the joint fit for three positions of the nail or more (two, with a calibrated camera), and else the
+    thesis's construction."""
+    keep: bool = False
+    """Keep LEDs that would be refused."""
+    calibrated: bool = False
+    """Whether the camera is."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LightCalibration:
     """What was found."""
 
     method: str
-    judged: tuple[Judged, ...]
+    judged: tuple[_JudgedLed, ...]
     chosen: Mapping[LedName, LedEstimate]
     facts: dict[str, Any]
     """For ``--json``."""
@@ -88,28 +103,24 @@ class LightCalibration:
     """Why it is refused, None where it is not."""
 
 
-def calibrate_lights(
+def find_leds(
     tips: Sequence[Tip],
     camera: Camera,
     circle: Circle,
+    settings: LightSettings,
     *,
-    name: str,
-    method: str | None = None,
-    settings: LightSettings | None = None,
-    keep: bool = False,
-    calibrated: bool = False,
+    how: LightsAsked,
 ) -> LightCalibration:
     """Find and judge every LED of a table.
 
-    `method` None is the joint fit for three positions of the nail or more (two, with a `calibrated` camera), and else
-    the thesis's construction. The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
+    The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
 
     Raises
     ------
     BadInput
-        If the table `name` is incomplete or impossible.
+        If the table is incomplete or impossible.
     """
-    settings = settings or LightSettings()
+    name, method, keep = how.name, how.method, how.keep
     _check_tips(tips, camera.image_size, name)
     try:
         _check_nails(tips, camera, settings.limits)
@@ -122,7 +133,7 @@ def calibrate_lights(
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least.")
-    method = method or ("joint" if positions > (1 if calibrated else 2) else "circle")
+    method = method or ("joint" if positions > (1 if how.calibrated else 2) else "circle")
     chosen: dict[LedName, LedEstimate] = {(one.band, one.led): one for one in plain}
     if method == "joint" and joint is not None:
         chosen |= {(one.band, one.led): one for one in joint.leds}
@@ -169,7 +180,7 @@ def rig_of(
 
 
 def _led_facts(
-    judged: Judged,
+    judged: _JudgedLed,
     chosen: Mapping[LedName, LedEstimate],
     plain: Mapping[LedName, LedEstimate],
     joint: JointFit | None,
@@ -231,7 +242,7 @@ def _joint_facts(joint: JointFit, tips: Sequence[Tip]) -> dict[str, Any]:
     }
 
 
-def _totals(judged: Sequence[Judged], leds: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+def _totals(judged: Sequence[_JudgedLed], leds: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     words = [one.verdict for one in judged]
     return {
         "leds": len(judged),
@@ -245,7 +256,7 @@ def _totals(judged: Sequence[Judged], leds: Sequence[Mapping[str, Any]]) -> dict
     }
 
 
-def _warnings(judged: Sequence[Judged], joint: JointFit | None, tips: Sequence[Tip], method: str) -> list[str]:
+def _warnings(judged: Sequence[_JudgedLed], joint: JointFit | None, tips: Sequence[Tip], method: str) -> list[str]:
     warnings = []
     if any(one.verdict == "unchecked" for one in judged):
         warnings.append(
@@ -364,7 +375,7 @@ def _judge(
     copied: Set[tuple[str, int]],
     strays: Set[tuple[str, int]],
     limit_deg: float,
-) -> tuple[Judged, ...]:
+) -> tuple[_JudgedLed, ...]:
     """Give every LED (band, number, disagreement in degrees or None) its verdict.
 
     ``copied`` goes before ``off the circle``, that before ``disagrees``; ``unchecked`` is an LED that one position of
@@ -380,11 +391,11 @@ def _judge(
             word = UNCHECKED
         else:
             word = DISAGREES if apart > limit_deg else OK
-        judged.append(Judged(band, led, apart, word))
+        judged.append(_JudgedLed(band, led, apart, word))
     return tuple(judged)
 
 
-def _refusal(judged: Sequence[Judged], limit_deg: float) -> str | None:
+def _refusal(judged: Sequence[_JudgedLed], limit_deg: float) -> str | None:
     """One sentence that names every LED that is refused and what to do; None where there is none."""
     apart = [f"{one.name} ({one.disagreement_deg:.1f} deg)" for one in judged if one.verdict == DISAGREES]
     same = [one.name for one in judged if one.verdict == COPIED]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, read_tips
 from splitknit.calibration.lights import Circle, combine
-from splitknit.calibration.lights_found import LightSettings, calibrate_lights, rig_of
+from splitknit.calibration.lights_found import LightsAsked, LightSettings, find_leds, rig_of
 from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput, Refused, read_bytes, require
@@ -274,16 +274,8 @@ def _of_tips(
 ) -> dict[str, Any]:
     """Find the LEDs, refuse or write."""
     name = str(job.table or job.images)
-    found = calibrate_lights(
-        tips,
-        inputs.camera,
-        circle,
-        name=name,
-        method=job.method,
-        settings=job.settings,
-        keep=job.keep,
-        calibrated=inputs.base is not None,
-    )
+    asked = LightsAsked(name, job.method, job.keep, calibrated=inputs.base is not None)
+    found = find_leds(tips, inputs.camera, circle, job.settings, how=asked)
     facts = {**found.facts, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
     if found.sentence is not None:
         raise Refused(f"{name}: {found.sentence}", _plain({**facts, "written": False, "out": None}))
@@ -323,13 +315,14 @@ def _of_sphere(job: LightsJob) -> dict[str, Any]:
     hashes: dict[str, str] = {}
     paths = [one.path for one in photographs]
     camera_size = inputs.camera.image_size
-    stack = read_stack(paths, camera_size, job.encoding or "linear", hashes, job.images, upright=True)
+    stack, digests = read_stack(paths, camera_size, job.encoding or "linear", upright=True)
+    hashes |= {path.relative_to(job.images).as_posix(): digest for path, digest in digests.items()}
     ball = _ball(job.mask, stack, size, hashes)
     encoding, note = job.encoding, ""
     if encoding is None:
         encoding, note = encoding_of(paths, lambda: job.sphere == "grey" and _ball_is_srgb(stack, ball))
     if encoding == "srgb" and job.encoding is None:
-        stack = read_stack(paths, camera_size, encoding, hashes, job.images, upright=True)
+        stack, _ = read_stack(paths, camera_size, encoding, upright=True)
     strengths: NDArray[np.float64] | None = None
     if job.sphere == "chrome":
         directions = chrome_directions(stack, ball)

@@ -59,7 +59,8 @@ def tips_of_photos(
     lost: list[str] = []
     for done, ((nail, band), paths) in enumerate(files.items()):
         progress(f"nail {nail}, {band}", done / len(files))
-        stack = read_stack(paths, camera.image_size, encoding, hashes, folder)
+        stack, digests = read_stack(paths, camera.image_size, encoding)
+        hashes |= {path.relative_to(folder).as_posix(): digest for path, digest in digests.items()}
         names = [str(path) for path in paths]
         view = find_nail(stack, camera.px_per_mm, names)
         for led, tip in enumerate(view.tips_px):
@@ -109,32 +110,28 @@ def _nail_files(folder: Path) -> Files:
 
 
 def read_stack(
-    paths: list[Path],
-    size: tuple[int, int],
-    encoding: str,
-    hashes: dict[str, str],
-    folder: Path,
-    *,
-    upright: bool = False,
-) -> FloatArray:
+    paths: Sequence[Path], size: tuple[int, int], encoding: str, *, upright: bool = False
+) -> tuple[FloatArray, dict[Path, str]]:
     """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off.
 
-    `upright` ones are turned as their EXIF data say.
+    `upright` ones are turned as their EXIF data say. Returns the SHA-256 of all that was read, too.
     """
-    images = [_read(path, size, encoding, hashes, folder, upright) for path in paths]
+    hashes: dict[Path, str] = {}
+    images = []
+    for path in paths:
+        image, hashes[path] = _read(path, size, encoding, upright=upright)
+        images.append(image)
     band = re.split(r"[_.-]", paths[0].stem)[0].lower()
     for suffix in SUFFIXES:
         ambient = paths[0].with_name(f"ambient_{band}{suffix}")
         if ambient.is_file():
-            dark = _read(ambient, size, encoding, hashes, folder, upright)
+            dark, hashes[ambient] = _read(ambient, size, encoding, upright=upright)
             images = [np.maximum(image - dark, 0) for image in images]
             break
-    return np.stack(images)
+    return np.stack(images), hashes
 
 
-def _read(  # noqa: PLR0917
-    path: Path, size: tuple[int, int], encoding: str, hashes: dict[str, str], folder: Path, upright: bool
-) -> FloatArray:
+def _read(path: Path, size: tuple[int, int], encoding: str, *, upright: bool) -> tuple[FloatArray, str]:
     data = read_bytes(path, DEFAULTS.max_bytes)
     pixels = decode_photo(data, str(path)).pixels if upright else decode_image(data, str(path))
     require(
@@ -142,9 +139,9 @@ def _read(  # noqa: PLR0917
         f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but the rig's camera has "
         f"{size[0]} x {size[1]}; give the rig or --image-size that belongs to the photographs.",
     )
-    hashes[path.relative_to(folder).as_posix()] = hashlib.sha256(data).hexdigest()
     require(pixels.dtype.kind == "u", f"{path} holds floats; save it as 16-bit PNG or TIFF.")
-    return np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
+    image = np.asarray(linear_image(pixels, encoding).mean(axis=2), dtype=np.float32)
+    return image, hashlib.sha256(data).hexdigest()
 
 
 def _bands(place: Path) -> Mapping[str, dict[int, Path]]:

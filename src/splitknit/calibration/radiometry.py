@@ -57,7 +57,7 @@ class RadiometricCalibration:
     warnings: tuple[str, ...]
 
 
-def calibrate_radiometry(
+def fit_radiometry(
     capture: Capture,
     rig: Rig,
     card: CardPlane | None = None,
@@ -201,7 +201,7 @@ def _round(value: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CardCheck:
+class _CardCheck:
     """A later card against the stored one."""
 
     ratio: Array
@@ -220,19 +220,19 @@ class CardCheck:
 
 def check_card(
     capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
-) -> CardCheck:
+) -> _CardCheck:
     """Compare a card with the calibration that a rig carries.
 
     Parameters
     ----------
-    capture : of the white card, as for :func:`splitknit.calibration.radiometry.calibrate_radiometry`
+    capture : of the white card, as for :func:`splitknit.calibration.radiometry.fit_radiometry`
     rig : calibrated by it
     black_level : stored value of no light, for images where the capture does not state it
     settings : RadiometrySettings, optional
 
     Returns
     -------
-    CardCheck
+    _CardCheck
 
     Raises
     ------
@@ -253,7 +253,7 @@ def check_card(
     own = ratio / np.array([middle[band] for band in bands])
     comparable = given and images.exposures_given
     common: dict[str, float | None] = {band: value if comparable else None for band, value in middle.items()}
-    return CardCheck(
+    return _CardCheck(
         ratio=ratio,
         common=common,
         own=own,
@@ -316,7 +316,7 @@ def _change(value: float) -> str:
     return f"{100 * abs(value - 1):.0f} % {'darker' if value < 1 else 'brighter'}"
 
 
-def check_facts(check: CardCheck, rig: Rig) -> dict[str, Any]:
+def check_facts(check: _CardCheck, rig: Rig) -> dict[str, Any]:
     """Return the check as plain JSON."""
     return {
         "verdict": "drifted" if check.sentences else "as calibrated",

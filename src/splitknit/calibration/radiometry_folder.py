@@ -17,9 +17,9 @@ from splitknit.calibration.radiometry import (
     PROVENANCE,
     RadiometricCalibration,
     RadiometrySettings,
-    calibrate_radiometry,
     check_card,
     check_facts,
+    fit_radiometry,
 )
 from splitknit.calibration.sensor import (
     MIN_EXPOSURES,
@@ -90,7 +90,7 @@ def calibrate_to_file(
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(limit_percent=limit_percent)
     progress("flat field", 0.6)
     try:
-        found = calibrate_radiometry(capture, rig, CardPlane(height_mm, tilt_deg), black, settings)
+        found = fit_radiometry(capture, rig, CardPlane(height_mm, tilt_deg), black, settings)
     except BadInput as error:
         raise BadInput(f"{folder}: {error}") from error
     warnings = [*found.warnings, *_black_level_warning(black, capture)]

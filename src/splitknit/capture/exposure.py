@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import cv2
@@ -68,8 +68,13 @@ class Exposure:
     """LED under which the finger is brightest."""
     level: float
     """Fraction of full scale that the finger reaches under it."""
-    expected: Mapping[int, float]
+    expected: Mapping[int, float] = field(default_factory=dict)
     """LED to the finger's median level (fraction of full scale) that the previews promise."""
+
+    def promising(self, seen: Survey, lit: Mapping[int, float]) -> Exposure:
+        """With what the previews promise: `lit` is LED to the finger's level in the survey, less the ambient light."""
+        ratio = self.exposure_s * self.gain / (seen.exposure_s * seen.gain)
+        return replace(self, expected={led: ratio * max(level, 0.0) for led, level in lit.items()})
 
 
 def _split(product_s: float, camera: ExposureRange, settings: ExposureSettings) -> tuple[float, float]:
@@ -127,11 +132,8 @@ def find_exposure(
     look: Look,
     seen: Survey,
     region: BoolArray,
-    dark: float,
-    *,
     camera: ExposureRange,
     settings: ExposureSettings,
-    typical: float = MEDIAN,
 ) -> Exposure:
     """Find the exposure of a band.
 
@@ -140,14 +142,13 @@ def find_exposure(
     look : takes a preview
     seen : of this band
     region : (h, w) the finger in previews
-    dark : median level of the finger with all LEDs off, at the survey's exposure
     camera : what can be set
     settings : what is wanted
-    typical : percentile of the pixels whose level is promised to the shots
 
     Returns
     -------
     Exposure
+        Without what it promises, see :meth:`Exposure.promising`.
 
     Raises
     ------
@@ -178,11 +179,7 @@ def find_exposure(
             f"the finger is overexposed even with {1e3 * time_s:.2f} ms at gain {gain:.1f}; close the lid, or lower "
             "the LEDs' current."
         )
-    ratio = time_s * gain / (seen.exposure_s * seen.gain)
-    expected = {
-        led: ratio * max(typical_level(frame, region, typical) - dark, 0.0) for led, frame in seen.frames.items()
-    }
-    return Exposure(time_s, gain, brightest, level, expected)
+    return Exposure(time_s, gain, brightest, level)
 
 
 def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.capture.enrolment import Enrolment, Place
+from splitknit.capture.enrolment import EnrolledFinger, Enrolment
 from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused
@@ -24,7 +24,7 @@ from splitknit.io.targets import check_capture
 from splitknit.model import Progress, Rig, no_progress
 
 MARKER = "session.json"
-Ask = Callable[[Place, str | None], str]
+Ask = Callable[[EnrolledFinger, str | None], str]
 """Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
 
 
@@ -55,6 +55,9 @@ class CaptureOptions:
     overwrite: bool = False
     """Replace an earlier capture."""
     watch_focus: WatchFocus | None = None
+    ask: Ask | None = None
+    """Of an enrolment: asks for each finger, and again after a verdict; None takes them as they come and stops at the
+    first verdict."""
 
 
 def capture_to_folder(
@@ -121,11 +124,9 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
 
 def capture_enrolment(
     enrolment: Enrolment,
-    places: list[Place],
-    open_devices: Callable[[Place], AbstractContextManager[Opened]],
+    places: list[EnrolledFinger],
+    open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
     options: CaptureOptions,
-    *,
-    ask: Ask | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Capture the fingers of an enrolment that are waiting, one after the other.
@@ -134,7 +135,7 @@ def capture_enrolment(
     ----------
     places : what to capture now, in this order
     open_devices : gives the devices for a finger
-    ask : asks for each finger, and again after a verdict; None takes them as they come and stops at the first verdict
+    options : CaptureOptions
 
     Returns
     -------
@@ -150,10 +151,10 @@ def capture_enrolment(
     notes: list[str] = []
     for k, place in enumerate(places):
 
-        def report(stage: str, fraction: float, k: int = k, place: Place = place) -> None:
+        def report(stage: str, fraction: float, k: int = k, place: EnrolledFinger = place) -> None:
             progress(f"{place.subject} {place.finger}", (k + fraction) / len(places))
 
-        answer, facts = _one_finger(enrolment, place, open_devices, options, ask=ask, progress=report)
+        answer, facts = _one_finger(enrolment, place, open_devices, options, report)
         if answer == "stop":
             break
         if facts is None:
@@ -175,15 +176,13 @@ def capture_enrolment(
 
 def _one_finger(
     enrolment: Enrolment,
-    place: Place,
-    open_devices: Callable[[Place], AbstractContextManager[Opened]],
+    place: EnrolledFinger,
+    open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
     options: CaptureOptions,
-    *,
-    ask: Ask | None,
     progress: Progress,
 ) -> tuple[str, dict[str, Any] | None]:
     """Answer and facts of one finger; asked for until it is good, skipped or stopped."""
-    why: str | None = None
+    ask, why = options.ask, None
     while True:
         answer = "go" if ask is None else ask(place, why)
         if answer != "go":

@@ -27,7 +27,7 @@ from splitknit.settings import Checked, Limits, check_fields
 
 
 @dataclass(frozen=True, slots=True)
-class Sensor:
+class _Sensor:
     """One camera module: what its sensor can, how its raw values lie, how noisy it is."""
 
     module: str
@@ -64,24 +64,24 @@ class Sensor:
         return 0.0 if self.global_shutter else self.size[0] * self.line_s
 
 
-SENSORS: Mapping[str, Sensor] = {
-    "imx219": Sensor(
+SENSORS: Mapping[str, _Sensor] = {
+    "imx219": _Sensor(
         "camera module 2, NoIR", (2464, 3280), (2200, 3200), 1.12, 10, 64, False, 18.904e-6, 0.0477, False, 10.6,
         (0.0, 0.0, 1 / 256), "imx219_noir.json", 4700.0, 2.5,
     ),
-    "imx477": Sensor(
+    "imx477": _Sensor(
         "HQ camera, its infrared filter taken out", (3040, 4056), (3040, 4032), 1.55, 12, 256, False, 28.572e-6, 0.1001,
         False, 22.2, (0.0, 0.0, 1 / 1024), "imx477_noir.json", 8000.0, 3.0,
     ),
-    "imx708": Sensor(
+    "imx708": _Sensor(
         "camera module 3, NoIR", (2592, 4608), (2592, 4608), 1.4, 10, 64, False, 26.0e-6, 0.0698, False, 16.0,
         (0.0, 0.0, 1 / 1024), "imx708_noir.json", 6000.0, 2.5,
     ),
-    "ov9281": Sensor(
+    "ov9281": _Sensor(
         "OV9281 module, mono, no infrared filter", (800, 1280), (800, 1280), 3.0, 10, 64, True, 9.1e-6, 0.0083, True,
         15.9, (1 / 16, 0.0, 0.0), "ov9281_mono.json", 7000.0, 4.0,
     ),
-    "imx296": Sensor(
+    "imx296": _Sensor(
         "Global Shutter camera, its infrared filter taken out", (1088, 1456), (1088, 1440), 3.45, 10, 60, False,
         14.815e-6, 0.0166, True, 15.8, (0.0, 0.0116, 0.0), "imx296.json", 10_700.0, 2.2,
     ),
@@ -191,7 +191,7 @@ class PiCameraSettings(Checked):
         )
 
     @property
-    def sensor(self) -> Sensor:
+    def sensor(self) -> _Sensor:
         """Profile of a camera module."""
         return SENSORS[self.camera]
 

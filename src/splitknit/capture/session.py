@@ -29,8 +29,7 @@ from splitknit.capture.exposure import (
     survey,
     typical_level,
 )
-from splitknit.capture.pins import led_names
-from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Examiner, Shooting, Shot
+from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Devices, Examiner, Shooting, Shot
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_mask
@@ -137,27 +136,16 @@ def run_session(
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)
-    names, checks, px_per_mm = led_names(rig), settings.checks, rig.camera.px_per_mm
+    devices, px_per_mm = Devices(camera, lights, rig), rig.camera.px_per_mm
     try:
         lights.off()
         progress("finding the exposure", 0.0)
-        metering = _meter(
-            camera,
-            lights,
-            bands,
-            names,
-            settings=settings.exposure,
-            px_per_mm=px_per_mm,
-            find_finger=settings.find_finger,
-            progress=lambda fraction: progress("finding the exposure", 0.3 * fraction),
-        )
+        metering = _meter(devices, bands, settings, lambda fraction: progress("finding the exposure", 0.3 * fraction))
         progress("focus", 0.3)
-        focus = _focus(camera, lights, metering, settings, px_per_mm=px_per_mm, watch_focus=watch_focus)
+        focus = _focus(devices, metering, settings, watch_focus)
         shooting = Shooting(
-            camera,
-            lights,
-            names,
-            Examiner(metering.region, px_per_mm, checks, MEDIAN if settings.find_finger else BRIGHT),
+            devices,
+            Examiner(metering.region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT),
             watch_motion=settings.find_finger,
             progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
@@ -180,16 +168,9 @@ def run_session(
     )
 
 
-def _focus(
-    camera: Camera,
-    lights: LightBank,
-    metering: _Metering,
-    settings: SessionSettings,
-    *,
-    px_per_mm: float,
-    watch_focus: WatchFocus | None,
-) -> Focus:
+def _focus(devices: Devices, metering: _Metering, settings: SessionSettings, watch_focus: WatchFocus | None) -> Focus:
     """Measure the focus under the brightest white LED, live if somebody watches."""
+    camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
     exposure = metering.exposures["white"]
     camera.lock(exposure.exposure_s, exposure.gain, "white")
     rows, columns = camera.image_size
@@ -229,25 +210,18 @@ class _Metering:
 
 
 def _meter(
-    camera: Camera,
-    lights: LightBank,
+    devices: Devices,
     bands: Mapping[str, Sequence[int]],
-    names: Sequence[str],
-    *,
-    settings: ExposureSettings,
-    px_per_mm: float,
-    find_finger: bool = True,
-    progress: Callable[[float], None] = lambda fraction: None,
+    settings: SessionSettings,
+    progress: Callable[[float], None],
 ) -> _Metering:
     """Preview the finger under every LED and find the exposure of every band.
 
-    `bands`: band to its LEDs, white first; `names`: of all LEDs, for messages; `settings`: what is wanted; `px_per_mm`:
-    of full-size photographs; `find_finger`: False where a target is photographed: the whole picture counts; `progress`:
-    called with the fraction that is done. Raises BadInput if there is no finger, an LED does not light, the lid is
-    open, or no exposure fits.
+    `bands`: band to its LEDs, white first; `progress`: called with the fraction that is done. Raises BadInput if there
+    is no finger, an LED does not light, the lid is open, or no exposure fits.
     """
-
-    typical = MEDIAN if find_finger else BRIGHT
+    camera, lights = devices.camera, devices.lights
+    typical = MEDIAN if settings.find_finger else BRIGHT
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):
@@ -257,36 +231,37 @@ def _meter(
             lights.on(led)
             return camera.preview()
 
-        seen = survey(look, leds, camera.exposures, settings)
+        seen = survey(look, leds, camera.exposures, settings.exposure)
         lights.off()
         camera.lock(seen.exposure_s, seen.gain, band)
         room = camera.preview()
         _check_light(band, seen, room)
         if region is None:
-            region = _region(seen, room, px_per_mm, camera.image_size[1], find_finger=find_finger)
+            region = _region(seen, room, devices) if settings.find_finger else np.ones(_previews(seen), dtype=np.bool_)
         dark = typical_level(room, region, typical)
-        _check_lit(
-            {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}, dark, names
-        )
-        exposures[band] = find_exposure(
-            look, seen, region, dark, camera=camera.exposures, settings=settings, typical=typical
-        )
+        lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
+        _check_lit(lit, dark, devices.names)
+        exposures[band] = find_exposure(look, seen, region, camera.exposures, settings.exposure).promising(seen, lit)
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None
     return _Metering(region, exposures)
 
 
-def _region(seen: Survey, room: Frame, px_per_mm: float, full_columns: int, *, find_finger: bool) -> BoolArray:
+def _previews(seen: Survey) -> tuple[int, int]:
+    """Rows and columns of the previews."""
+    rows, columns = next(iter(seen.frames.values())).pixels.shape[:2]
+    return rows, columns
+
+
+def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:
     frames = list(seen.frames.values())
-    if not find_finger:
-        return np.ones(frames[0].pixels.shape[:2], dtype=np.bool_)
     mean: FloatArray = np.mean([frame.pixels for frame in frames], axis=0, dtype=np.float32)
     mean -= room.pixels
     mean *= np.float32(1.0 / np.iinfo(frames[0].pixels.dtype).max)
     try:
         image = mean if mean.shape[2] == 3 else mean[..., 0]
-        return finger_mask(image, px_per_mm * mean.shape[1] / full_columns)
+        return finger_mask(image, devices.rig.camera.px_per_mm * mean.shape[1] / devices.camera.image_size[1])
     except BadInput as error:
         raise BadInput(f"no finger is seen under the white LEDs ({str(error).rstrip('.')}); lay one down.") from error
 

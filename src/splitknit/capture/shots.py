@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.capture.exposure import MEDIAN, Exposure, grey_light
+from splitknit.capture.pins import led_names
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
 from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
-from splitknit.model import Band, BoolArray, FloatArray, PixelArray
+from splitknit.model import Band, BoolArray, FloatArray, PixelArray, Rig
 from splitknit.settings import Checked, Limits
 
 _MAX_SATURATED = 0.05
@@ -164,21 +165,35 @@ class _Trouble:
     words: str
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Devices:
+    """Camera and lights that fit a rig."""
+
+    camera: Camera
+    lights: LightBank
+    rig: Rig
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all LEDs, for messages."""
+        return led_names(self.rig)
+
+
 class Shooting:
     """Takes the shots of all bands, one band after the other."""
 
     def __init__(
         self,
-        camera: Camera,
-        lights: LightBank,
-        names: Sequence[str],
+        devices: Devices,
         examiner: Examiner,
         *,
         watch_motion: bool,
         progress: Callable[[str, float], None],
     ) -> None:
         """Prepare; nothing is lit yet."""
-        self._camera, self._lights, self._names, self._examiner = camera, lights, names, examiner
+        self._camera, self._lights, self._names, self._examiner = (
+            devices.camera, devices.lights, devices.names, examiner,
+        )  # fmt: skip
         self._settings, self._watch_motion, self._progress = examiner.settings, watch_motion, progress
         self.bands: dict[str, Band] = {}
         self.shots: list[Shot] = []
@@ -193,7 +208,7 @@ class Shooting:
         self._camera.lock(exposure.exposure_s, exposure.gain, band)
         self._lights.off()
         room, dark = self._take()
-        self._note(f"{band} ambient", None, room, dark, moved=None, retries=0)
+        self._note(f"{band} ambient", None, (room, dark))
         pixels: Any = np.empty((len(leds), *room.pixels.shape), dtype=room.pixels.dtype)
         frames, looks = [], []
         for k, led in enumerate(leds):
@@ -221,7 +236,7 @@ class Shooting:
         for trouble in troubles:
             self.verdict.append(trouble.words)
             self._steady = self._steady and trouble.kind != "moved"
-        self._note(self._names[led], led, frame, look, moved=moved, retries=attempt)
+        self._note(self._names[led], led, (frame, look), moved, attempt)
         if not any(trouble.kind == "unlit" for trouble in troubles):
             self._before = (self._names[led], look)
         return frame, look
@@ -270,7 +285,10 @@ class Shooting:
                 where = f"under the {band} LEDs (most at {self._names[leds[worst]]})"
                 self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
 
-    def _note(self, name: str, led: int | None, frame: Frame, look: Look, *, moved: float | None, retries: int) -> None:
+    def _note(
+        self, name: str, led: int | None, taken: tuple[Frame, Look], moved: float | None = None, retries: int = 0
+    ) -> None:
+        frame, look = taken
         self.shots.append(
             Shot(
                 name=name,

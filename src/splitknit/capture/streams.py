@@ -42,7 +42,7 @@ _LONGEST_S = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grab:
+class _Grab:
     """One frame of a stream and what is known of it."""
 
     pixels: PixelArray
@@ -74,7 +74,7 @@ class Stream(Protocol):
     def set(self, exposure_s: float, gain: float) -> None:
         """Set exposure time and gain, within :attr:`exposures`, for frames that come sooner or later."""
 
-    def grab(self) -> Grab:
+    def grab(self) -> _Grab:
         """Return the next frame; one that is triggered, where the camera can be."""
 
     def now_s(self) -> float:
@@ -116,7 +116,7 @@ class StreamCamera(Closing):
         require(not self._closed, "the camera is closed; open it again.")
         since_s, blind = self._stream.now_s(), _BLIND_FRAMES + self._late
         exposure_s, gain = self._wanted
-        last: Grab | None = None
+        last: _Grab | None = None
         for discarded in range(_MAX_FRAMES):
             last = self._stream.grab()
             known = last.began_s is not None
@@ -249,11 +249,11 @@ class _Uvc:
             "photometric stereo needs a camera with manual exposure.",
         )
 
-    def grab(self) -> Grab:
+    def grab(self) -> _Grab:
         good, pixels = self._capture.read()
         require(bool(good), "the UVC camera gave no picture; plug it in again, and close other programs that use it.")
         colours = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
-        return Grab(self._table[colours], self.now_s())
+        return _Grab(self._table[colours], self.now_s())
 
     def now_s(self) -> float:
         return time.monotonic()
@@ -322,7 +322,7 @@ class _GenICam:
         self._nodes.ExposureTime.value = exposure_s * 1e6
         self._nodes.Gain.value = 20 * math.log10(gain)
 
-    def grab(self) -> Grab:
+    def grab(self) -> _Grab:
         began = self.now_s()
         self._nodes.TriggerSoftware.execute()
         try:
@@ -336,7 +336,7 @@ class _GenICam:
             ) from error
         pixels = developed(values.astype(np.uint16), self._bits, 0, self._order)
         exposure_s = float(self._nodes.ExposureTime.value) * 1e-6
-        return Grab(pixels, self.now_s(), began, exposure_s, 10 ** (float(self._nodes.Gain.value) / 20))
+        return _Grab(pixels, self.now_s(), began, exposure_s, 10 ** (float(self._nodes.Gain.value) / 20))
 
     def now_s(self) -> float:
         return time.monotonic()

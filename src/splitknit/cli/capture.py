@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, scale
 
 if TYPE_CHECKING:
-    from splitknit.capture.enrolment import Place
+    from splitknit.capture.enrolment import EnrolledFinger
     from splitknit.capture.exposure import Focus, FocusWatch
     from splitknit.capture.folder import CaptureOptions, Opened
     from splitknit.model import Rig
@@ -76,6 +76,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         keep=options.keep,
         overwrite=options.overwrite,
         watch_focus=_FocusBar() if sys.stderr.isatty() and not options.json else None,
+        ask=_ask if options.device == "pi" and sys.stdin.isatty() else None,
     )
     if options.enrolment is not None:
         return _run_enrolment(options, how, settings, rig)
@@ -169,19 +170,16 @@ def _run_enrolment(
     places = waiting[: options.next]
     with ExitStack() as stack:
         progress = stack.enter_context(Progress(options))
-        asks = options.device == "pi" and sys.stdin.isatty()
         if options.device == "pi" and places:
             devices = stack.enter_context(opened_pi(rig, settings))
 
-        def open_devices(place: Place) -> AbstractContextManager[Opened]:
+        def open_devices(place: EnrolledFinger) -> AbstractContextManager[Opened]:
             if options.device == "pi":
                 return nullcontext(devices)
             seed, impression = enrolment.seeds(place, options.seed or 0)
             return opened_twin(settings, seed, impression)
 
-        facts = capture_enrolment(
-            enrolment, places, open_devices, how, ask=_ask if asks else None, progress=progress.update
-        )
+        facts = capture_enrolment(enrolment, places, open_devices, how, progress.update)
     lines = [
         f"{len(facts['captured'])} fingers captured now; {facts['finished']} of {facts['total']} are finished in "
         f"{options.enrolment}.",
@@ -192,7 +190,7 @@ def _run_enrolment(
     return facts, lines
 
 
-def _ask(place: Place, why: str | None) -> str:
+def _ask(place: EnrolledFinger, why: str | None) -> str:
     """Ask for a finger on the terminal."""
     if why is not None:
         print(f"\nNot yet: {why}", file=sys.stderr)

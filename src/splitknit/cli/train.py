@@ -173,7 +173,7 @@ def _run_shape(options: argparse.Namespace) -> Outcome:
     from splitknit.training.shape_data import ShapeData
 
     data = ShapeData(**_chosen(options, _SHAPE_DATA))
-    settings = shape.ShapeSettings(**_chosen(options, _SHAPE, "device", "precision"))
+    settings = shape.ShapeNetSettings(**_chosen(options, _SHAPE, "device", "precision"))
     facts = _train(shape.train_shape, options, "shape", data, settings)
     mean = facts["metrics"]["mean"]
     lines = [

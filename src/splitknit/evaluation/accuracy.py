@@ -112,8 +112,8 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
 
     band = surface & (_slant_deg(true_shape, inside, pitch) < MAX_SLANT_DEG)
     sigma = BAND_SIGMA_MM / pitch
-    true_band = high_pass(true_height - true_shape, inside, sigma)
-    ridge_band = high_pass(relief, inside, sigma)
+    true_band = high_passed(true_height - true_shape, inside, sigma)
+    ridge_band = high_passed(relief, inside, sigma)
     figures = {
         "surface_rms_mm": _rms(height_error[surface]),
         "shape_rms_mm": _rms(shape_error[surface]),
@@ -126,7 +126,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     window = max(3, 2 * round(WINDOW_MM / pitch / 2) + 1)
     figures |= _band_figures("ridge", ridge_band, true_band, band, window)
     figures |= _band_figures(
-        "height_band", high_pass(height, inside, sigma), high_pass(true_height, inside, sigma), band, window
+        "height_band", high_passed(height, inside, sigma), high_passed(true_height, inside, sigma), band, window
     )
     return Comparison(
         preset=result.preset,
@@ -138,7 +138,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     )
 
 
-def high_pass(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
+def high_passed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Return `values` minus their Gaussian mean over the mask, zero outside it."""
     weight = _gauss(mask.astype(np.float32), sigma_px)
     mean = _gauss(np.where(mask, values, np.float32(0.0)), sigma_px) / np.maximum(weight, np.float32(1e-3))

@@ -51,7 +51,7 @@ class Fused:
     """``subject`` or ``finger``: what was dealt to folds."""
     fold: NDArray[np.int64]
     """(names,) of each subject (finger)."""
-    models: dict[tuple[int, int], LinearModel | LogisticModel]
+    models: dict[tuple[int, int], _LinearModel | _LogisticModel]
     """By the two folds, the smaller first, whose comparisons it scored and of which it saw none."""
     missing: tuple[int, ...]
     """Of each system, how many scores were missing."""
@@ -134,15 +134,15 @@ def _cross_fit(
     table: Table,
     genuine: NDArray[np.bool_],
     fold: NDArray[np.int64],
-    fit: Callable[[Table, NDArray[np.bool_]], LinearModel | LogisticModel],
-) -> tuple[dict[tuple[int, int], LinearModel | LogisticModel], Table]:
+    fit: Callable[[Table, NDArray[np.bool_]], _LinearModel | _LogisticModel],
+) -> tuple[dict[tuple[int, int], _LinearModel | _LogisticModel], Table]:
     """Score every comparison by a model that saw nobody of either side's fold.
 
     `table`: (N, S) scores; `genuine`: (N,); `fold`: (N, 2) of both sides; `fit`: makes a model from scores and labels.
     Returns models by pair of folds, and (N,) scores.
     """
     low, high = fold.min(axis=1), fold.max(axis=1)
-    models: dict[tuple[int, int], LinearModel | LogisticModel] = {}
+    models: dict[tuple[int, int], _LinearModel | _LogisticModel] = {}
     fused = np.full(len(table), np.nan)
     for i, j in combinations_with_replacement(range(int(high.max()) + 1), 2):
         chosen = (low == i) & (high == j)
@@ -161,7 +161,7 @@ def _cross_fit(
     return models, fused
 
 
-def _fitter(settings: FusionSettings) -> Callable[[Table, NDArray[np.bool_]], LinearModel | LogisticModel]:
+def _fitter(settings: FusionSettings) -> Callable[[Table, NDArray[np.bool_]], _LinearModel | _LogisticModel]:
     if settings.method == "trained":
         return lambda table, genuine: fit_logistic(table, genuine, _PENALTY)
     weights = np.array(settings.weights) if settings.weights else None
@@ -200,7 +200,7 @@ NORMALISATIONS = ("z", "minmax")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearModel:
+class _LinearModel:
     """Weighted mean of normalised scores."""
 
     offset: Table
@@ -219,7 +219,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LogisticModel:
+class _LogisticModel:
     """Log-odds that a pair is genuine, where both kinds are equally likely beforehand."""
 
     offset: Table
@@ -239,7 +239,7 @@ class LogisticModel:
         return np.asarray(np.where(known.any(axis=1), odds, np.nan))
 
 
-def fit_linear(scores: Table, weights: Table | None = None, normalisation: str = "z") -> LinearModel:
+def fit_linear(scores: Table, weights: Table | None = None, normalisation: str = "z") -> _LinearModel:
     """Normalise by what is known of a training part.
 
     Parameters
@@ -271,10 +271,10 @@ def fit_linear(scores: Table, weights: Table | None = None, normalisation: str =
     if normalisation == "minmax":
         offset = np.nanmin(scores, axis=0)
         scale = np.nanmax(scores, axis=0) - offset
-    return LinearModel(offset, scale, weight / weight.sum())
+    return _LinearModel(offset, scale, weight / weight.sum())
 
 
-def fit_logistic(scores: Table, genuine: NDArray[np.bool_], penalty: float = 1e-3) -> LogisticModel:
+def fit_logistic(scores: Table, genuine: NDArray[np.bool_], penalty: float = 1e-3) -> _LogisticModel:
     """Fit a logistic regression of the label on standardised scores, by Newton's method.
 
     Both classes weigh the same, however many comparisons they have. A missing score counts as the mean, and that it
@@ -309,7 +309,7 @@ def fit_logistic(scores: Table, genuine: NDArray[np.bool_], penalty: float = 1e-
     hold = np.append(np.full(x.shape[1] - 1, penalty), 0.0)
     answer = _newton(x, y, fraction, hold)
     systems = scores.shape[1]
-    return LogisticModel(offset, scale, answer[:systems], answer[systems : 2 * systems], float(answer[-1]))
+    return _LogisticModel(offset, scale, answer[:systems], answer[systems : 2 * systems], float(answer[-1]))
 
 
 def _newton(x: Table, y: Table, fraction: Table, hold: Table) -> Table:

@@ -152,7 +152,7 @@ class Exclusion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Excluded:
+class _Excluded:
     """What is left, and what went."""
 
     scores: Scores
@@ -162,7 +162,7 @@ class Excluded:
     """Entries of the list that no comparison has."""
 
 
-def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> Excluded:
+def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> _Excluded:
     """Leave out every comparison one side of which is excluded (for instance as its roll differs too much).
 
     Raises
@@ -189,7 +189,7 @@ def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> Excluded:
         if not bool(here.any()):
             unknown.append(one)
     kept = scores.taken(~gone, f"{scores.name}, without {len(exclusions) - len(unknown)} excluded")
-    return Excluded(kept, int(gone.sum()), tuple(unknown))
+    return _Excluded(kept, int(gone.sum()), tuple(unknown))
 
 
 def by_session_pair(scores: Scores) -> dict[tuple[str, str], Scores]:

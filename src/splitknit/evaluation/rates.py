@@ -104,7 +104,7 @@ class Roc:
 
 
 @dataclass(frozen=True, slots=True)
-class EqualError:
+class _EqualError:
     """Where FAR and FRR meet."""
 
     value: float
@@ -116,7 +116,7 @@ class EqualError:
 
 
 @dataclass(frozen=True, slots=True)
-class OperatingPoint:
+class _OperatingPoint:
     """Genuine accept rate at the largest FAR not above a target."""
 
     target: float
@@ -164,7 +164,7 @@ def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:
     )
 
 
-def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", interpolate: bool = False) -> EqualError:
+def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", interpolate: bool = False) -> _EqualError:
     """Equal error rate, exactly, for step functions.
 
     With t over all scores and infinity, t1 the largest with FRR(t) <= FAR(t) and t2 the smallest with
@@ -206,14 +206,14 @@ def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", inte
     if interpolate and far1 != frr1:
         fraction = (far1 - frr1) / ((far1 - frr1) + (frr2 - far2)) if t1 != t2 else Fraction(0)
         far, frr = far1 + fraction * (far2 - far1), frr1 + fraction * (frr2 - frr1)
-        return EqualError(
+        return _EqualError(
             float(far + frr) / 2, float(far), float(frr), _finite(t1 if fraction < Fraction(1, 2) else t2)
         )
     t, far, frr = (t1, far1, frr1) if far1 + frr1 <= far2 + frr2 else (t2, far2, frr2)
-    return EqualError(float((far + frr) / 2), float(far), float(frr), _finite(t))
+    return _EqualError(float((far + frr) / 2), float(far), float(frr), _finite(t))
 
 
-def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting = "all") -> OperatingPoint:
+def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting = "all") -> _OperatingPoint:
     """Genuine accept rate at the largest FAR that is not above `target`.
 
     k = floor(target M) of M impostors may be accepted. The threshold is the lowest score above the (k + 1)-th largest
@@ -229,7 +229,7 @@ def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting
 
     Returns
     -------
-    OperatingPoint
+    _OperatingPoint
         GAR and FAR as fractions (0 to 1), and the threshold.
 
     Raises
@@ -256,7 +256,7 @@ def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting
     starts = [int(np.searchsorted(side.scores, refused, side="right")) for side in (g, i)]
     next_ones = [float(side.scores[k]) for side, k in zip((g, i), starts, strict=True) if k < side.scores.size]
     accepted = int(i.scores.size - starts[1])
-    return OperatingPoint(
+    return _OperatingPoint(
         target=float(target),
         gar=(g.scores.size - starts[0]) / g.attempts(counting),
         far=accepted / attempts,

@@ -50,7 +50,7 @@ class EvaluationSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class _Difference:
     """One system minus another."""
 
     first: str
@@ -144,10 +144,10 @@ def _variants(systems: list[Scores], listed: list[Exclusion], average: bool) -> 
 
 def _figures(
     groups: list[list[Scores]], settings: EvaluationSettings, progress: Progress
-) -> tuple[list[Result], tuple[list[Difference], list[tuple[str, str]]]]:
+) -> tuple[list[Result], tuple[list[_Difference], list[tuple[str, str]]]]:
     """All intervals, and all differences between systems of a group (of many: to the first)."""
     results: list[Result] = []
-    found: list[Difference] = []
+    found: list[_Difference] = []
     apart: list[tuple[str, str]] = []
     steps = sum(len(_methods(one)) + len(group) - 1 for group in groups for one in group)
     done = 0
@@ -178,7 +178,7 @@ def _figures(
                 continue
             method = next(result.primary for result in results if result.scores is first)
             settings_of = replace(settings.bootstrap, curve_points=0)
-            found.append(Difference(first.name, second.name, method, differences(first, paired, method, settings_of)))
+            found.append(_Difference(first.name, second.name, method, differences(first, paired, method, settings_of)))
             done += 1
             step(0.0)
     return results, (found, apart)
@@ -194,7 +194,7 @@ def _methods(scores: Scores) -> list[str]:
 
 
 def _facts(
-    results: list[Result], compared: list[Difference], settings: EvaluationSettings, notes: list[str]
+    results: list[Result], compared: list[_Difference], settings: EvaluationSettings, notes: list[str]
 ) -> dict[str, Any]:
     import datetime
 

@@ -32,7 +32,7 @@ from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import PPI, holds_minutiae, no_minutiae, unpack_minutiae
-from splitknit.matching.ridge_band import blur
+from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.template import VERSION, Template, unpack
 from splitknit.model import Progress, no_progress
 from splitknit.pipeline import reconstruct
@@ -40,9 +40,9 @@ from splitknit.prints.from_file import (
     coded_finger,
     finger_view,
     pressed_print,
+    print_at_500_ppi,
     read_print_file,
     read_print_folder,
-    resampled,
 )
 from splitknit.prints.make import Print, enhance, make_print, measured, minutiae_by_phase
 from splitknit.prints.sources import read_source
@@ -315,7 +315,7 @@ def template_print(template: Template) -> Print:
     require(not template.empty, "the template is a failure to acquire: it holds no ridges.")
     scale, sigma = PPI * template.pitch_mm / 25.4, _WINDOW_MM / template.pitch_mm
     value = template.value()
-    spread = np.sqrt(np.maximum(blur(value * value, sigma) - blur(value, sigma) ** 2, np.float32(0)))
+    spread = np.sqrt(np.maximum(gaussian_blur(value * value, sigma) - gaussian_blur(value, sigma) ** 2, np.float32(0)))
     there = (template.valid & (spread > _LEAST_SPREAD)).astype(np.uint8)  # rims are of one level, and no ridges
     radius = round(_CLOSED_MM / template.pitch_mm)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
@@ -383,7 +383,7 @@ def _fitting(held: PrintFile, form: PrintFormat) -> PrintFile:
     if form.name in ("png", "tiff"):
         return held
     if near is None or (form.name == "wsq" and near != WSQ_PPI):
-        return resampled(held)
+        return print_at_500_ppi(held)
     return dataclasses.replace(held, resolution_ppi=near)
 
 
@@ -394,7 +394,7 @@ def _found(item: _Item, how: Extractor) -> FingerView:
         made = item.made or pressed_print(item.picture)
         enhanced = enhance(made, PPI)
     except BadInput:
-        size = resampled(item.picture).image.shape
+        size = print_at_500_ppi(item.picture).image.shape
         return finger_view(no_minutiae((size[0], size[1])), 0)
     pressed = made.even is not None
     found = extract(made.image, PPI, enhance=pressed) if how == "mindtct" else minutiae_by_phase(made, enhanced, PPI)

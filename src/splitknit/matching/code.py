@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.matching.ridge_band import blur
+from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits, check_fields
@@ -51,7 +51,7 @@ _REDUCED = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RidgeField:
+class _CodeField:
     """Maps of one finger."""
 
     maps: FloatArray
@@ -62,7 +62,7 @@ class RidgeField:
     """Of the maps."""
 
 
-def ridge_field(template: Template) -> RidgeField:
+def code_field(template: Template) -> _CodeField:
     """Directions and frequency of the ridges of a template that is not empty.
 
     Raises
@@ -78,7 +78,7 @@ def ridge_field(template: Template) -> RidgeField:
     require(not template.empty, "a failure to acquire has no ridges; test template.empty first.")
     pitch = template.pitch_mm
     valid = template.valid.astype(np.uint8)
-    value = blur(template.value(), 0.6)
+    value = gaussian_blur(template.value(), 0.6)
     # gradients beside the border of the valid skin are those of the border
     inside = cv2.erode(valid, np.ones((5, 5), np.uint8), borderValue=0).astype(np.float32)
     right = cv2.sepFilter2D(value, cv2.CV_32F, _DERIVATIVE, _HERE) * inside
@@ -87,7 +87,7 @@ def ridge_field(template: Template) -> RidgeField:
     small = max(1, valid.shape[1] // _REDUCED), max(1, valid.shape[0] // _REDUCED)
     sigma = _WINDOW_MM / (pitch * _REDUCED)
     xx, yy, xy, power, weight = (
-        blur(np.asarray(cv2.resize(part, small, interpolation=cv2.INTER_AREA)), sigma) for part in parts
+        gaussian_blur(np.asarray(cv2.resize(part, small, interpolation=cv2.INTER_AREA)), sigma) for part in parts
     )
     total = np.maximum(xx + yy, np.float32(1e-6))
     frequency = 0.5 * np.log(total / np.maximum(power, np.float32(1e-6)))
@@ -100,7 +100,7 @@ def ridge_field(template: Template) -> RidgeField:
     column, row = origin_of(template)
     scale = small[0] / valid.shape[1], small[1] / valid.shape[0]
     origin = (column + 0.5) * scale[0] - 0.5, (row + 0.5) * scale[1] - 0.5
-    return RidgeField(maps.astype(np.float32), origin, pitch * _REDUCED)
+    return _CodeField(maps.astype(np.float32), origin, pitch * _REDUCED)
 
 
 def origin_of(template: Template) -> tuple[float, float]:
@@ -129,7 +129,7 @@ def laid_on(probe: Template, other: Template, turn_rad: float, right_mm: float, 
 
 
 def sampled(
-    field: RidgeField, turn_rad: NDArray[np.float64], right_mm: NDArray[np.float64], down_mm: NDArray[np.float64]
+    field: _CodeField, turn_rad: NDArray[np.float64], right_mm: NDArray[np.float64], down_mm: NDArray[np.float64]
 ) -> tuple[FloatArray, FloatArray]:
     """Channels and weights on the grid of a code, for the finger turned and then shifted by several amounts.
 
@@ -254,7 +254,7 @@ def code_of(template: Template) -> NDArray[np.int8]:
     if template.empty:
         return np.zeros(code_size(), dtype=np.int8)
     still = np.zeros(1)
-    directions = _directions(*sampled(ridge_field(template), still, still, still))[0]
+    directions = _directions(*sampled(code_field(template), still, still, still))[0]
     return np.asarray(np.clip(np.rint(SCALE * directions), -127, 127), dtype=np.int8)
 
 
@@ -270,7 +270,7 @@ def probe_codes(template: Template, settings: ProbeSettings | None = None) -> Fl
     """
     settings = settings or ProbeSettings()
     require(not template.empty, "the probe is a failure to acquire; lay the finger down again.")
-    return in_steps(_directions(*sampled(ridge_field(template), *settings.variants())) / SCALE)
+    return in_steps(_directions(*sampled(code_field(template), *settings.variants())) / SCALE)
 
 
 def in_steps(variants: NDArray[Any]) -> FloatArray:

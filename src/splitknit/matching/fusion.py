@@ -18,7 +18,7 @@ _RIDGES_ALONE = (30.7494, -8.0142)
 
 
 @dataclass(frozen=True, slots=True)
-class FusedMatch:
+class _FusedMatch:
     """How similar two prints are."""
 
     similarity: float
@@ -70,7 +70,7 @@ def can_fuse(*templates: Template) -> bool:
     return all(one.minutiae is not None for one in templates) and installed()
 
 
-def fused_match(a: Template | Prepared, b: Template | Prepared) -> FusedMatch:
+def fused_match(a: Template | Prepared, b: Template | Prepared) -> _FusedMatch:
     """Compare two prints by their ridges and their minutiae.
 
     Parameters
@@ -90,7 +90,7 @@ def fused_match(a: Template | Prepared, b: Template | Prepared) -> FusedMatch:
     if first is not None and second is not None and first.acquired and second.acquired:
         score = minutiae_match(first, second)
     if score is None and not found.compared:
-        return FusedMatch(fused_similarity(0.0, found.similarity), None, found)
+        return _FusedMatch(fused_similarity(0.0, found.similarity), None, found)
     missing = float("nan")
     joined = fused_similarity(missing if score is None else score, found.similarity if found.compared else missing)
-    return FusedMatch(joined, score, found)
+    return _FusedMatch(joined, score, found)

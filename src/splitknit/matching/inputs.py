@@ -84,13 +84,13 @@ def read_side(  # noqa: PLR0911 - one for each kind
             f"{photographs_hint(path)}.",
         )
         if kind == "result":
-            surface = read_surface(path / "height.npz")
+            surface = _read_surface(path / "height.npz")
         else:
             capture = read_capture(path)
             surface = surface_of(naming(path, lambda: _reconstructed(capture, preset, progress)))
         return naming(path, lambda: Side(path, kind, surface, surface_template(surface, settings)))
     if path.suffix.lower() == ".npz":
-        surface = read_surface(path)
+        surface = _read_surface(path)
         return naming(path, lambda: Side(path, "result", surface, surface_template(surface, settings)))
     if path.suffix.lower() == ".skt":
         payload = read_template(path, VERSION)
@@ -98,22 +98,22 @@ def read_side(  # noqa: PLR0911 - one for each kind
             return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
         return naming(path, lambda: Side(path, "template", None, unpack(payload)))
     from splitknit.io.minutiae_record import FingerView  # a template needs none of it
-    from splitknit.prints.from_file import minutiae_of, read_one_finger, resampled
+    from splitknit.prints.from_file import minutiae_of, print_at_500_ppi, read_one_finger
 
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
-    printed = naming(path, lambda: resampled(finger))
+    printed = naming(path, lambda: print_at_500_ppi(finger))
     template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
     return naming(path, lambda: Side(path, "print", None, template, printed.image))
 
 
 def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
     """What ``splitknit print`` wrote: the picture, and the minutiae that were found as it was made."""
-    from splitknit.prints.from_file import minutiae_of, read_print_folder, resampled
+    from splitknit.prints.from_file import minutiae_of, print_at_500_ppi, read_print_folder
 
     picture, view = read_print_folder(folder)
-    printed = naming(folder, lambda: resampled(picture))
+    printed = naming(folder, lambda: print_at_500_ppi(picture))
     template = naming(folder, lambda: print_template(printed.image, settings=settings))
     return Side(folder, "print", None, template, printed.image, None if view is None else minutiae_of(view))
 
@@ -140,7 +140,7 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: Matchin
     return replace(template, minutiae=extract(image, ppi, enhance=True)) if installed() else template
 
 
-def read_surface(path: Path) -> Surface:
+def _read_surface(path: Path) -> Surface:
     """Read a result's ``height.npz``.
 
     Raises

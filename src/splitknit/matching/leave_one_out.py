@@ -40,7 +40,7 @@ class LeaveOneOutSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LeftOut:
+class _LeftOut:
     """One picture of one set."""
 
     image: int
@@ -53,7 +53,7 @@ class LeftOut:
 
 def left_out_pictures(
     capture: Capture, settings: FingerSettings, chosen: LeaveOneOutSettings | None = None, finger: Finger | None = None
-) -> Iterator[LeftOut]:
+) -> Iterator[_LeftOut]:
     """Photometric stereo without each white image in its turn: normals and albedo as prints.
 
     Grey images, distant lights, a matt surface: no model of the skin. The sets share all work but one addition a pixel
@@ -68,7 +68,7 @@ def left_out_pictures(
 
     Yields
     ------
-    LeftOut
+    _LeftOut
         For each image that is left out, each of the pictures. A picture without any contrast is left out itself.
 
     Raises
@@ -110,7 +110,7 @@ def left_out_pictures(
             picture = _component(normals, albedo, name, finger)
             values, weight = resample(picture, mask, pitch, print_map, chosen.sigma_px)
             try:
-                yield LeftOut(k, name, ink(values, weight, PrintSettings(ppi=PPI)))
+                yield _LeftOut(k, name, ink(values, weight, PrintSettings(ppi=PPI)))
             except BadInput:  # flat: no vote
                 continue
 

@@ -372,16 +372,15 @@ def _by_space_minutiae(
     left, right = (
         naming(side.path, partial(space_minutiae, surface)) for side, surface in zip(sides, surfaces, strict=True)
     )
-    facts: dict[str, Any] = {}
-    if method == "tetrahedra":
-        by_shape = tetrahedra_match(left, right, settings.tetrahedra)
-        similarity, agreeing, compared = by_shape.similarity, by_shape.agreeing, by_shape.compared
-        facts["tetrahedra"] = by_shape.tetrahedra
-    else:
-        by_pairs = minutiae3d_match(left, right, settings.minutiae3d)
-        similarity, agreeing, compared = by_pairs.similarity, by_pairs.agreeing, by_pairs.compared
     own = [{"minutiae": one.count, "acquired": one.acquired} for one in (left, right)]
-    return {"similarity": similarity, "compared": compared, "agreeing": agreeing, **facts, "sides": own}
+    if method == "tetrahedra":
+        found = tetrahedra_match(left, right, settings.tetrahedra)
+        facts = {"tetrahedra": found.proposals}
+    else:
+        found, facts = minutiae3d_match(left, right, settings.minutiae3d), {}
+    return {
+        "similarity": found.similarity, "compared": found.compared, "agreeing": found.agreeing, **facts, "sides": own,
+    }  # fmt: skip
 
 
 def _by_codes(sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings) -> dict[str, Any]:

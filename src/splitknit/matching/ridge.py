@@ -26,7 +26,8 @@ from splitknit.matching.elastic import (
     rigid,
     spectrum_of,
 )
-from splitknit.matching.ridge_band import blur
+from splitknit.matching.ridge_band import gaussian_blur
+from splitknit.matching.score import prepared_side, prepared_sides
 from splitknit.matching.template import Template, pack
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -69,7 +70,7 @@ class PhaseSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class Peak:
+class _Peak:
     """One alignment of A on B."""
 
     angle_deg: float
@@ -81,7 +82,7 @@ class Peak:
     """Of the correlation, relative to complete agreement."""
 
 
-class RotatedViews:
+class _RotatedViews:
     """A ridge band (H, W) under all rotations, as spectra: its directions at once, its ridges when first asked for.
 
     The latter take up to 7 MB, as whole numbers of 16 bits.
@@ -90,7 +91,7 @@ class RotatedViews:
     def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PhaseSettings) -> None:
         """Take the band; its middle becomes the middle of the grids."""
         self._soft, self._pitch_mm, self._settings = _softened(value, pitch_mm), pitch_mm, settings
-        self.directions = block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
+        self.directions = _block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
         count = 2 * _HALF
         self._ridges = np.zeros((count, _PLANE_PX[0], 2 * (_PLANE_PX[1] // 2 + 1)), dtype=np.int16)
         self._unit = np.zeros(count, dtype=np.float32)
@@ -99,7 +100,7 @@ class RotatedViews:
         """Spectrum, turned by `number` half steps (less half a turn), and its unit."""
         k = number % len(self._unit)
         if self._unit[k] == 0:
-            view = ridge_view(self._soft, self._pitch_mm, _angle_deg(k), self._settings).view(np.float32)
+            view = _ridge_view(self._soft, self._pitch_mm, _angle_deg(k), self._settings).view(np.float32)
             self._unit[k] = max(float(np.abs(view).max()), 1e-30) / np.iinfo(np.int16).max
             self._ridges[k] = np.round(view / self._unit[k])
         return self._ridges[k].astype(np.float32).view(np.complex64), float(self._unit[k])
@@ -110,7 +111,7 @@ def _angle_deg(number: int) -> float:
     return number * _STEP_DEG / 2
 
 
-def block_directions(value: FloatArray, valid: BoolArray, pitch_mm: float, angles_deg: NDArray[np.float64]) -> Spectra:
+def _block_directions(value: FloatArray, valid: BoolArray, pitch_mm: float, angles_deg: NDArray[np.float64]) -> Spectra:
     """Spectra (3, A, rows, columns // 2 + 1) of blocks of a ridge band (H, W), turned by some angles (A,).
 
     Cosine and sine of the doubled directions, of length at most about one, and the fraction that is valid.
@@ -142,10 +143,10 @@ def _median(values: FloatArray) -> float:
 
 def _softened(value: FloatArray, pitch_mm: float) -> FloatArray:
     """A ridge band (H, W) with less of what the coarse grid cannot hold."""
-    return blur(value, 0.4 * _PITCH_MM / pitch_mm)
+    return gaussian_blur(value, 0.4 * _PITCH_MM / pitch_mm)
 
 
-def ridge_view(soft: FloatArray, pitch_mm: float, angle_deg: float, settings: PhaseSettings) -> Spectra:
+def _ridge_view(soft: FloatArray, pitch_mm: float, angle_deg: float, settings: PhaseSettings) -> Spectra:
     """Whitened spectrum (rows, columns // 2 + 1) of a soft band (H, W), turned; its middle is the grid's middle.
 
     Correlated with itself, it has a peak of 1.
@@ -169,14 +170,14 @@ def _fetched(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[
     return np.asarray(cv2.warpAffine(picture, source, size[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP))
 
 
-def peaks(rotated: RotatedViews, directions: Spectra, ridges: Spectra) -> list[Peak]:
+def peaks(rotated: _RotatedViews, directions: Spectra, ridges: Spectra) -> list[_Peak]:
     """Best alignments, best first, at most one a rotation.
 
     Parameters
     ----------
     rotated : A
-    directions : (3, 1, rows, columns // 2 + 1) of B, not turned, from :func:`block_directions`
-    ridges : (rows, columns // 2 + 1) of B, not turned, from :func:`ridge_view`
+    directions : (3, 1, rows, columns // 2 + 1) of B, not turned, from :func:`_block_directions`
+    ridges : (rows, columns // 2 + 1) of B, not turned, from :func:`_ridge_view`
     """
     worth = np.concatenate(
         [_agreement(rotated.directions.conj() * directions), _agreement(rotated.directions * directions)]
@@ -196,7 +197,7 @@ def peaks(rotated: RotatedViews, directions: Spectra, ridges: Spectra) -> list[P
     return [peak for peak in found[:_CANDIDATES] if peak.height >= _LOW * found[0].height]
 
 
-def _peak(turned: Spectra, unit: float, ridges: tuple[Spectra, Spectra], number: int) -> Peak:
+def _peak(turned: Spectra, unit: float, ridges: tuple[Spectra, Spectra], number: int) -> _Peak:
     """Largest correlation of one view of A with B, whose spectrum comes conjugate and as it is."""
     flipped = number >= 2 * _HALF
     turned *= ridges[flipped]
@@ -205,7 +206,7 @@ def _peak(turned: Spectra, unit: float, ridges: tuple[Spectra, Spectra], number:
     height = float(correlation[tuple(place)]) * unit
     # of what is not upside down the spectrum is conjugate: its correlation is mirrored
     down, right = (((place + 1 if flipped else -place) + _MIDDLE) % _PLANE_PX - _MIDDLE).tolist()
-    return Peak(_angle_deg(number), right * _PITCH_MM, down * _PITCH_MM, height)
+    return _Peak(_angle_deg(number), right * _PITCH_MM, down * _PITCH_MM, height)
 
 
 def _agreement(products: Spectra) -> NDArray[np.float32]:
@@ -235,7 +236,7 @@ def _ridge_pass() -> FloatArray:
 
 def _band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
     """Ridge band with the steps of its levels smoothed away, zero outside."""
-    return np.where(valid, blur(value, 0.6), np.float32(0.0)).astype(np.float32)
+    return np.where(valid, gaussian_blur(value, 0.6), np.float32(0.0)).astype(np.float32)
 
 
 _REFINEMENTS = 2
@@ -294,20 +295,20 @@ class Prepared:
         return _band_of(self.template.value(), self.template.valid)
 
     @cached_property
-    def rotated(self) -> RotatedViews:
+    def rotated(self) -> _RotatedViews:
         """Views under all rotations."""
-        return RotatedViews(self.value, self.template.valid, self.template.pitch_mm, self.settings.phase)
+        return _RotatedViews(self.value, self.template.valid, self.template.pitch_mm, self.settings.phase)
 
     @cached_property
     def directions(self) -> Spectra:
         """Directions without rotation."""
-        return block_directions(self.value, self.template.valid, self.template.pitch_mm, np.zeros(1))
+        return _block_directions(self.value, self.template.valid, self.template.pitch_mm, np.zeros(1))
 
     @cached_property
     def ridges(self) -> Spectra:
         """Ridges without rotation."""
         soft = _softened(self.value, self.template.pitch_mm)
-        return ridge_view(soft, self.template.pitch_mm, 0.0, self.settings.phase)
+        return _ridge_view(soft, self.template.pitch_mm, 0.0, self.settings.phase)
 
     @cached_property
     def first(self) -> PatchGrid:
@@ -349,11 +350,7 @@ def ridge_match(
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based
     fingerprint verification system (local patches).
     """
-    left, right = prepared(a, settings), prepared(b, settings)
-    require(
-        left.settings == right.settings,
-        "the two sides were prepared with different settings; prepare both with the same.",
-    )
+    left, right = prepared_sides(a, b, Prepared, settings)
     if left.template.empty or right.template.empty:
         return RidgeMatch(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, compared=False)
     require(
@@ -377,12 +374,7 @@ def ridge_match(
 
 def prepared(side: Template | Prepared, settings: RidgeMatchSettings | None = None) -> Prepared:
     """`side`, ready for many comparisons."""
-    if isinstance(side, Prepared):
-        require(
-            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
-        )
-        return side
-    return Prepared(side, settings or RidgeMatchSettings())
+    return prepared_side(side, Prepared, settings)
 
 
 def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:

@@ -68,7 +68,7 @@ class RidgeBand:
         return float(self.valid.sum()) * self.pitch_mm**2
 
 
-def ridge_band(  # noqa: PLR0917
+def ridge_band(  # noqa: PLR0917 - as the guide calls it
     ridge_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
@@ -138,12 +138,14 @@ def ridge_band(  # noqa: PLR0917
         f"the ridge band would have {grid[0]} x {grid[1]} pixels, more than any finger's; check the pitch of the "
         f"surface ({pitch_mm:g} mm).",
     )
-    columns, rows, slant_cos = band_places(mask, shape_mm, transform, (size[0], size[1]), pitch_mm, settings)
+    columns, rows, slant_cos = band_places(
+        mask, shape_mm, transform, (size[0], size[1]), pitch_mm=pitch_mm, settings=settings
+    )
 
     sigma = settings.noise_mm / pitch_mm
-    weight = blur(mask.astype(np.float32), sigma)
+    weight = gaussian_blur(mask.astype(np.float32), sigma)
     known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
-    smooth = blur(known, sigma) / np.maximum(weight, np.float32(1e-3))
+    smooth = gaussian_blur(known, sigma) / np.maximum(weight, np.float32(1e-3))
     value = _sample(smooth, columns, rows)
     inside = (_sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
     return even(value, inside, settings)
@@ -157,12 +159,12 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     pitch = settings.pitch_mm
     weight = inside.astype(np.float32)
     narrow, window = settings.ridge_mm / pitch, settings.window_mm / pitch
-    total = np.maximum(blur(weight, narrow), np.float32(1e-3))
+    total = np.maximum(gaussian_blur(weight, narrow), np.float32(1e-3))
     ridges: AnyArray = np.where(inside, value, np.float32(0.0)).astype(np.float32)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
-        ridges = (ridges - blur(ridges, narrow) / total) * weight
-    fraction = np.maximum(blur(weight, window), np.float32(1e-3))
-    spread = np.sqrt(np.maximum(blur(ridges * ridges, window) / fraction, np.float32(0.0)))
+        ridges = (ridges - gaussian_blur(ridges, narrow) / total) * weight
+    fraction = np.maximum(gaussian_blur(weight, window), np.float32(1e-3))
+    spread = np.sqrt(np.maximum(gaussian_blur(ridges * ridges, window) / fraction, np.float32(0.0)))
     typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
     empty = np.zeros(value.shape, dtype=np.float32)
     if typical <= 0.0:
@@ -199,8 +201,8 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBand
     require(bool(np.isfinite(ppi)) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
-    detail = ink - blur(ink, settings.ridge_mm / pitch)
-    spread = np.sqrt(blur(detail * detail, 0.5 * settings.window_mm / pitch))
+    detail = ink - gaussian_blur(ink, settings.ridge_mm / pitch)
+    spread = np.sqrt(gaussian_blur(detail * detail, 0.5 * settings.window_mm / pitch))
     finger = spread > 0.3 * float(np.quantile(spread, 0.9))
     if not bool(finger.any()):
         finger = np.ones(image.shape, dtype=np.bool_)
@@ -213,18 +215,19 @@ def _ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatA
     """
     across = cv2.Sobel(ridges, cv2.CV_32F, 1, 0)
     up = -cv2.Sobel(ridges, cv2.CV_32F, 0, 1)
-    xx, yy, xy = (blur(part, sigma) for part in (across * across, up * up, across * up))
+    xx, yy, xy = (gaussian_blur(part, sigma) for part in (across * across, up * up, across * up))
     difference, total = xx - yy, xx + yy
     strength = np.hypot(difference, 2 * xy)
     coherence = strength / np.maximum(total, np.float32(1e-6) * max(float(total.max()), 1e-30))
     return (0.5 * np.arctan2(2 * xy, difference)).astype(np.float32), coherence.astype(np.float32)
 
 
-def band_places(  # noqa: PLR0917
+def band_places(
     mask: BoolArray,
     shape_mm: FloatArray | None,
     transform: NDArray[np.float64],
     size: tuple[int, int],
+    *,
     pitch_mm: float,
     settings: RidgeBandSettings,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -246,12 +249,12 @@ def band_places(  # noqa: PLR0917
     height = np.where(inside, height / np.maximum(weight, np.float32(0.5)), np.float32(np.nan)).astype(np.float32)
     slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
-    total = np.maximum(blur(inside.astype(np.float32), sigma), np.float32(1e-3))
+    total = np.maximum(gaussian_blur(inside.astype(np.float32), sigma), np.float32(1e-3))
     limit = np.float32(np.tan(np.deg2rad(settings.slant_deg)))
     x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
     there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
     known = _sample(inside.astype(np.float32), *there) > 0.5
-    right, up = (_sample(blur(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there) for s in slopes)
+    right, up = (_sample(gaussian_blur(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there) for s in slopes)
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
     along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
     slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
@@ -286,7 +289,7 @@ def _sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArra
     return np.asarray(result, dtype=np.float32)
 
 
-def blur(image: AnyArray, sigma: float) -> FloatArray:
+def gaussian_blur(image: AnyArray, sigma: float) -> FloatArray:
     """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels."""
     if sigma < 0.2:
         return np.asarray(image, dtype=np.float32)

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from splitknit.errors import require
+
+Side = TypeVar("Side", bound=Any)
 
 
 def dissimilarity(ratio: float, distances: ArrayLike) -> float:
@@ -38,6 +41,37 @@ def dissimilarity_of_gated(ratio: float) -> float:
 def similarity_of(dissimilarity_value: float) -> float:
     """The library's convention: 1 - dissimilarity. 1 for equal, down to 0; below -1.7 where nothing was compared."""
     return 1.0 - dissimilarity_value
+
+
+def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
+    """One side of a comparison as `kind`, made with `settings` (or the usual ones) where it is not prepared.
+
+    Raises
+    ------
+    BadInput
+        If it was prepared with other settings.
+    """
+    if not isinstance(side, kind):
+        made: Side = kind(side) if settings is None else kind(side, settings)
+        return made
+    require(settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again.")
+    return side
+
+
+def prepared_sides(a: Any, b: Any, kind: type[Side], settings: Any) -> tuple[Side, Side]:
+    """Both sides, see :func:`prepared_side`.
+
+    Raises
+    ------
+    BadInput
+        If one was prepared with other settings than the other, or than `settings`.
+    """
+    left, right = (prepared_side(side, kind, settings) for side in (a, b))
+    require(
+        left.settings == right.settings,
+        "the two sides were prepared with different settings; prepare both with the same.",
+    )
+    return left, right
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +126,7 @@ def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Logistic:
+class _Logistic:
     """Probability that a pair is genuine, where both kinds are equally likely beforehand."""
 
     slope: float
@@ -103,7 +137,7 @@ class Logistic:
         return 0.5 * (1.0 + math.tanh(0.5 * (self.slope * similarity + self.offset)))
 
 
-def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> Logistic:
+def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> _Logistic:
     """Logistic regression on similarities, both classes of equal weight, slope held back by `prior`.
 
     Parameters
@@ -113,7 +147,7 @@ def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float 
 
     Returns
     -------
-    Logistic
+    _Logistic
 
     Raises
     ------
@@ -143,4 +177,4 @@ def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float 
         answer -= step
         if float(np.abs(step).max()) < 1e-10:
             break
-    return Logistic(float(answer[0] / scale), float(answer[1] - answer[0] * middle / scale))
+    return _Logistic(float(answer[0] / scale), float(answer[1] - answer[0] * middle / scale))

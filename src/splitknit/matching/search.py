@@ -170,11 +170,12 @@ class CodeIndex:
         return best
 
 
-def identify(  # noqa: PLR0917
+def identify(
     probe: Template,
     gallery: Gallery,
     index: CodeIndex,
     k: int | None = None,
+    *,
     settings: SearchSettings | None = None,
     match: RidgeMatchSettings | None = None,
 ) -> list[Candidate]:

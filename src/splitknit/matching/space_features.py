@@ -75,7 +75,8 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     height = smoothed(surface.shape_mm + surface.ridge_mm, surface.mask, SLOPE_SIGMA_MM / surface.pitch_mm)
     height = np.where(surface.mask, height, np.float32(np.nan)).astype(np.float32)
     places = np.stack([found.x_px, found.y_px], axis=1).astype(np.float64)
-    space = in_space(places, found.direction_rad, print_map, height, surface.pitch_mm, surface.input_from_upright)
+    turned = surface.input_from_upright
+    space = in_space(places, found.direction_rad, print_map, height, surface.pitch_mm, input_from_upright=turned)
     good = np.isfinite(space).all(axis=1)
     if not bool(good.any()):
         return no_space_minutiae()
@@ -83,14 +84,15 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     return SpaceMinutiae(space[good, :3], theta, phi, found.type[good], found.quality[good])
 
 
-def in_space(  # noqa: PLR0917
+def in_space(
     places: Array,
     directions_rad: Array,
     print_map: PrintMap,
     height_mm: FloatArray,
     pitch_mm: float,
+    *,
     input_from_upright: Array,
-    points_mm: tuple[FloatArray, FloatArray] | None = None,
+    xy_mm: tuple[FloatArray, FloatArray] | None = None,
 ) -> Array:
     """Where places of a print lie on the surface, in the upright finger's frame, and their directions there.
 
@@ -102,7 +104,7 @@ def in_space(  # noqa: PLR0917
     height_mm : (H, W), NaN where it is not known
     pitch_mm : of the input
     input_from_upright : (3, 3)
-    points_mm : x and y (H, W) of the surface's points, where the camera's rays spread
+    xy_mm : x and y (H, W) of the surface's points, where the camera's rays spread
 
     Returns
     -------
@@ -118,8 +120,8 @@ def in_space(  # noqa: PLR0917
     turn = flip @ turn @ flip
     right, up = height_gradients(height_mm, pitch_mm)
     z, slope_x, slope_y = (_read(field, there) for field in (height_mm, right, up))
-    if points_mm is not None:
-        x, y = (_read(field, there) for field in points_mm)
+    if xy_mm is not None:
+        x, y = (_read(field, there) for field in xy_mm)
     else:
         x = (there[:, 0] - (columns - 1) / 2) * pitch_mm
         y = ((rows - 1) / 2 - there[:, 1]) * pitch_mm

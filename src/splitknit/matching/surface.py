@@ -40,8 +40,8 @@ def surface_template(surface: Surface, settings: MatchingSettings) -> Template:
         surface.pitch_mm,
         surface.shape_mm,
         surface.input_from_upright,
-        surface.upright_size,
-        settings.band,
+        upright_size=surface.upright_size,
+        settings=settings.band,
     )
     return make_template(band, settings.template)
 
@@ -55,6 +55,6 @@ def surface_images(surface: Surface) -> FingerImages:
         surface.mask,
         surface.pitch_mm,
         surface.input_from_upright,
-        surface.upright_size,
-        normals_from_gradients(across, up),
+        upright_size=surface.upright_size,
+        shape_normals=normals_from_gradients(across, up),
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
 from splitknit.matching.minutiae_record import Packing
+from splitknit.matching.score import prepared_sides
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -208,7 +209,7 @@ class SurfaceMatchSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SurfaceMatch:
+class _SurfaceMatch:
     """How similar two surface codes are."""
 
     similarity: float
@@ -223,7 +224,7 @@ class SurfaceMatch:
     """False where one side is a failure to acquire, or the two cannot overlap enough."""
 
 
-NOT_COMPARED = SurfaceMatch(0.0, 1.0, 0.0, 0.0, compared=False)
+NOT_COMPARED = _SurfaceMatch(0.0, 1.0, 0.0, 0.0, compared=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +291,7 @@ class PreparedSurface:
 
 def surface_code_match(
     a: SurfaceCode | PreparedSurface, b: SurfaceCode | PreparedSurface, settings: SurfaceMatchSettings | None = None
-) -> SurfaceMatch:
+) -> _SurfaceMatch:
     """Compare two surface codes.
 
     Comparing A with B gives what B with A gives.
@@ -311,11 +312,7 @@ def surface_code_match(
     A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
     37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our addition.
     """
-    left, right = (_prepared(side, settings) for side in (a, b))
-    require(
-        left.settings == right.settings,
-        "the two sides were prepared with different settings; prepare both with the same.",
-    )
+    left, right = prepared_sides(a, b, PreparedSurface, settings)
     pitch = left.surface_code.pitch_mm
     if left.surface_code.empty or right.surface_code.empty:
         return NOT_COMPARED
@@ -332,7 +329,7 @@ def surface_code_match(
         best = min(best, _counted(left, right, (turn, row, column), least), key=lambda found: found.distance)
     if not swapped:
         return best
-    return SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
+    return _SurfaceMatch(best.similarity, best.distance, best.overlap_mm2, 0.0 - best.rotation_deg, best.compared)
 
 
 def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[tuple[float, float, float]]:
@@ -371,7 +368,9 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
     return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[:_CANDIDATES]]
 
 
-def _counted(a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], min_mm2: float) -> SurfaceMatch:
+def _counted(
+    a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, float], min_mm2: float
+) -> _SurfaceMatch:
     """Minimum distance around a candidate: turns within a step, shifts within a coarse place."""
     settings, pitch = a.settings, a.surface_code.pitch_mm
     step = settings.turn_step_deg
@@ -397,7 +396,9 @@ def _counted(a: PreparedSurface, b: PreparedSurface, start: tuple[float, float, 
             distance = np.where(area >= min_mm2, unequal / np.maximum(PLANES * total, 1), 1.0)
             k = int(np.argmin(distance))
             if distance[k] < best.distance:
-                best = SurfaceMatch(1 - float(distance[k]), float(distance[k]), float(area[k]), turns[k], compared=True)
+                best = _SurfaceMatch(
+                    1 - float(distance[k]), float(distance[k]), float(area[k]), turns[k], compared=True
+                )
     return best
 
 
@@ -415,12 +416,3 @@ def _placed(
         come.append(slice(low - start, high - start))
     moved[tuple(to)], covered[tuple(to)] = code[tuple(come)], mask[tuple(come)]
     return moved, covered
-
-
-def _prepared(side: SurfaceCode | PreparedSurface, settings: SurfaceMatchSettings | None) -> PreparedSurface:
-    if isinstance(side, PreparedSurface):
-        require(
-            settings is None or side.settings == settings, "a side was prepared with other settings; prepare it again."
-        )
-        return side
-    return PreparedSurface(side, settings or SurfaceMatchSettings())

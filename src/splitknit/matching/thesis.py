@@ -22,7 +22,7 @@ from splitknit.settings import Checked, Limits, check_fields
 
 
 @dataclass(frozen=True, slots=True)
-class MaskAlignment:
+class _MaskAlignment:
     """Where the query's mask is put on the database's, both upright and cut to their bounding boxes."""
 
     right: int
@@ -31,7 +31,7 @@ class MaskAlignment:
     """Intersection over union of the two masks, (5.1)."""
 
 
-def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
+def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     """Lay the query's mask on the database's: tip on tip, then sideways to the largest overlap.
 
     Parameters
@@ -41,7 +41,7 @@ def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
 
     Returns
     -------
-    MaskAlignment
+    _MaskAlignment
         The lateral shift is found on masks reduced to about 128 rows, then to the pixel.
 
     Raises
@@ -62,7 +62,7 @@ def align_masks(database: BoolArray, query: BoolArray) -> MaskAlignment:
     middle = round(start / factor)
     coarse, _ = _largest(small_database, small_query, range(middle - reach, middle + reach + 1))
     best, both = _largest(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
-    return MaskAlignment(best, _intersection_over_union(database, query, both))
+    return _MaskAlignment(best, _intersection_over_union(database, query, both))
 
 
 def _tip_column(mask: BoolArray) -> int:
@@ -166,7 +166,7 @@ class FingerImages:
 
 
 @dataclass(frozen=True, slots=True)
-class ThesisMatch:
+class _ThesisMatch:
     """The thesis's scores, and the library's."""
 
     similarity: float
@@ -182,12 +182,13 @@ class ThesisMatch:
     compared: bool
 
 
-def finger_images(  # noqa: PLR0917
+def finger_images(
     normals: FloatArray,
     ridge_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
     input_from_upright: NDArray[np.float64] | None = None,
+    *,
     upright_size: tuple[int, int] | None = None,
     shape_normals: FloatArray | None = None,
 ) -> FingerImages:
@@ -277,7 +278,7 @@ def thesis_match(
     query: FingerImages,
     settings: ThesisSettings | None = None,
     features: Mapping[str, NDArray[np.float32]] | None = None,
-) -> ThesisMatch:
+) -> _ThesisMatch:
     """Compare a query with a finger of the database, as the thesis does.
 
     The query is resampled to the database's box, so that the order of the two matters a little.
@@ -292,7 +293,7 @@ def thesis_match(
 
     Returns
     -------
-    ThesisMatch
+    _ThesisMatch
         The similarity, 1 - the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate
         left the pair out.
 
@@ -318,7 +319,7 @@ def thesis_match(
     laid = align_masks(database.mask, query.mask)
     if laid.ratio < settings.gate or laid.ratio <= 0.0:
         gated = dissimilarity_of_gated(laid.ratio)
-        return ThesisMatch(
+        return _ThesisMatch(
             similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
         )
     from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
@@ -337,7 +338,7 @@ def thesis_match(
         for attribute in settings.attributes
     }
     mean = float(np.mean(list(scores.values())))
-    return ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
+    return _ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
 
 
 def _needed(images: FingerImages, settings: ThesisSettings) -> list[str]:

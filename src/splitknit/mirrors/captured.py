@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from splitknit.mirrors.rolled.reflection import facing_fraction, led_image, mirr
 from splitknit.mirrors.rolled.view_lights import Glass, glass_in
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views, find_views, view_binning
-from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Mirror, Rig, Shade
+from splitknit.model import BoolArray, Camera, Capture, FloatArray, Led, Rig, Shade
 from splitknit.photometric.near_light import pseudo_normals
 
 SLOPES_MM = 0.25
@@ -41,7 +41,7 @@ RIM_MM = 1.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenInMirrors:
-    """What the mirrors gave."""
+    """Views of a capture with mirrors, and the shape that follows from them."""
 
     views: Views
     shape: MirrorShape
@@ -136,18 +136,17 @@ def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeS
         "the rig has no mirrors, so that the shape cannot come from them: add them to rig.json, or take --shape nir or "
         "white.",
     )
-    views, grey = found_views(capture, mask, settings)
-    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
+    views, grey = found_views(capture, mask)
     tip = capture.tip_direction_deg or 0.0
-    shape = mirror_shape(views, rig.camera, mirrors, settings, tip_direction_deg=tip)
+    shape = mirror_shape(views, rig, settings, tip_direction_deg=tip)
     if settings.slopes and settings.method == "outlines":
         slopes = skin_slopes(capture, grey, views, shape)
         if slopes is not None:
-            shape = mirror_shape(views, rig.camera, mirrors, settings, tip_direction_deg=tip, slopes=slopes)
+            shape = mirror_shape(views, rig, settings, tip_direction_deg=tip, slopes=slopes)
     return SeenInMirrors(views, shape, capture)
 
 
-def found_views(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> tuple[Views, FloatArray]:
+def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray]:
     """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
 
     Raises
@@ -156,20 +155,12 @@ def found_views(capture: Capture, mask: MaskSettings, settings: MirrorShapeSetti
         See :func:`splitknit.mirrors.views.find_views`.
     """
     rig = capture.rig
-    mirrors = {mirror.name: mirror for mirror in rig.mirrors}
     binning = view_binning(rig.camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
-    return views_in(mean, rig.camera, mirrors, binning, mask, settings), grey
+    return views_in(mean, rig, binning, mask), grey
 
 
-def views_in(  # noqa: PLR0917
-    mean: FloatArray,
-    camera: Camera,
-    mirrors: Mapping[str, Mirror],
-    binning: int,
-    mask: MaskSettings,
-    settings: MirrorShapeSettings,
-) -> Views:
+def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Views:
     """Views in an image (h, w, 3) whose pixels are `binning` of the camera's a side; see :func:`found_views`."""
     mask = replace(
         mask,
@@ -178,8 +169,7 @@ def views_in(  # noqa: PLR0917
     )
     return find_views(
         mean,
-        camera,
-        mirrors,
+        rig,
         lambda image, px_per_mm: finger_region(image, px_per_mm, mask),
         binning,
         lambda image, rough, px_per_mm: finger_outline(image, rough, px_per_mm, mask),

@@ -8,37 +8,199 @@ axes, and hold for any pose of the mirrors; the poses, the tip, the sections' sq
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.mirrors.body import (
-    LIMITS,
-    Body,
-    Fit,
-    Pose,
-    SeenIn,
-    Slopes,
-    State,
-    all_misfits,
-    all_planes,
-    basis,
-    convex,
-    misfit_of,
-)
-from splitknit.mirrors.planes import Touching
+from splitknit.mirrors.body import MAX_SQUARE, Body, Slopes, basis, slopes_across
+from splitknit.mirrors.planes import MirrorPlane, Touching
 from splitknit.mirrors.settings import ANGLE_DEG, OFFSET_MM, OUTLINE_MM, ROW_MM, MirrorShapeSettings
 
-# Mirrors beyond the tip: they show the form of the largest sections.
+Array = NDArray[np.float64]
+
+_STATIONS = 80
+"""Places along the body at which a plane seen from the tip is tried."""
+_LIMITS = {
+    "tip_mm": (-1.0, 1.0),
+    "squareness": (-0.15, 0.15),
+    "shear": (-0.2, 0.2),
+    "shear_slope": (-0.2, 0.2),
+    "turn_rad": (-0.04, 0.04),
+    "lean_rad": (-0.04, 0.04),
+    "shift_mm": (-2.0, 2.0),
+}
+"""Of one correction."""
+_Parameters = list[tuple[str, float]]
+"""Parameters that all sections share (`tip_mm`, or `turn_rad left`), each with the step of its difference quotient."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorOutline:
+    """Planes that touch the finger along its outline in one mirror, and where the mirror nominally is."""
+
+    touching: Touching
+    """As the camera sees them, not yet reflected."""
+    plane: MirrorPlane
+    about_mm: Array
+    """(3,) point of the mirror about which it turns."""
+    from_tip: bool = False
+    """Whether it looks along the finger."""
+    turn_rad: float = 0.0
+    """Its turn, as the tips of the views show it."""
+    turn_sd_rad: float | None = None
+    """Standard deviation of that; None: it is undefined."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlines:
+    """The outlines of all views, as planes that touch the finger."""
+
+    front: Touching
+    mirrors: Mapping[str, MirrorOutline]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the mirrors, in the order of the residuals, which follow the front's."""
+        return sorted(self.mirrors)
+
+    @property
+    def ends(self) -> NDArray[np.intp]:
+        """Where the residuals of one view end and the next ones begin."""
+        sizes = [len(self.front.offset_mm), *(len(self.mirrors[name].touching.offset_mm) for name in self.names)]
+        return np.cumsum(sizes)[:-1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """How a mirror differs from its nominal pose."""
+
+    turn_rad: float = 0.0
+    lean_rad: float = 0.0
+    shift_mm: float = 0.0
+
+    def of(self, mirror: MirrorOutline) -> MirrorPlane:
+        """The mirror where it is."""
+        return mirror.plane.moved(self.turn_rad, self.lean_rad, self.shift_mm, mirror.about_mm)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Body and mirrors' poses between corrections."""
+
+    body: Body
+    poses: Mapping[str, Pose]
+
+    def moved(self, name: str, by: float) -> Estimate:
+        """With one of the parameters that all sections share moved."""
+        kind, _, mirror = name.partition(" ")
+        if mirror:
+            pose = self.poses[mirror]
+            return Estimate(self.body, {**self.poses, mirror: replace(pose, **{kind: getattr(pose, kind) + by})})
+        return Estimate(replace(self.body, **{kind: getattr(self.body, kind) + by}), self.poses)
+
+    def stepped(self, step: Array, parameters: _Parameters) -> Estimate:
+        """After a correction: of the splines' coefficients first, then of `parameters`.
+
+        One that goes beyond a limit is shortened as a whole: lean and shift of a mirror belong together.
+        """
+        count = self.body.coefficients.size
+        shared = [name for name, _ in parameters]
+        sizes = [
+            abs(float(by)) / _LIMITS[name.partition(" ")[0]][1] for name, by in zip(shared, step[count:], strict=True)
+        ]
+        step = step / max(1.0, *sizes)
+        estimate = Estimate(self.body.grown(step[:count]), self.poses)
+        for name, by in zip(shared, step[count:], strict=True):
+            estimate = estimate.moved(name, float(by))
+        return estimate.convex()
+
+    def convex(self) -> Estimate:
+        """With a squareness at which the body's sections are convex."""
+        squareness = float(np.clip(self.body.squareness, -0.2, MAX_SQUARE))
+        return Estimate(replace(self.body, squareness=squareness), self.poses)
+
+    def planes(self, outlines: Outlines) -> list[tuple[Touching, bool]]:
+        """Planes of all views as they touch the finger itself, and whether the view looks along the finger."""
+        return [(outlines.front, False), *(self._in_mirror(name, outlines) for name in outlines.names)]
+
+    def residual_in(self, name: str, outlines: Outlines) -> Array:
+        """(n,) how far the body reaches beyond the planes of one mirror's view."""
+        planes, from_tip = self._in_mirror(name, outlines)
+        return _residual(self.body, planes, from_tip=from_tip)[0]
+
+    def residual(self, outlines: Outlines) -> Array:
+        """Those of all views, one after the other."""
+        return np.concatenate([_residual(self.body, part, from_tip=tip)[0] for part, tip in self.planes(outlines)])
+
+    def _in_mirror(self, name: str, outlines: Outlines) -> tuple[Touching, bool]:
+        mirror = outlines.mirrors[name]
+        return self.poses[name].of(mirror).reflect(mirror.touching), mirror.from_tip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The result."""
+
+    body: Body
+    poses: Mapping[str, Pose]
+    misfit_mm: Mapping[str, Array]
+    """Distance (n,) of the body from each touching plane of ``front`` and every mirror, positive where it is too
+    large."""
+    weights: Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """Normal equations of a correction, of the splines' coefficients first, then of `parameters`."""
+
+    matrix: Array
+    right: Array
+    parameters: _Parameters
+
+
+def _stations(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array]:
+    """Where along the body each plane touches it: u (n,), and the planes' normals and points in the finger's frame."""
+    normal = body.to_frame(planes.normal, place=False)
+    point = body.to_frame(planes.point, place=True)
+    if from_tip:
+        u = body.tip_mm - body.length_mm * np.linspace(0.0, 1.0, _STATIONS) ** 2
+        sections = body.sections(u)
+        reach = sections.support(normal[:, :1], normal[:, 2:])[0] + normal[:, 1:2] * u  # (n, _STATIONS)
+        return np.asarray(u[np.argmax(reach, axis=1)]), normal, point
+    direction = body.to_frame(planes.direction, place=False)
+    within = np.maximum(direction[:, 0] ** 2 + direction[:, 2] ** 2, 1e-6)
+    u = point[:, 1] + 0.0
+    for _ in range(3):
+        t, z = body.sections(u).contact(normal[:, 0], normal[:, 2])
+        far = ((t - point[:, 0]) * direction[:, 0] + (z - point[:, 2]) * direction[:, 2]) / within
+        u = point[:, 1] + far * direction[:, 1]
+    return u, normal, point
+
+
+def _residual(body: Body, planes: Touching, *, from_tip: bool) -> tuple[Array, Array, Array, Array, Array]:
+    """How far (n,) the body reaches beyond each plane; where it touches, the normals, derivatives by a and b."""
+    u, normal, point = _stations(body, planes, from_tip=from_tip)
+    support, by_a, by_b = body.sections(u).support(normal[:, 0], normal[:, 2])
+    offset = (normal * point).sum(axis=1)
+    residual = support + normal[:, 1] * u - offset
+    if from_tip:  # what touches at the end of the model is not of the part that is modelled
+        residual = np.where(u <= body.tip_mm - 0.98 * body.length_mm, 10.0, residual)
+    return residual, u, normal, by_a, by_b
+
+
+def touched(body: Body, planes: Touching) -> Array:
+    """(n, 3) points of the body, rig's frame, at which planes of a view beside it touch."""
+    u, normal, _ = _stations(body, planes, from_tip=False)
+    t, z = body.sections(u).contact(normal[:, 0], normal[:, 2])
+    level = body.origin_mm + np.outer(t, body.across) + np.outer(u, body.axis)
+    return np.column_stack([level, z])
 
 
 # What is expected without any outline, what the skin's slopes add, and how far points of an outline are trusted.
 
-
-Array = NDArray[np.float64]
 
 _SLOPE_ERROR = 0.1
 """Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
@@ -52,18 +214,16 @@ TIP_SD_MM = 0.05
 """Standard deviation of the tip's place as the front view's outline has it."""
 
 
-def _add_priors(  # noqa: PLR0917
-    normal: Array,
-    right: Array,
-    state: State,
-    names: list[tuple[str, float]],
-    mirrors: Mapping[str, SeenIn],
+def _add_priors(
+    equations: _Equations,
+    estimate: Estimate,
+    mirrors: Mapping[str, MirrorOutline],
     tip_mm: float,
     settings: MirrorShapeSettings,
-    count: int,
 ) -> None:
-    """What is expected without any outline: smooth lines, sections of like form, mirrors near their nominal poses."""
-    body = state.body
+    """Prefer smooth lines, sections of similar form, the tip at `tip_mm`, and mirrors near their nominal poses."""
+    body, normal, right = estimate.body, equations.matrix, equations.right
+    count = body.coefficients.shape[1]
     smooth = (0.4, 0.4, 0.6, 0.6)  # mm, standard deviation of third differences of t, z, A and B
     third = np.diff(np.eye(count), 3, axis=0)
     for k, rough in enumerate(smooth):
@@ -82,10 +242,10 @@ def _add_priors(  # noqa: PLR0917
         "shear_slope": (-body.shear_slope, 0.3 * SHEAR_SD),
         "tip_mm": (tip_mm - body.tip_mm, TIP_SD_MM),
     }
-    for k, (name, _) in enumerate(names):
+    for k, (name, _) in enumerate(equations.parameters):
         kind, _, mirror = name.partition(" ")
         if mirror:
-            pose = state.poses[mirror]
+            pose = estimate.poses[mirror]
             spread = OFFSET_MM if kind == "shift_mm" else np.deg2rad(ANGLE_DEG)
             away = -getattr(pose, kind)
             deviation = mirrors[mirror].turn_sd_rad
@@ -97,21 +257,18 @@ def _add_priors(  # noqa: PLR0917
         right[4 * count + k] += away / spread**2
 
 
-def _add_slopes(  # noqa: PLR0917
-    normal: Array, right: Array, state: State, names: list[tuple[str, float]], slopes: Slopes, count: int
-) -> None:
-    """The skin's slopes across the finger, as far as squareness and shear answer to them."""
+def _add_slopes(equations: _Equations, estimate: Estimate, slopes: Slopes) -> None:
+    """Fit the skin's slopes across the finger by squareness and shear."""
+    names = equations.parameters
     chosen = [k for k, (name, _) in enumerate(names) if name in ("squareness", "shear", "shear_slope")]
     if not chosen:
         return
-    from splitknit.mirrors.body import slopes_across  # it needs bodies, too
-
-    residual = slopes_across(state.body, slopes)
+    residual = slopes_across(estimate.body, slopes)
     good = np.isfinite(residual)
     columns = []
     for k in chosen:
         name, size = names[k]
-        columns.append((slopes_across(state.moved(name, size).body, slopes) - residual) / size)
+        columns.append((slopes_across(estimate.moved(name, size).body, slopes) - residual) / size)
     jacobian = np.column_stack(columns)
     good &= np.isfinite(jacobian).all(axis=1)
     if int(good.sum()) < 20:
@@ -119,12 +276,12 @@ def _add_slopes(  # noqa: PLR0917
     weight = _tukey(residual[good], 4.0 * _SLOPE_ERROR) / _SLOPE_ERROR**2
     weight *= INDEPENDENT_SLOPES / max(int(good.sum()), 1)
     part = jacobian[good]
-    where = 4 * count + np.asarray(chosen)
-    normal[np.ix_(where, where)] += part.T @ (weight[:, None] * part)
-    right[where] -= part.T @ (weight * residual[good])
+    where = estimate.body.coefficients.size + np.asarray(chosen)
+    equations.matrix[np.ix_(where, where)] += part.T @ (weight[:, None] * part)
+    equations.right[where] -= part.T @ (weight * residual[good])
 
 
-def _robust_weights(residual: Array, ends: Array, sigma: float, *, sure: bool) -> Array:
+def _robust_weights(residual: Array, ends: NDArray[np.intp], sigma: float, *, sure: bool) -> Array:
     """Weights of the outlines' points, each view with its own scale; milder ones before the fit is `sure`."""
     parts = []
     for part in np.split(residual, ends):
@@ -153,22 +310,18 @@ _END_SETTLED = 2e-4
 
 
 def _fitted_ends(
-    state: State,
-    mirrors: Mapping[str, SeenIn],
-    ends: list[str],
-    names: list[tuple[str, float]],
-    settings: MirrorShapeSettings,
-) -> State:
+    estimate: Estimate, outlines: Outlines, ends: list[str], names: _Parameters, settings: MirrorShapeSettings
+) -> Estimate:
     """With those parameters fitted to the views from beyond the tip."""
     spread = {"squareness": settings.squareness_spread, "shear": 0.5 * SHEAR_SD, "shift_mm": OFFSET_MM}
-    expected = {"squareness": state.body.squareness, "shear": state.body.shear}
+    expected = {"squareness": estimate.body.squareness, "shear": estimate.body.shear}
 
-    def misfit(state: State) -> Array:
-        return np.concatenate([_misfit_of_end(state, mirrors, name) for name in ends])
+    def misfit(estimate: Estimate) -> Array:
+        return np.concatenate([estimate.residual_in(name, outlines) for name in ends])
 
     for turn in range(8):
-        residual = misfit(state)
-        jacobian = np.column_stack([(misfit(state.moved(name, size)) - residual) / size for name, size in names])
+        residual = misfit(estimate)
+        jacobian = np.column_stack([(misfit(estimate.moved(name, size)) - residual) / size for name, size in names])
         scale = max(OUTLINE_MM, 1.4826 * float(np.median(np.abs(residual))))
         weight = _tukey(residual, 4.685 * scale) if turn > _END_SURE else (np.abs(residual) < 5.0).astype(np.float64)
         weight = weight * (TIP_TRUST * 2.0 * ROW_MM / COMMON_MM / OUTLINE_MM**2)
@@ -177,22 +330,16 @@ def _fitted_ends(
         for k, (name, _) in enumerate(names):
             kind, _, mirror = name.partition(" ")
             size = spread.get(kind, float(np.deg2rad(ANGLE_DEG)))
-            value = getattr(state.poses[mirror], kind) if mirror else getattr(state.body, kind)
+            value = getattr(estimate.poses[mirror], kind) if mirror else getattr(estimate.body, kind)
             normal[k, k] += 1.0 / size**2
             right[k] += (expected.get(kind, 0.0) - value) / size**2
         step = np.linalg.solve(normal, right)
         for (name, _), by in zip(names, step, strict=True):
-            state = state.moved(name, float(np.clip(by, *LIMITS[name.partition(" ")[0]])))
-        state = State(convex(state.body), state.poses)
+            estimate = estimate.moved(name, float(np.clip(by, *_LIMITS[name.partition(" ")[0]])))
+        estimate = estimate.convex()
         if turn > _END_SURE and float(np.abs(step).max()) < _END_SETTLED:
             break
-    return state
-
-
-def _misfit_of_end(state: State, mirrors: Mapping[str, SeenIn], name: str) -> Array:
-    """Misfit of a mirror beyond the tip."""
-    planes = state.poses[name].of(mirrors[name]).reflect(mirrors[name].touching)
-    return misfit_of(state, planes, from_tip=True)[0]
+    return estimate
 
 
 SURE_FROM = 4
@@ -201,140 +348,109 @@ SETTLED = 0.01
 """A correction of the splines (mm) below this is the last one."""
 
 
-def fit_body(  # noqa: PLR0917
-    body: Body,
-    front: Touching,
-    mirrors: Mapping[str, SeenIn],
-    poses: Mapping[str, Pose],
+def fit_body(
+    start: Estimate,
+    outlines: Outlines,
     settings: MirrorShapeSettings,
     slopes: Slopes | None = None,
-    shear: float = 0.0,
     sure_from: int = SURE_FROM,
 ) -> Fit:
     """Fit body and poses.
 
     Parameters
     ----------
-    body : a first guess
-    front : planes of the front view's outline
-    mirrors : by name
-    poses : a first guess
+    start : a first guess
+    outlines : of all views
     settings : MirrorShapeSettings
     slopes : of the skin, optional
-    shear : where the slopes do not determine it
     sure_from : corrections before points of an outline may be left out altogether
     """
-    body = replace(body, shear=shear)
-    ends_on = {name: seen for name, seen in mirrors.items() if seen.from_tip}
-    if ends_on:
-        return _with_ends(body, front, mirrors, poses, settings, slopes)
-    state = State(body, dict(poses))
-    names = sorted(mirrors)
-    free_section = settings.section == "oval"
-    count = body.coefficients.shape[1]
-    sizes = [len(front.offset_mm), *(len(mirrors[name].touching.offset_mm) for name in names)]
-    ends = np.cumsum(sizes)[:-1]
+    if any(mirror.from_tip for mirror in outlines.mirrors.values()):
+        return _with_ends(start, outlines, settings, slopes)
+    estimate, names, ends = start, outlines.names, outlines.ends
+    parameters = _global_names(names, slopes is not None, settings.section == "oval")
+    count = start.body.coefficients.size
     for turn in range(settings.rounds):
-        residual, spline = _linearised(state, front, mirrors, names)
-        globals_ = _global_names(names, slopes is not None, free_section)
-        by_global = np.column_stack(
-            [_change(state, name, size, front, mirrors, names, residual) for name, size in globals_]
-        )
+        residual, spline = _linearised(estimate, outlines)
+        by_global = np.column_stack([_change(estimate, name, size, outlines, residual) for name, size in parameters])
         weight = _robust_weights(residual, ends, OUTLINE_MM, sure=turn >= sure_from)
         weight *= min(1.0, 2.0 * ROW_MM / COMMON_MM) / OUTLINE_MM**2
         jacobian = np.column_stack([spline, by_global])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
-        _add_priors(normal, right, state, globals_, mirrors, body.tip_mm, settings, count)
+        equations = _Equations(normal, right, parameters)
+        _add_priors(equations, estimate, outlines.mirrors, start.body.tip_mm, settings)
         if slopes is not None:
-            _add_slopes(normal, right, state, globals_, slopes, count)
+            _add_slopes(equations, estimate, slopes)
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
-        state = state.stepped(np.asarray(step, dtype=np.float64), globals_, count)
-        if turn > sure_from and float(np.abs(step[: 4 * count]).max()) < SETTLED:
+        estimate = estimate.stepped(np.asarray(step, dtype=np.float64), parameters)
+        if turn > sure_from and float(np.abs(step[:count]).max()) < SETTLED:
             break
-    residual = all_misfits(state, front, mirrors, names)
+    residual = estimate.residual(outlines)
     weight = _robust_weights(residual, ends, OUTLINE_MM, sure=True)
     split = dict(zip(("front", *names), np.split(residual, ends), strict=True))
     weights = dict(zip(("front", *names), np.split(weight, ends), strict=True))
-    return Fit(state.body, state.poses, split, weights)
+    return Fit(estimate.body, estimate.poses, split, weights)
 
 
-def _with_ends(  # noqa: PLR0917
-    body: Body,
-    front: Touching,
-    mirrors: Mapping[str, SeenIn],
-    poses: Mapping[str, Pose],
-    settings: MirrorShapeSettings,
-    slopes: Slopes | None,
-) -> Fit:
+def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None) -> Fit:
     """With mirrors beyond the tip: what they show of the sections' form, the others fit with that form again.
 
     They see the largest sections only, and those beside the tip hide the rest: so they do not constrain the lines along
     the finger.
     """
-    beside = {name: seen for name, seen in mirrors.items() if not seen.from_tip}
-    first = fit_body(body, front, beside, {name: poses[name] for name in beside}, settings, slopes)
-    state = State(first.body, {**first.poses, **{name: poses[name] for name in mirrors if name not in beside}})
-    ends = sorted(name for name in mirrors if name not in beside)
+    poses = dict(start.poses)
+    beside = {name: mirror for name, mirror in outlines.mirrors.items() if not mirror.from_tip}
+    ends = sorted(name for name in outlines.mirrors if name not in beside)
+    sides = Outlines(outlines.front, beside)
+    first = fit_body(Estimate(start.body, {name: poses[name] for name in beside}), sides, settings, slopes)
+    estimate = Estimate(first.body, {**first.poses, **{name: poses[name] for name in outlines.mirrors if name in ends}})
     places = [(f"{kind} {name}", 1e-4) for name in ends for kind in ("turn_rad", "lean_rad", "shift_mm")]
     form = ["squareness"] * (settings.section == "oval") + ["shear"]
-    state = _fitted_ends(state, mirrors, ends, [*((name, 1e-4) for name in form), *places], settings)
-    again = replace(settings, squareness=state.body.squareness, squareness_spread=1e-3)
-    poses = {name: state.poses[name] for name in beside}
-    last = fit_body(state.body, front, beside, poses, again, None, state.body.shear, sure_from=0)
-    state = _fitted_ends(State(last.body, {**state.poses, **last.poses}), mirrors, ends, places, settings)
+    estimate = _fitted_ends(estimate, outlines, ends, [*((name, 1e-4) for name in form), *places], settings)
+    again = replace(settings, squareness=estimate.body.squareness, squareness_spread=1e-3)
+    poses = {name: estimate.poses[name] for name in beside}
+    last = fit_body(Estimate(estimate.body, poses), sides, again, sure_from=0)
+    estimate = _fitted_ends(Estimate(last.body, {**estimate.poses, **last.poses}), outlines, ends, places, settings)
     misfit, weights = dict(last.misfit_mm), dict(last.weights)
     for name in ends:
-        misfit[name] = _misfit_of_end(state, mirrors, name)
+        misfit[name] = estimate.residual_in(name, outlines)
         weights[name] = _robust_weights(misfit[name], np.zeros(0, dtype=np.intp), OUTLINE_MM, sure=True)
-    return Fit(state.body, state.poses, misfit, weights)
+    return Fit(estimate.body, estimate.poses, misfit, weights)
 
 
-def _global_names(names: list[str], section_seen: bool, free_section: bool) -> list[tuple[str, float]]:
+def _global_names(names: list[str], with_slopes: bool, free_section: bool) -> _Parameters:
     """Parameters that all sections share, each with the step of its difference quotient."""
     found = [("tip_mm", 1e-3)]
     if free_section:
         found.append(("squareness", 1e-4))
-    if section_seen:
+    if with_slopes:
         found += [("shear", 1e-4), ("shear_slope", 1e-4)]
     for name in names:
         found += [(f"turn_rad {name}", 1e-5), (f"lean_rad {name}", 1e-5), (f"shift_mm {name}", 1e-3)]
     return found
 
 
-def _change(  # noqa: PLR0917
-    state: State,
-    name: str,
-    size: float,
-    front: Touching,
-    mirrors: Mapping[str, SeenIn],
-    names: list[str],
-    residual: Array,
-) -> Array:
+def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, residual: Array) -> Array:
     """Derivative (n,) of the residuals by one of the parameters that all sections share."""
-    moved = state.moved(name, size)
+    moved = estimate.moved(name, size)
     mirror = name.partition(" ")[2]
     if not mirror:
-        return (all_misfits(moved, front, mirrors, names) - residual) / size
-    change = np.zeros_like(residual)
-    start = len(front.offset_mm)
-    for other in names:
-        stop = start + len(mirrors[other].touching.offset_mm)
-        if other == mirror:  # a mirror's pose changes what is seen in it alone
-            planes = moved.poses[mirror].of(mirrors[mirror]).reflect(mirrors[mirror].touching)
-            change[start:stop] = (misfit_of(moved, planes, from_tip=False)[0] - residual[start:stop]) / size
-        start = stop
-    return change
+        return (moved.residual(outlines) - residual) / size
+    parts = np.split(residual, outlines.ends)
+    changes = [np.zeros_like(part) for part in parts]
+    k = 1 + outlines.names.index(mirror)  # a mirror's pose changes the residuals of its own view alone
+    changes[k] = (moved.residual_in(mirror, outlines) - parts[k]) / size
+    return np.concatenate(changes)
 
 
-def _linearised(state: State, front: Touching, mirrors: Mapping[str, SeenIn], names: list[str]) -> tuple[Array, Array]:
+def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:
     """Residuals (n,), and their derivatives by the splines' coefficients (n, 4 K)."""
-    body = state.body
+    body = estimate.body
     count = body.coefficients.shape[1]
-    tips = [False, *(mirrors[name].from_tip for name in names)]
     residuals, rows = [], []
-    for part, tip in zip(all_planes(state, front, mirrors, names), tips, strict=True):
-        residual, u, normal, by_a, by_b = misfit_of(state, part, from_tip=tip)
+    for part, from_tip in estimate.planes(outlines):
+        residual, u, normal, by_a, by_b = _residual(body, part, from_tip=from_tip)
         w = body.fraction(u)
         s = np.sqrt(w)
         along, root = basis(w, count), basis(s, count)
@@ -359,10 +475,10 @@ MAX_DEG = 7.0
 """A mirror that would be further off than this is rejected."""
 
 
-def refuse_misfit(fit: Fit, seen: Mapping[str, SeenIn]) -> None:
+def refuse_misfit(fit: Fit, mirrors: Mapping[str, MirrorOutline]) -> None:
     """Refuse views that no finger explains."""
     for name, misfit in fit.misfit_mm.items():
-        if name in seen and seen[name].from_tip:
+        if name in mirrors and mirrors[name].from_tip:
             continue
         size = float(np.median(np.abs(misfit)))
         require(

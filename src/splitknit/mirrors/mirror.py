@@ -11,13 +11,34 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.imaging.view import pixels_of, view_of
-from splitknit.mirrors.body import Body, Fit, Pose, SeenIn, Slopes, heights_on, nearest, touched
-from splitknit.mirrors.fit import facts_of, fit_body, refuse_misfit
-from splitknit.mirrors.outline import Rows, finger_axis, is_cut, medial_line, pad_side, rows_of
-from splitknit.mirrors.planes import MirrorPlane, Touching, touching
-from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
+from splitknit.mirrors.body import Body, Slopes, heights_on, nearest_known
+from splitknit.mirrors.fit import (
+    Estimate,
+    Fit,
+    MirrorOutline,
+    Outlines,
+    Pose,
+    facts_of,
+    fit_body,
+    refuse_misfit,
+    touched,
+)
+from splitknit.mirrors.outline import (
+    OutlineRows,
+    finger_axis,
+    front_axis,
+    is_cut,
+    medial_line,
+    pad_side,
+    rows_of,
+    touching_planes,
+)
+from splitknit.mirrors.planes import MirrorPlane, Touching
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+from splitknit.model import BoolArray, Camera, FloatArray, Mirror, Rig
+
+Array = NDArray[np.float64]
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
 
@@ -30,19 +51,23 @@ MAX_TURN_RAD = 0.12
 """Mirrors are not turned by more."""
 
 
-def cap(mask: BoolArray, camera: Camera, binning: int, axis: Array) -> Array:
-    """(n, 2) points of the outline's tip, on the finger plane."""
-    sideways = rows_of(mask, camera, binning, np.array([axis[1], -axis[0]]), ROW_MM, trust_ends=True)
-    places, _, _ = sideways.places("left")
-    return places
+TIPS_APART = (
+    "the views do not fit one finger: the fingertip in the {} mirror is not beside the one in front; check that the "
+    "rig file's mirrors are those in the picture and that one finger alone is in view."
+)
 
 
-def turn_of_tips(camera: Camera, plane: MirrorPlane, front: Array, side: Array, axis: Array) -> float | None:
-    """How far a mirror is turned about the camera's axis, from the tips of two views.
+def turn_of_tips(views: Views, name: str, camera: Camera, plane: MirrorPlane, axis: Array) -> float | None:
+    """How far the mirror `name`, nominally in `plane`, is turned about the camera's axis, from the tips of two views.
 
     The line that joins a point with its mirror image touches both views' outlines at the tip (a frontier point). None:
     no turn within reason makes it so.
     """
+    across = np.array([axis[1], -axis[0]])
+    front, side = (
+        rows_of(mask, camera, views.binning, across, trust_ends=True).places("left")[0]
+        for mask in (views.front, views.mirrors[name])
+    )
     about = np.array([0.0, 0.0, 0.0])
 
     def apart(turn: float) -> float:
@@ -74,9 +99,9 @@ def _slopes_about(points: Array, joint: Array, upward: Array) -> float:
 
 
 def first_body(
-    front: Rows,
-    lateral: Mapping[str, Rows],
-    seen: Mapping[str, SeenIn],
+    front: OutlineRows,
+    lateral: Mapping[str, OutlineRows],
+    outlines: Mapping[str, MirrorOutline],
     poses: Mapping[str, Pose],
     settings: MirrorShapeSettings,
 ) -> Body:
@@ -88,7 +113,7 @@ def first_body(
     origin = float(np.mean(0.5 * (front.left_mm + front.right_mm)[known]))
     body = Body(origin * front.across, front.axis, front.tip_mm, length, np.zeros((4, _KNOTS + 3)))
     name = next(iter(lateral))
-    rays = poses[name].of(seen[name]).reflect(seen[name].touching)
+    rays = poses[name].of(outlines[name]).reflect(outlines[name].touching)
     point, direction = body.to_frame(rays.point, place=True), body.to_frame(rays.direction, place=False)
     far = -point[:, 0] / direction[:, 0]
     heights = point[:, 2] + far * direction[:, 2]  # where the rays cross the plane through the finger's axis
@@ -145,7 +170,7 @@ class _Ellipses:
         return np.asarray(x), np.asarray(y), z
 
 
-def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> _Ellipses:
+def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -> _Ellipses:
     """Align the views as the thesis does, and pair their rows.
 
     Both medial lines are turned to one direction, both tips put into one row, and each row's half-widths become the
@@ -171,15 +196,8 @@ def _ellipses(front: Rows, lateral: Rows, tip_is_outward: float) -> _Ellipses:
     return _Ellipses(front.axis, back, front.tip_mm, middle, half, rise, np.asarray(centre))
 
 
-Array = NDArray[np.float64]
-
-
 TURN_DEG = 0.2
 """Standard deviation of a mirror's turn as the views' tips show it."""
-
-
-EVERY = 2
-"""Of the rows, that many make one point of an outline in the fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +208,7 @@ class MirrorShape:
     model: Body | _Ellipses
     facts: Mapping[str, Any]
     """What was found: mirrors' poses, misfits, the sections' form."""
-    outlines: Mapping[str, tuple[Rows, ...]] = field(default_factory=dict)
+    outlines: Mapping[str, tuple[OutlineRows, ...]] = field(default_factory=dict)
     """Measured outlines of ``front`` and every mirror."""
     fit: Fit | None = None
     touching: Mapping[str, Touching] = field(default_factory=dict)
@@ -219,7 +237,7 @@ class MirrorShape:
         if isinstance(self.model, _Ellipses):
             _, _, z = self.model.heights(self.camera, rows, columns)
             known = np.isfinite(z)
-            return nearest(z, known), known
+            return nearest_known(z, known), known
         _, _, z, _, known = heights_on(self.model, self.camera, rows, columns)
         return z, known
 
@@ -239,8 +257,7 @@ class MirrorShape:
 
 def mirror_shape(
     views: Views,
-    camera: Camera,
-    mirrors: Mapping[str, Mirror],
+    rig: Rig,
     settings: MirrorShapeSettings | None = None,
     *,
     tip_direction_deg: float = 0.0,
@@ -251,8 +268,7 @@ def mirror_shape(
     Parameters
     ----------
     views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.find_views`
-    camera : that sees them
-    mirrors : by name, where they nominally are
+    rig : its camera, and where its mirrors nominally are
     settings : MirrorShapeSettings, optional
     tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
     slopes : of the skin in the front view, optional: they determine the sections' form and roll
@@ -267,15 +283,19 @@ def mirror_shape(
     The thesis, section 3.3.2.3. Cipolla and Giblin 2000, Visual Motion of Curves and Surfaces (frontier points).
     """
     settings = settings or MirrorShapeSettings()
-    used = {name: mirrors[name] for name in sorted(views.mirrors)}
-    require(bool(used), "no mirror shows the finger; the shape needs one beside it at least.")
-    hint = np.array([-np.sin(np.deg2rad(tip_direction_deg)), np.cos(np.deg2rad(tip_direction_deg))])
-    axis, front = finger_axis(views.front, camera, views.binning, hint, ROW_MM)
+    require(bool(views.mirrors), "no mirror shows the finger; the shape needs one beside it at least.")
+    if settings.method == "thesis":
+        return _by_thesis(views, rig, tip_direction_deg)
+    return _by_outlines(views, rig, settings, tip_direction_deg, slopes)
+
+
+def _mirrors_of(views: Views, rig: Rig, axis: Array) -> tuple[dict[str, Mirror], dict[str, Mirror]]:
+    """Mirrors that show the finger, by name; and those of them beside it."""
+    known = {mirror.name: mirror for mirror in rig.mirrors}
+    used = {name: known[name] for name in sorted(views.mirrors)}
     sides = {name: mirror for name, mirror in used.items() if not _from_tip(mirror, axis)}
     require(bool(sides), "only the mirror beyond the tip shows the finger; the shape needs one beside it.")
-    if settings.method == "thesis":
-        return _by_thesis(views, camera, sides, axis, front)
-    return _by_outlines(views, camera, used, settings, axis, front, slopes)
+    return used, sides
 
 
 def _from_tip(mirror: Mirror, axis: Array) -> bool:
@@ -284,10 +304,12 @@ def _from_tip(mirror: Mirror, axis: Array) -> bool:
     return bool(abs(float(level @ axis)) > np.sqrt(0.5))
 
 
-def _by_thesis(views: Views, camera: Camera, sides: Mapping[str, Mirror], axis: Array, front: Rows) -> MirrorShape:
+def _by_thesis(views: Views, rig: Rig, tip_direction_deg: float) -> MirrorShape:
     """The thesis's method on the first lateral view."""
-    name, mirror = next(iter(sides.items()))
-    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis, ROW_MM)
+    camera = rig.camera
+    axis, front = front_axis(views.front, camera, views.binning, tip_direction_deg)
+    name, mirror = next(iter(_mirrors_of(views, rig, axis)[1].items()))
+    _, lateral = finger_axis(views.mirrors[name], camera, views.binning, axis)
     side = pad_side(mirror, lateral)
     require(
         not is_cut(lateral, side),
@@ -300,64 +322,51 @@ def _by_thesis(views: Views, camera: Camera, sides: Mapping[str, Mirror], axis: 
     return MirrorShape(camera, model, facts, {"front": (front,), name: (lateral,)})
 
 
-def _by_outlines(  # noqa: PLR0917
-    views: Views,
-    camera: Camera,
-    used: Mapping[str, Mirror],
-    settings: MirrorShapeSettings,
-    axis: Array,
-    front: Rows,
-    slopes: Slopes | None,
+def _by_outlines(
+    views: Views, rig: Rig, settings: MirrorShapeSettings, tip_direction_deg: float, slopes: Slopes | None
 ) -> MirrorShape:
     """Body and mirrors' poses together."""
-    outlines: dict[str, tuple[Rows, ...]] = {"front": (front,)}
-    seen: dict[str, SeenIn] = {}
-    lateral: dict[str, Rows] = {}
+    camera = rig.camera
+    axis, front = front_axis(views.front, camera, views.binning, tip_direction_deg)
+    rows_by_view: dict[str, tuple[OutlineRows, ...]] = {"front": (front,)}
+    mirrors: dict[str, MirrorOutline] = {}
+    lateral: dict[str, OutlineRows] = {}
     cut: list[str] = []
-    for name, mirror in used.items():
+    for name, mirror in _mirrors_of(views, rig, axis)[0].items():
         plane = MirrorPlane.nominal(mirror)
         tip = _from_tip(mirror, axis)
         mask = views.mirrors[name]
         if tip:
-            rows = rows_of(mask, camera, views.binning, np.array([axis[1], -axis[0]]), ROW_MM, trust_ends=True)
-            parts = _touching(camera, rows, ("left",))
+            rows = rows_of(mask, camera, views.binning, np.array([axis[1], -axis[0]]), trust_ends=True)
+            parts = touching_planes(rows, camera, ("left",))
         else:
-            rows = rows_of(mask, camera, views.binning, plane.image_axis(axis), ROW_MM)
+            rows = rows_of(mask, camera, views.binning, plane.image_axis(axis))
             lateral[name] = rows
-            parts = _touching(camera, rows, ("left", "right"))
+            parts = touching_planes(rows, camera)
         if is_cut(rows, pad_side(mirror, rows), from_tip=tip):
             cut.append(name)
             lateral.pop(name, None)
             continue
-        outlines[name] = (rows,)
-        seen[name] = SeenIn(parts, plane, mirror.point_mm, tip)
+        rows_by_view[name] = (rows,)
+        mirrors[name] = MirrorOutline(parts, plane, mirror.point_mm, tip)
     require(
         bool(lateral),
         f"the view in the {' and the '.join(cut)} mirror is cut off at the mirror's edge or the picture's: "
         "lay the finger in the middle, so that the mirror shows all of its pad.",
     )
-    poses = {name: Pose() for name in seen}
+    poses = {name: Pose() for name in mirrors}
     for name in lateral:
-        caps = [cap(mask, camera, views.binning, axis) for mask in (views.front, views.mirrors[name])]
-        turn = turn_of_tips(camera, seen[name].plane, caps[0], caps[1], axis)
+        turn = turn_of_tips(views, name, camera, mirrors[name].plane, axis)
         if turn is None:
-            raise BadInput(
-                f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the one in front; "
-                "check that the rig file's mirrors are those in the picture and that one finger alone is in view."
-            )
+            raise BadInput(TIPS_APART.format(name))
         poses[name] = Pose(turn_rad=turn)
-        seen[name] = replace(seen[name], turn_rad=turn, turn_sd_rad=np.deg2rad(TURN_DEG))
-    body = first_body(front, lateral, seen, poses, settings)
+        mirrors[name] = replace(mirrors[name], turn_rad=turn, turn_sd_rad=np.deg2rad(TURN_DEG))
+    body = first_body(front, lateral, mirrors, poses, settings)
     front = front.beyond(body.tip_mm - body.length_mm)
-    front_planes = _touching(camera, front, ("left", "right"))
-    fit = fit_body(body, front_planes, seen, poses, settings, slopes)
-    refuse_misfit(fit, seen)
-    beside = {"front": front_planes, **{name: seen[name].touching for name in lateral}}
+    outlines = Outlines(touching_planes(front, camera), mirrors)
+    fit = fit_body(Estimate(body, poses), outlines, settings, slopes)
+    refuse_misfit(fit, mirrors)
+    beside = {"front": outlines.front, **{name: mirrors[name].touching for name in lateral}}
     return MirrorShape(
-        camera, fit.body, {**facts_of(fit, settings, slopes), "views_cut_off": cut}, outlines, fit, beside
+        camera, fit.body, {**facts_of(fit, settings, slopes), "views_cut_off": cut}, rows_by_view, fit, beside
     )
-
-
-def _touching(camera: Camera, rows: Rows, sides: tuple[str, ...]) -> Touching:
-    parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in sides]
-    return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))

@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import pixels_of, plane_points
+from splitknit.mirrors.planes import Touching, touching
+from splitknit.mirrors.settings import ROW_MM
 from splitknit.model import BoolArray, Camera, Mirror
 
 Array = NDArray[np.float64]
 
+_EVERY = 2
+"""Of the rows, that many make one point of an outline in the fit."""
 STRAIGHT_MM, STRAIGHT_TIP_MM = 0.012, 0.05
 """An outline that is straighter than this (rms) is a mirror's edge: pads bulge, and their ends are round."""
 BLUR_PX = 1.2
@@ -21,7 +25,7 @@ BLUR_PX = 1.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class OutlineRows:
     """A view's outline, row by row across an axis of the picture."""
 
     axis: Array
@@ -54,10 +58,10 @@ class Rows:
         ahead = -level / slope if slope < 0 else 0.5 * step
         return float(self.along_mm[last[-1]] + np.clip(ahead, 0.0, 2.0 * step))
 
-    def beyond(self, start_mm: float) -> Rows:
+    def beyond(self, start_mm: float) -> OutlineRows:
         """The rows from `start_mm` on."""
         kept = self.along_mm >= start_mm
-        return Rows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
+        return OutlineRows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
 
     def places(self, side: str) -> tuple[Array, Array, Array]:
         """Points of one side of the outline.
@@ -80,9 +84,7 @@ class Rows:
         return places, along, outward
 
 
-def rows_of(
-    mask: BoolArray, camera: Camera, binning: int, axis: Array, row_mm: float, *, trust_ends: bool = False
-) -> Rows:
+def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust_ends: bool = False) -> OutlineRows:
     """Measure the outline of `mask`.
 
     Parameters
@@ -91,7 +93,6 @@ def rows_of(
     camera : Camera
     binning : int
     axis : (2,) direction on the finger plane along which rows follow each other, towards the fingertip
-    row_mm : distance of the rows
     trust_ends : keep what looks like the straight end of a cut finger
 
     Raises
@@ -108,16 +109,28 @@ def rows_of(
     on_plane = plane_points(camera, corners * binning + 0.5 * (binning - 1))
     p, q = on_plane @ axis, on_plane @ across
     pitch = binning / camera.px_per_mm
-    along = np.arange(p.min(), p.max() + row_mm, row_mm)
+    along = np.arange(p.min(), p.max() + ROW_MM, ROW_MM)
     side = np.arange(q.min() - 2 * pitch, q.max() + 3 * pitch, pitch)
     smooth = _smoothed(mask, low, high)
     field = _resampled(smooth, low, camera, binning, (along, side, axis, across))
     left, right = _edges(field, side)
-    found = Rows(axis, along, left, right)
+    found = OutlineRows(axis, along, left, right)
     return _without_cuts(found, mask.shape, camera, binning, trust_ends=trust_ends)
 
 
-def medial_line(rows: Rows, full_width: float = 0.8) -> tuple[float, float]:
+def touching_planes(rows: OutlineRows, camera: Camera, sides: tuple[str, ...] = ("left", "right")) -> Touching:
+    """Planes that touch the finger along these sides of a view's outline."""
+    parts = [touching(camera, *(part[::_EVERY] for part in rows.places(side))) for side in sides]
+    return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
+
+
+def front_axis(mask: BoolArray, camera: Camera, binning: int, tip_direction_deg: float) -> tuple[Array, OutlineRows]:
+    """Direction (2,) of the finger in the front view's mask, and its outline; `tip_direction_deg` as of a capture."""
+    turn = np.deg2rad(tip_direction_deg)
+    return finger_axis(mask, camera, binning, np.array([-np.sin(turn), np.cos(turn)]))
+
+
+def medial_line(rows: OutlineRows, full_width: float = 0.8) -> tuple[float, float]:
     """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles.
 
     Robust (Tukey's biweight), over rows in which the finger has its full width, so that tip and base do not turn it.
@@ -143,12 +156,12 @@ def medial_line(rows: Rows, full_width: float = 0.8) -> tuple[float, float]:
     return slope, offset
 
 
-def pad_side(mirror: Mirror, rows: Rows) -> str:
+def pad_side(mirror: Mirror, rows: OutlineRows) -> str:
     """On which side of the rows a mirror shows the finger's pad: the one away from the finger."""
     return "left" if float(mirror.normal[:2] @ rows.across) > 0 else "right"
 
 
-def is_cut(rows: Rows, side: str, *, from_tip: bool = False) -> bool:
+def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
     """Whether a view ends at its mirror's edge rather than at the pad: its outline is a straight line, or not there.
 
     Parameters
@@ -168,7 +181,7 @@ def is_cut(rows: Rows, side: str, *, from_tip: bool = False) -> bool:
     return bool(float(np.std(away)) < (STRAIGHT_TIP_MM if from_tip else STRAIGHT_MM))
 
 
-def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array, row_mm: float) -> tuple[Array, Rows]:
+def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
     """Direction (2,) of the finger on the finger plane, towards its tip, and its outline across it.
 
     Parameters
@@ -176,12 +189,12 @@ def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array, row_
     hint : (2,) direction towards the tip within about 75 deg
     """
     axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
-    rows = rows_of(mask, camera, binning, axis, row_mm)
+    rows = rows_of(mask, camera, binning, axis)
     for _ in range(4):
         slope, _ = medial_line(rows)
         axis = axis + slope * rows.across
         axis = axis / np.hypot(*axis)
-        rows = rows_of(mask, camera, binning, axis, row_mm)
+        rows = rows_of(mask, camera, binning, axis)
         if abs(slope) < 2e-3:
             break
     return axis, rows
@@ -237,7 +250,9 @@ def _edges(field: NDArray[np.float32], side: Array) -> tuple[Array, Array]:
     return left, right
 
 
-def _without_cuts(rows: Rows, shape: tuple[int, ...], camera: Camera, binning: int, *, trust_ends: bool) -> Rows:
+def _without_cuts(
+    rows: OutlineRows, shape: tuple[int, ...], camera: Camera, binning: int, *, trust_ends: bool
+) -> OutlineRows:
     """The outline without its parts at the image's border, and without the straight end at the finger's base."""
     edges = [rows.left_mm.copy(), rows.right_mm.copy()]
     known = np.flatnonzero(np.isfinite(rows.width_mm))
@@ -259,7 +274,7 @@ def _without_cuts(rows: Rows, shape: tuple[int, ...], camera: Camera, binning: i
                 near[: min(int(worst[-1]) + 3, row.size)] |= low[: min(int(worst[-1]) + 3, row.size)]
             near[:2] = True
         edge[row[near]] = np.nan
-    return Rows(rows.axis, rows.along_mm, edges[0], edges[1])
+    return OutlineRows(rows.axis, rows.along_mm, edges[0], edges[1])
 
 
 def _smooth(values: Array) -> Array:

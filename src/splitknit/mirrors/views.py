@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.imaging.areas import around, bin_image, blanked, enlarged_box, filled, grown, mirror_outline
-from splitknit.model import BoolArray, Camera, FloatArray, Mirror
+from splitknit.model import BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0
 """Scale of the copy on which the outlines are found."""
@@ -44,10 +44,9 @@ def view_binning(px_per_mm: float) -> int:
     return max(1, round(px_per_mm / _PX_PER_MM))
 
 
-def find_views(  # noqa: PLR0917
+def find_views(
     image: FloatArray,
-    camera: Camera,
-    mirrors: Mapping[str, Mirror],
+    rig: Rig,
     find_finger: FindFinger,
     binning: int,
     find_outline: FindOutline | None = None,
@@ -63,8 +62,7 @@ def find_views(  # noqa: PLR0917
     ----------
     image : (h, w, C) float32
         Linear, in blocks of `binning` pixels a side of the camera's image.
-    camera : Camera
-    mirrors : by name, where they nominally are
+    rig : its camera, and where its mirrors nominally are
     find_finger : segmentation mask of an image, such as :func:`splitknit.finger.mask.finger_mask`
     binning : int
     find_outline : outline of a finger roughly known, such as :func:`splitknit.finger.mask.finger_outline`, optional
@@ -74,25 +72,23 @@ def find_views(  # noqa: PLR0917
     BadInput
         If there are no mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
     """
-    require(bool(mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
+    require(bool(rig.mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = 1
     if find_outline is not None:
-        factor = max(1, int(camera.px_per_mm / binning / SEARCH_PX_PER_MM))
-    rough = _rough_views(bin_image(image, factor), camera, mirrors, find_finger, binning * factor)
+        factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))
+    rough = _rough_views(bin_image(image, factor), rig, find_finger, binning * factor)
     views = rough
     if find_outline is not None:
-        views = _outlined(image, camera, mirrors, rough, find_outline, factor)
+        views = _outlined(image, rig, rough, find_outline, factor)
     for name, view in views.mirrors.items():
-        _refuse_contact(name, view, views.front, camera.px_per_mm / views.binning)
+        _refuse_contact(name, view, views.front, rig.camera.px_per_mm / views.binning)
     return views
 
 
-def _rough_views(
-    image: FloatArray, camera: Camera, mirrors: Mapping[str, Mirror], find_finger: FindFinger, binning: int
-) -> Views:
-    """Views as `find_finger` sees them."""
-    px_per_mm = camera.px_per_mm / binning
-    outlines = {name: mirror_outline(mirror, camera, binning) for name, mirror in mirrors.items()}
+def _rough_views(image: FloatArray, rig: Rig, find_finger: FindFinger, binning: int) -> Views:
+    """Views as `find_finger` segments them."""
+    px_per_mm = rig.camera.px_per_mm / binning
+    outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
     in_any = _in_any(outlines, (image.shape[0], image.shape[1]))
     front = _largest_in(image, ~in_any, px_per_mm, find_finger)
     if front is None:
@@ -103,22 +99,15 @@ def _rough_views(
         return _largest_in(image, _allowed(name, outlines, front, px_per_mm), px_per_mm, find_finger)
 
     with ThreadPoolExecutor(2) as pool:
-        seen = dict(zip(sorted(mirrors), pool.map(look, sorted(mirrors)), strict=True))
+        seen = dict(zip(sorted(outlines), pool.map(look, sorted(outlines)), strict=True))
     return _with_views(front, seen, binning)
 
 
-def _outlined(  # noqa: PLR0917
-    image: FloatArray,
-    camera: Camera,
-    mirrors: Mapping[str, Mirror],
-    rough: Views,
-    find_outline: FindOutline,
-    factor: int,
-) -> Views:
+def _outlined(image: FloatArray, rig: Rig, rough: Views, find_outline: FindOutline, factor: int) -> Views:
     """Views whose outlines are found in `image`, around the rough ones."""
     binning = rough.binning // factor
-    px_per_mm = camera.px_per_mm / binning
-    outlines = {name: mirror_outline(mirror, camera, binning) for name, mirror in mirrors.items()}
+    px_per_mm = rig.camera.px_per_mm / binning
+    outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
 
     def found(mask: BoolArray, name: str, front: BoolArray | None) -> BoolArray | None:
         cells = around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)

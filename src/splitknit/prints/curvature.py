@@ -47,7 +47,7 @@ class CurvatureSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curvature:
+class _Curvature:
     """Of every pixel; NaN where it is not known."""
 
     k_max: FloatArray
@@ -58,14 +58,27 @@ class Curvature:
     """(H, W) 0 to 1: a ridge 0.75, a valley 0.25, a saddle 0.5."""
 
 
-def curvature(  # noqa: PLR0917
+@dataclass(frozen=True, slots=True, eq=False)
+class _Windows:
+    """The windows of the fits on a mask."""
+
+    inside: BoolArray
+    """(h, w) pixels that count."""
+    edge: NDArray[np.intp]
+    """(N,) pixels, counted along the rows, whose windows the mask cuts."""
+    normal: NDArray[np.float64]
+    """(N, T, T) their normal equations."""
+    side: int
+    degree: int
+
+
+def curvature(
     height_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
     settings: CurvatureSettings | None = None,
-    x_mm: FloatArray | None = None,
-    y_mm: FloatArray | None = None,
-) -> Curvature:
+    xy_mm: tuple[FloatArray, FloatArray] | None = None,
+) -> _Curvature:
     """Principal curvatures and shape index of a surface.
 
     Parameters
@@ -76,8 +89,8 @@ def curvature(  # noqa: PLR0917
     pitch_mm : float
         Of the input on the finger plane.
     settings : CurvatureSettings, optional
-    x_mm, y_mm : (H, W) float32, optional
-        Where the surface points lie (perspective cameras).
+    xy_mm : (H, W) float32, twice, optional
+        x and y of the surface points (perspective cameras).
 
     Raises
     ------
@@ -100,22 +113,23 @@ def curvature(  # noqa: PLR0917
     edge = np.flatnonzero((cut & (fractions >= settings.least_share * side * side)).ravel())
     known = inside & (fractions >= settings.least_share * side * side)
     normal = _edge_normals(inside, edge, side, settings.degree)
+    windows = _Windows(inside, edge, normal, side, settings.degree)
 
     def fit(field: FloatArray) -> list[FloatArray]:
-        return _derivatives(field[box], inside, edge, normal, side, settings.degree, pitch_mm)
+        return _derivatives(field[box], windows, pitch_mm)
 
-    if x_mm is None or y_mm is None:
+    if xy_mm is None:
         forms = _forms_of_height(*fit(height_mm))
     else:
         with ThreadPoolExecutor(2) as pool:
-            forms = _forms_of_points(*pool.map(fit, (x_mm, y_mm, height_mm)))
-    fields = _principal(*forms)
+            forms = _forms_of_points(*pool.map(fit, (*xy_mm, height_mm)))
+    fields = _principal(forms[:3], forms[3:])
     results = []
     for field in fields:
         whole = np.full(mask.shape, np.nan, dtype=np.float32)
         whole[box] = np.where(known, field, np.float32(np.nan))
         results.append(whole)
-    return Curvature(*results)
+    return _Curvature(*results)
 
 
 def _powers(degree: int) -> list[tuple[int, int]]:
@@ -125,16 +139,9 @@ def _powers(degree: int) -> list[tuple[int, int]]:
     return wanted + rest
 
 
-def _derivatives(  # noqa: PLR0917
-    field: FloatArray,
-    inside: BoolArray,
-    edge: NDArray[np.intp],
-    normal: NDArray[np.float64],
-    side: int,
-    degree: int,
-    pitch_mm: float,
-) -> list[FloatArray]:
+def _derivatives(field: FloatArray, windows: _Windows, pitch_mm: float) -> list[FloatArray]:
     """First derivatives right and up, second right-right, right-up and up-up, per mm, of fits at every pixel."""
+    inside, edge, side, degree = windows.inside, windows.edge, windows.side, windows.degree
     powers = _powers(degree)
     taps = _taps(side, degree)
     # about zero, so that float32 keeps what matters
@@ -161,7 +168,7 @@ def _derivatives(  # noqa: PLR0917
         right = np.stack([sums[power].ravel()[edge] for power in powers], axis=1).astype(np.float64)
         for start in range(0, edge.size, _CHUNK):
             part = slice(start, start + _CHUNK)
-            solved = np.linalg.solve(normal[part], right[part][..., None])[..., 0]
+            solved = np.linalg.solve(windows.normal[part], right[part][..., None])[..., 0]
             for term in range(5):
                 results[term].ravel()[edge[part]] = solved[:, term]
     unit = pitch_mm * scale
@@ -236,10 +243,11 @@ def _forms_of_points(x: list[FloatArray], y: list[FloatArray], z: list[FloatArra
     return (np.asarray(e), np.asarray(f), np.asarray(g), *second)
 
 
-def _principal(  # noqa: PLR0917
-    e: FloatArray, f: FloatArray, g: FloatArray, second_e: FloatArray, second_f: FloatArray, second_g: FloatArray
+def _principal(
+    first: tuple[FloatArray, ...], second: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Principal curvatures (larger, smaller) and the shape index of (5.3)."""
+    """Principal curvatures (larger, smaller) and the shape index of (5.3), of the two fundamental forms."""
+    (e, f, g), (second_e, second_f, second_g) = first, second
     half = np.float32(0.5)
     inverse = np.float32(1.0) / np.maximum(e * g - f * f, np.float32(1e-12))
     # half the trace and the determinant of the Weingarten matrix

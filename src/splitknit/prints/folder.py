@@ -367,10 +367,10 @@ def _minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap
             source.points_mm, print_map.input_from_print(places), print_map.directions_in_input(places, directions_rad)
         )
     assert source.height_mm is not None
-    points = None if source.x_mm is None or source.y_mm is None else (source.x_mm, source.y_mm)
     return in_space(
-        places, directions_rad, print_map, source.height_mm, source.pitch_mm, source.input_from_upright, points
-    )
+        places, directions_rad, print_map, source.height_mm, source.pitch_mm,
+        input_from_upright=source.input_from_upright, xy_mm=source.xy_mm,
+    )  # fmt: skip
 
 
 def _on_chart(points_mm: FloatArray, there: Array, ahead: Array) -> Array:

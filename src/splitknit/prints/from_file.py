@@ -86,7 +86,7 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
     return picture, read_iso19794(record).views[0] if record.is_file() else None
 
 
-def resampled(item: PrintFile) -> PrintFile:
+def print_at_500_ppi(item: PrintFile) -> PrintFile:
     """Bring a print of known resolution to 500 ppi; one that has as many pixels as at 500 ppi stays as it is.
 
     Raises
@@ -133,7 +133,7 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
     BadInput
         If it has no ridges, or is smaller than 2 mm.
     """
-    image = resampled(item).image
+    image = print_at_500_ppi(item).image
     even = enhance_print(image)
     found = ridge_field(even, PPI, inside)
     ridges = np.kron(found.mask, np.ones((found.step_px, found.step_px), np.float32))[

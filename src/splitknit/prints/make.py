@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.matching.minutiae_record import Minutiae
+from splitknit.mirrors.rolled.blend import RolledSettings
 from splitknit.mirrors.rolled.finger import Rolled
-from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.model import FloatArray
 from splitknit.prints.curvature import CurvatureSettings, curvature
 from splitknit.prints.enhance import Enhanced, gabor_enhance, stft_enhance
@@ -97,9 +97,7 @@ def make_print(
         unrolled, print_map = _laid_flat(source, place, ppi, settings.unroll)
     if method == "curvature":
         height = _needed(source.height_mm)
-        found = curvature(
-            height, source.mask, source.pitch_mm, settings.curvature, source.x_mm, source.y_mm
-        ).shape_index
+        found = curvature(height, source.mask, source.pitch_mm, settings.curvature, source.xy_mm).shape_index
         known = source.mask & np.isfinite(found)
         require(bool(known.any()), "the finger is too small for a curvature map.")
         values, weight = resample(found, known, source.pitch_mm, print_map)
@@ -188,9 +186,8 @@ def _laid_flat(source: Source, kind: str, ppi: float, settings: UnrollSettings) 
         source.pitch_mm,
         source.input_from_upright,
         source.upright_size,
-        source.x_mm,
-        source.y_mm,
-        settings.grid,
+        xy_mm=source.xy_mm,
+        settings=settings.grid,
     )
     unrolled = unroll(grid, override(settings, {"kind": kind}))
     return unrolled, unrolled_map(unrolled, kind, ppi, settings.slant_deg)

@@ -30,7 +30,7 @@ _MIN_QUALITY = 70
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PhaseMinutiae:
+class _PhaseMinutiae:
     """N minutiae of a print."""
 
     place_px: Array
@@ -43,7 +43,7 @@ class PhaseMinutiae:
     """(N,) 0 to 100: how well the print about it follows the wave."""
 
 
-def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> PhaseMinutiae:
+def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> _PhaseMinutiae:
     """Find the minutiae of a print whose enhancement is at hand.
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
@@ -61,7 +61,7 @@ def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 50
 
     Returns
     -------
-    PhaseMinutiae
+    _PhaseMinutiae
         By rows, then columns.
 
     Raises
@@ -90,7 +90,7 @@ def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 50
     rows, columns, place, quality = rows[kept], columns[kept], place[kept], quality[kept]
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
     kind = _kinds(ridges, place, towards, wave_number[rows, columns])
-    return PhaseMinutiae(place, np.asarray(towards % (2 * np.pi)), kind, quality)
+    return _PhaseMinutiae(place, np.asarray(towards % (2 * np.pi)), kind, quality)
 
 
 def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH, blur
+from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
@@ -357,8 +357,8 @@ def resample(
         weight, values = (_shrunk(image[cut], (width, height)) for image in (weight, values))
     if step > 1.0:
         sigma = float(np.sqrt(max((sigma_px * step) ** 2 - (factor**2 - 1) / 12, 0.01))) / factor
-        fraction = blur(weight, sigma)
-        values = np.asarray(blur(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
+        fraction = gaussian_mean(weight, sigma)
+        values = np.asarray(gaussian_mean(values, sigma) / np.maximum(fraction, np.float32(1e-3)), dtype=np.float32)
         values[fraction <= 1e-3] = 0.0
         weight = fraction
     x, y = (

@@ -12,7 +12,7 @@ from splitknit.errors import BadInput, require
 from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.enhance import node_amplitudes
 from splitknit.prints.ridge_field import RidgeField
-from splitknit.prints.ridges import MM_PER_INCH, blur
+from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #
@@ -61,18 +61,13 @@ def _quality_figures(
     values: FloatArray,
     weight: FloatArray,
     found: RidgeField,
-    ppi: float = 500.0,
-    *,
-    min_purity: float = 0.3,
-    min_height_um: float | None = None,
-    period_tolerance: float = 0.35,
+    ppi: float,
+    min_height_um: float | None,
 ) -> QualityFigures:
     """Measure the figures of a print's quality.
 
-    `values`, `weight`, `found`, `ppi`: as in :func:`splitknit.prints.print_quality.print_quality`; `least_purity`:
-    float, fraction of what varies around a place that one wave must explain; `least_height_um`: float, optional,
-    minimum height of ridges above their valleys; None where `values` are not in um; `period_tolerance`: float, how far
-    a period may lie from the median, relative. Raises BadInput if the shapes disagree or nothing lies on the finger.
+    `values`, `weight`, `found`, `ppi`: as of :func:`print_quality`; `min_height_um`: of ridges above their valleys,
+    None where `values` are not in um. Raises BadInput if the shapes disagree or nothing lies on the finger.
     """
     in_um = min_height_um is not None
     if values.ndim != 2 or values.shape != weight.shape:
@@ -90,12 +85,12 @@ def _quality_figures(
         return QualityFigures(0, 0.0 if in_um else None, 0, 0, 0, 0, 0, float(finger.sum()) * cell, 0, 1, 0)
     first, second, purity = _waves(values, weight, looked, px)
     height = 2.0 * np.abs(first)
-    strong = looked.mask & (purity > min_purity)
+    strong = looked.mask & (purity > _MIN_PURITY)
     if min_height_um is not None:
         strong &= height > min_height_um
     period = 1.0 / (found.frequency_px * np.float32(px))
     typical = float(np.median(period[looked.mask]))
-    near = (period > typical * (1.0 - period_tolerance)) & (period < typical * (1.0 + period_tolerance))
+    near = (period > typical * (1.0 - _PERIOD_TOLERANCE)) & (period < typical * (1.0 + _PERIOD_TOLERANCE))
     return QualityFigures(
         ridge_share=float(strong.sum() / finger.sum()),
         ridge_height_um=float(np.median(height[looked.mask])) if in_um else None,
@@ -118,18 +113,18 @@ def _waves(
 ) -> tuple[NDArray[np.complex64], NDArray[np.complex64], FloatArray]:
     """Waves at the nodes (n, m), their second harmonics, and the fraction of the variance that a wave explains."""
     inside = np.clip(weight, 0.0, 1.0).astype(np.float32)
-    around = np.maximum(blur(inside, _SMOOTH_MM * px), np.float32(1e-3))
+    around = np.maximum(gaussian_mean(inside, _SMOOTH_MM * px), np.float32(1e-3))
     centred = np.where(inside > 0, values, np.float32(0.0)).astype(np.float32)
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope at the outline
-        mean = blur(centred * inside, _SMOOTH_MM * px) / around
+        mean = gaussian_mean(centred * inside, _SMOOTH_MM * px) / around
         centred = np.where(inside > 0, centred - mean, np.float32(0.0)).astype(np.float32)
     centred = (centred * inside).astype(np.float32)
     twice = replace(looked, frequency_px=np.float32(2.0) * looked.frequency_px)
     first = node_amplitudes(centred, looked, _SIGMA_PERIODS)
     second = node_amplitudes(centred, twice, 2.0 * _SIGMA_PERIODS)
     width = _SIGMA_PERIODS / float(np.median(looked.frequency_px[looked.mask]))
-    there: FloatArray = np.maximum(blur(inside, width), np.float32(0.3))
-    variance = _at_nodes((blur(centred * centred, width) / there).astype(np.float32), looked)
+    there: FloatArray = np.maximum(gaussian_mean(inside, width), np.float32(0.3))
+    variance = _at_nodes((gaussian_mean(centred * centred, width) / there).astype(np.float32), looked)
     fraction = _at_nodes(there, looked)
     first, second = (first / fraction).astype(np.complex64), (second / fraction).astype(np.complex64)
     purity = 0.5 * np.abs(first) ** 2 / np.maximum(variance, np.float32(1e-12))
@@ -177,7 +172,7 @@ _MIN_PART = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class _Part:
     """How one figure enters the score: worth nothing at `useless`, all from `good` on, straight in between."""
 
     useless: float
@@ -209,31 +204,31 @@ _PERIOD_TOLERANCE = 0.35
 class PrintQualitySettings:
     """What counts as ridges, and how the figures make the score."""
 
-    ridge_share: Part = field(default_factory=lambda: Part(0.2, 1.0, 0.3))
+    ridge_share: _Part = field(default_factory=lambda: _Part(0.2, 1.0, 0.3))
     """Fraction of the finger's area on the print that has ridges."""
-    ridge_height_um: Part = field(default_factory=lambda: Part(5.0, 50.0, 0.3))
+    ridge_height_um: _Part = field(default_factory=lambda: _Part(5.0, 50.0, 0.3))
     """Height of the ridges above their valleys in um (prints of the relief)."""
-    coherence: Part = field(default_factory=lambda: Part(0.5, 1.0, 0.15))
+    coherence: _Part = field(default_factory=lambda: _Part(0.5, 1.0, 0.15))
     """How much ridges agree in their direction, 0 to 1."""
-    plausible_share: Part = field(default_factory=lambda: Part(0.5, 1.0, 0.15))
+    plausible_share: _Part = field(default_factory=lambda: _Part(0.5, 1.0, 0.15))
     """Fraction of the ridges whose period is plausible."""
-    sharpness: Part = field(default_factory=lambda: Part(0.02, 0.11, 0.15))
+    sharpness: _Part = field(default_factory=lambda: _Part(0.02, 0.11, 0.15))
     """Second harmonic of the ridges over the first."""
-    ridge_area_mm2: Part = field(default_factory=lambda: Part(20.0, 300.0, 0.15))
+    ridge_area_mm2: _Part = field(default_factory=lambda: _Part(20.0, 300.0, 0.15))
     """Ridges in mm2."""
-    ridge_length_mm: Part = field(default_factory=lambda: Part(6.0, 20.0, 0.3))
+    ridge_length_mm: _Part = field(default_factory=lambda: _Part(6.0, 20.0, 0.3))
     """From the tip to the last ridges in mm."""
-    gap_share: Part = field(default_factory=lambda: Part(0.4, 0.0, 0.15))
+    gap_share: _Part = field(default_factory=lambda: _Part(0.4, 0.0, 0.15))
     """Fraction without ridges of what ridges surround: creases, scars, specular reflection, shadows."""
-    centre_offset_mm: Part = field(default_factory=lambda: Part(8.0, 1.0, 0.1))
+    centre_offset_mm: _Part = field(default_factory=lambda: _Part(8.0, 1.0, 0.1))
     """How far the ridges' centre lies beside the finger's middle, in mm."""
 
     def __post_init__(self) -> None:
         require(sum(part.weight for part in self.parts().values()) > 0, "a quality's weight must be above 0.")
 
-    def parts(self) -> dict[str, Part]:
+    def parts(self) -> dict[str, _Part]:
         """Parts of the score by the name of their figure."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Part)}
+        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), _Part)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,15 +277,7 @@ def print_quality(
     periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
     """
     settings = settings or PrintQualitySettings()
-    figures = _quality_figures(
-        values,
-        weight,
-        found,
-        ppi,
-        min_purity=_MIN_PURITY,
-        min_height_um=_MIN_HEIGHT_UM if in_um else None,
-        period_tolerance=_PERIOD_TOLERANCE,
-    )
+    figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)
     score, worth = score_of(figures, settings)
     return PrintQuality(score, figures, worth)
 

@@ -38,13 +38,13 @@ class PrintSettings(Checked):
     """Steepness of the grey curve; 0.5 is soft, 3 is nearly black and white."""
 
 
-def relief_print(  # noqa: PLR0917
+def relief_print(
     ridge_mm: FloatArray,
     mask: BoolArray,
     px_per_mm: float,
     input_from_upright: NDArray[np.float64],
     upright_size: tuple[int, int],
-    ppi: float = 500.0,
+    *,
     settings: PrintSettings | None = None,
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
@@ -60,8 +60,6 @@ def relief_print(  # noqa: PLR0917
     input_from_upright : (3, 3) float64
         Takes (column, row, 1) of the upright frame to the input.
     upright_size : (rows, columns) of the upright frame
-    ppi : float
-        Resolution in pixels per inch, used where `settings` is not given.
     settings : PrintSettings, optional
         Resolution and contrast.
 
@@ -83,7 +81,7 @@ def relief_print(  # noqa: PLR0917
     >>> relief_print(relief, np.ones((40, 60), bool), 500 / 25.4, np.eye(3), (40, 60)).shape
     (40, 60)
     """
-    settings = PrintSettings(ppi=ppi) if settings is None else settings
+    settings = settings or PrintSettings()
     require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     mask = check_mask(mask, (ridge_mm.shape[0], ridge_mm.shape[1]))
     input_per_print = px_per_mm * MM_PER_INCH / settings.ppi
@@ -94,8 +92,8 @@ def relief_print(  # noqa: PLR0917
     relief = np.where(mask[rows, columns], ridge_mm[rows, columns], np.float32(0.0))
     # A Gaussian of half the print's pixel: 0.3 % of the contrast is left at the print's sampling frequency.
     sigma = 0.5 * input_per_print if input_per_print > 1 else 0.0
-    weight = blur(inside, sigma)
-    relief = blur(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
+    weight = gaussian_mean(inside, sigma)
+    relief = gaussian_mean(relief, sigma) / np.maximum(weight, np.float32(1e-3)) * (weight > 1e-3)
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
@@ -132,14 +130,14 @@ def _ink(relief: FloatArray, weight: FloatArray, settings: PrintSettings) -> NDA
 
 def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[FloatArray, FloatArray]:
     """Values (h, w) less their weighted Gaussian mean, zero without weight, and their standard deviation about it."""
-    total: FloatArray = np.maximum(blur(weight, sigma), np.float32(1e-3))
+    total: FloatArray = np.maximum(gaussian_mean(weight, sigma), np.float32(1e-3))
     centred: FloatArray = values
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
-        centred = (centred - blur(centred * weight, sigma) / total) * (weight > 0)
-    return centred, np.sqrt(np.maximum(blur(centred * centred * weight, sigma) / total, np.float32(0.0)))
+        centred = (centred - gaussian_mean(centred * weight, sigma) / total) * (weight > 0)
+    return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, np.float32(0.0)))
 
 
-def blur(image: FloatArray, sigma: float) -> FloatArray:
+def gaussian_mean(image: FloatArray, sigma: float) -> FloatArray:
     """Gaussian mean (h, w), zero beyond the border; `sigma` in pixels, 0 for none."""
     if sigma <= 0.0:
         return image
@@ -150,8 +148,9 @@ def blur(image: FloatArray, sigma: float) -> FloatArray:
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
     """Relief of a reconstruction as ink on paper: what ``print.png`` shows."""
     return relief_print(
-        surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size, ppi
-    )
+        surface.ridge_mm, surface.mask, 1.0 / surface.pitch_mm, surface.input_from_upright, surface.upright_size,
+        settings=PrintSettings(ppi=ppi),
+    )  # fmt: skip
 
 
 # Grey values of a print: ridges dark, contrast even up to the edges, paper white where there are no ridges.
@@ -205,8 +204,8 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
         typical > 1e-6 * scale, "the print has no ridges: its relief is flat; check focus and light of the capture."
     )
     score = centred / np.maximum(deviation, np.float32(CONTRAST_FLOOR * typical))
-    around = np.maximum(blur(weight, _NARROW * sigma), np.float32(1e-3))
-    near = np.sqrt(blur(centred * centred * weight, _NARROW * sigma) / around)
+    around = np.maximum(gaussian_mean(weight, _NARROW * sigma), np.float32(1e-3))
+    near = np.sqrt(gaussian_mean(centred * centred * weight, _NARROW * sigma) / around)
     shown = np.clip((near / np.float32(typical) - _EMPTY) / (_FULL - _EMPTY), 0.0, 1.0) * weight
     dark = 0.5 + 0.5 * np.tanh(np.float32(settings.contrast) * score)
     return np.asarray(np.round(255.0 * (1.0 - shown * dark)).astype(np.uint8))

@@ -23,8 +23,8 @@ from splitknit.prints.unroll import Unrolled, UnrollSettings, unroll
 from splitknit.prints.unroll_grid import RINGS, SurfaceGrid, extrapolated
 
 if TYPE_CHECKING:
+    from splitknit.mirrors.rolled.blend import RolledSettings
     from splitknit.mirrors.rolled.finger import Rolled
-    from splitknit.mirrors.rolled.settings import RolledSettings
 
 Array = NDArray[np.float64]
 KINDS = ("free", "arc")

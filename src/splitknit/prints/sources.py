@@ -48,6 +48,11 @@ class Source:
     scale: str = ""
     """How the scale was found in the ridges, where it was."""
 
+    @property
+    def xy_mm(self) -> tuple[FloatArray, FloatArray] | None:
+        """Where the surface points lie, of a perspective camera."""
+        return None if self.x_mm is None or self.y_mm is None else (self.x_mm, self.y_mm)
+
 
 def read_source(
     path: Path,

@@ -21,7 +21,7 @@ from splitknit.settings import Checked, Limits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Distortion:
+class _Distortion:
     """Of the cells between the nodes; NaN where there is no surface."""
 
     area: Array
@@ -55,7 +55,7 @@ class Distortion:
         return result
 
 
-def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> Distortion:
+def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> _Distortion:
     """Compare a flat map with the surface, cell by cell.
 
     Parameters
@@ -89,7 +89,7 @@ def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> D
     cell = inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
     cell &= np.isfinite(trace)
     fields = [largest * smallest - 1.0, largest / smallest - 1.0, largest, smallest, slant, size]
-    return Distortion(*(np.where(cell, field, np.nan) for field in fields))
+    return _Distortion(*(np.where(cell, field, np.nan) for field in fields))
 
 
 def _differences(values: Array) -> tuple[Array, Array]:
@@ -407,7 +407,7 @@ class Unrolled:
     grid: SurfaceGrid
     flat_mm: Array
     """(n, m, 2) u to the right and v to the tip, as the camera sees them; NaN where unknown."""
-    distortion: Distortion
+    distortion: _Distortion
 
 
 def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolled:

@@ -61,14 +61,14 @@ class SurfaceGrid:
         return np.asarray(np.isfinite(self.points_mm).all(axis=2))
 
 
-def surface_grid(  # noqa: PLR0917
+def surface_grid(
     shape_mm: FloatArray,
     mask: BoolArray,
     pitch_mm: float,
     input_from_upright: Array,
     upright_size: tuple[int, int],
-    x_mm: FloatArray | None = None,
-    y_mm: FloatArray | None = None,
+    *,
+    xy_mm: tuple[FloatArray, FloatArray] | None = None,
     settings: GridSettings | None = None,
 ) -> SurfaceGrid:
     """Return the smooth surface on a coarse upright grid.
@@ -82,8 +82,8 @@ def surface_grid(  # noqa: PLR0917
         Of the input on the finger plane.
     input_from_upright : (3, 3), upright_size : (rows, columns)
         The upright frame.
-    x_mm, y_mm : (H, W) float32, optional
-        Where the surface points lie (perspective cameras); without them pixels lie at their pitch.
+    xy_mm : (H, W) float32, twice, optional
+        x and y of the surface points (perspective cameras); without them pixels lie at their pitch.
     settings : GridSettings, optional
 
     Raises
@@ -97,7 +97,7 @@ def surface_grid(  # noqa: PLR0917
         f"pitch_mm must be a number from {_FINEST_MM:g} to {_LONGEST_MM:g}, not {pitch_mm}.",
     )
     mask = check_mask(mask, (shape_mm.shape[0], shape_mm.shape[1]))
-    fields = [shape_mm] if x_mm is None or y_mm is None else [shape_mm, x_mm, y_mm]
+    fields = [shape_mm, *(xy_mm or ())]
     for field in fields:
         mask = mask & (np.abs(field) < _FARTHEST_MM)  # nor where it is NaN
     require(bool(mask.any()), "the surface has no finite height inside its mask; reconstruct the capture again.")
@@ -110,7 +110,7 @@ def surface_grid(  # noqa: PLR0917
     size = (int(np.ceil((bottom - top + 2 * margin) / step)) + 1, int(np.ceil((right - left + 2 * margin) / step)) + 1)
     upright_from_grid = np.array([[step, 0.0, left - margin], [0.0, step, top - margin], [0.0, 0.0, 1.0]])
     input_from_grid = input_from_upright @ upright_from_grid
-    values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size, _WINDOW_MM)
+    values, inside = _fits(fields, mask, pitch_mm, input_from_grid, size)
     require(int(inside.sum()) >= 16, _TOO_SMALL)
     if len(values) == 1:
         node = np.stack(np.meshgrid(np.arange(size[1]), np.arange(size[0])), axis=2)
@@ -169,13 +169,8 @@ def _bounds(mask: BoolArray, upright_from_input: Array, size: tuple[int, int]) -
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _fits(  # noqa: PLR0917
-    fields: list[FloatArray],
-    mask: BoolArray,
-    pitch_mm: float,
-    input_from_grid: Array,
-    size: tuple[int, int],
-    window_mm: float,
+def _fits(
+    fields: list[FloatArray], mask: BoolArray, pitch_mm: float, input_from_grid: Array, size: tuple[int, int]
 ) -> tuple[list[Array], BoolArray]:
     """Local quadratic fits of the fields at the nodes, and where they are supported by the mask."""
     factor = max(1, int(0.1 / pitch_mm))
@@ -184,7 +179,7 @@ def _fits(  # noqa: PLR0917
     height, width = (n // factor for n in inside.shape)
     require(min(height, width) > 0, _TOO_SMALL)
     weight = _binned(inside.astype(np.float32), (height, width), factor) > 0.99  # whole blocks only: no shifted means
-    sigma = window_mm / (pitch_mm * factor)
+    sigma = _WINDOW_MM / (pitch_mm * factor)
     reach = int(np.ceil(3.0 * sigma))
     offset = np.arange(-reach, reach + 1) / sigma
     window = np.exp(-0.5 * offset**2)

@@ -139,7 +139,7 @@ def patch_with_skin(cut: Callable[[], FloatArray], side: int, min_weight: float)
     raise BadInput(f"hardly any patch of {side} pixels holds enough skin to train on; take smaller patches.")
 
 
-def cut_out(sample: Sample, row: int, column: int, side: int) -> FloatArray:
+def patch_at(sample: Sample, row: int, column: int, side: int) -> FloatArray:
     """The square (n, side, side) of a sample (n, h, w) whose corner is there; zero beyond the sample."""
     first = [max(start, 0) for start in (row, column)]
     part = np.asarray(sample[:, first[0] : max(row + side, 0), first[1] : max(column + side, 0)], dtype=np.float32)

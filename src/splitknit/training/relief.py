@@ -28,9 +28,9 @@ from splitknit.training.fields import (
     FieldsTrainer,
     Sample,
     check_channels,
-    cut_out,
     mean_figures,
     one_scale,
+    patch_at,
     patch_with_skin,
     rounded,
     runner_of,
@@ -191,7 +191,7 @@ def _draw_patch(
         pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
         sample = pool[int(rng.integers(len(pool)))]
         row, column = (int(rng.integers(max(1, length - side))) for length in sample.shape[1:])
-        return cut_out(sample, row, column, side)
+        return patch_at(sample, row, column, side)
 
     return patch_with_skin(cut, side, _MIN_WEIGHT)
 

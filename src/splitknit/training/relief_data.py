@@ -38,8 +38,8 @@ from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 from splitknit.skin.shape import coarse_images, coarse_shape, on_fine_grid
 from splitknit.training.scenes import (
     Range,
-    Scene,
     SceneRanges,
+    TrainingScene,
     TruthOnGrid,
     draw_base,
     draw_finger_of,
@@ -106,7 +106,7 @@ class ReliefData(SceneRanges):
     """Part of the whole fingers that have another size."""
 
 
-def _draw_scene(number: int, data: ReliefData) -> Scene:
+def _draw_scene(number: int, data: ReliefData) -> TrainingScene:
     """Draw the finger `number`, its skin's ranges, camera and lights."""
     rng = np.random.default_rng([number, 77])
 
@@ -124,7 +124,7 @@ def _draw_scene(number: int, data: ReliefData) -> Scene:
         rig = moved_rig(rig, rng, data)
     render = RenderSettings(aperture_mm=aperture_mm)
     settings = TwinSettings(scale=scale, skin=data.skin(base), render=render, sensor=drawn_sensor(rng, data))
-    return Scene(number, finger, rig, settings, data)
+    return TrainingScene(number, finger, rig, settings, data)
 
 
 def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16], dict[str, Any]]:

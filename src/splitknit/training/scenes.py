@@ -129,7 +129,7 @@ class SceneRanges(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class TrainingScene:
     """One finger, before it is photographed."""
 
     number: int
@@ -241,7 +241,7 @@ def moved_rig(rig: Rig, rng: np.random.Generator, data: SceneRanges) -> Rig:
     return replace(rig, leds=tuple(leds), camera=replace(rig.camera, height_mm=height))
 
 
-def photograph_scene(scene: Scene) -> tuple[Capture, Mapping[str, NDArray[Any]]]:
+def photograph_scene(scene: TrainingScene) -> tuple[Capture, Mapping[str, NDArray[Any]]]:
     """Capture and truth, as :func:`splitknit.simulator.twin.simulate_capture` makes them, with the scene's own rig."""
     settings, camera = scene.settings, scene.rig.camera
     person = np.random.default_rng(np.random.SeedSequence([scene.number, 0x51]))

@@ -28,7 +28,7 @@ from splitknit.training.separation_data import (
     Patches,
     Photograph,
     SeparationData,
-    enhance,
+    enhanced_contrast,
     photographs,
 )
 from splitknit.training.trainer import (
@@ -235,7 +235,7 @@ def _subjects(data: SeparationData) -> list[Subject]:
 
 def _shoot(kind: str, index: int, data: SeparationData, seed: int) -> Iterable[Sample]:
     """Every second palm and finger is equalised in linear light, so that the network knows both."""
-    for photograph in photographs(kind, index, seed, data, _enhance_linear if index % 2 else enhance):
+    for photograph in photographs(kind, index, seed, data, _enhance_linear if index % 2 else enhanced_contrast):
         facts = photograph.facts
         stored = {**facts, "skin": asdict(facts["skin"]), "corners": photograph.corners.tolist()}
         yield _levelled(photograph).pixels, stored

@@ -120,17 +120,17 @@ def photographs(kind: str, index: int, seed: int, settings: SeparationData, enha
     -------
     list of Photograph, `settings.views` long
     """
-    surface = surface_of(kind, index, seed, settings)
+    surface = drawn_surface(kind, index, seed, settings)
     view_seeds = _root(kind, index, seed).spawn(1 + settings.views)[1:]
     return [_photograph(surface, (kind, index), view, settings, enhance) for view in view_seeds]
 
 
-def enhance(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
+def enhanced_contrast(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> FloatArray:
     """Enhance the contrast as the presets ``pr`` and ``snk`` do before the network."""
     return clahe(grey, px_per_mm, mask=mask)
 
 
-def surface_of(kind: str, index: int, seed: int, settings: SeparationData) -> Surface:
+def drawn_surface(kind: str, index: int, seed: int, settings: SeparationData) -> Surface:
     """The palm or finger itself, before its camera: what :func:`photographs` takes pictures of."""
     require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
     rng = np.random.default_rng(_root(kind, index, seed).spawn(1)[0])
@@ -158,7 +158,11 @@ def _pitch_um(rng: np.random.Generator, limits: tuple[float, float]) -> float:
 
 
 def _photograph(
-    surface: Surface, name: tuple[str, int], seed: np.random.SeedSequence, settings: SeparationData, enhance: Enhance
+    surface: Surface,
+    name: tuple[str, int],
+    seed: np.random.SeedSequence,
+    settings: SeparationData,
+    enhance: Enhance,
 ) -> Photograph:
     draw_seed, noise_seed, corner_seed = seed.spawn(3)
     rng = np.random.default_rng(draw_seed)

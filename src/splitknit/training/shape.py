@@ -27,9 +27,9 @@ from splitknit.training.fields import (
     FieldsTrainer,
     Sample,
     check_channels,
-    cut_out,
     mean_figures,
     one_scale,
+    patch_at,
     patch_with_skin,
     rounded,
     runner_of,
@@ -82,7 +82,7 @@ _SCALE_PATCHES = 24
 
 
 @dataclass(frozen=True, slots=True)
-class ShapeSettings(FieldsSettings):
+class ShapeNetSettings(FieldsSettings):
     """Network, loss and training.
 
     The network that ships was trained in three runs of 957, 2623 and 2354 iterations, each from the weights of the one
@@ -118,7 +118,7 @@ class ShapeSettings(FieldsSettings):
         )
 
 
-def _shape_trainer(settings: ShapeSettings, samples: Sequence[Sample]) -> FieldsTrainer:
+def _shape_trainer(settings: ShapeNetSettings, samples: Sequence[Sample]) -> FieldsTrainer:
     """The shape network in training, its first weights from the settings' seed."""
     check_channels(samples, CHANNELS)
     loss = FieldsLoss(
@@ -183,7 +183,7 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
-def _draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.random.Generator) -> FloatArray:
+def _draw_patch(samples: Sequence[Sample], settings: ShapeNetSettings, rng: np.random.Generator) -> FloatArray:
     """Cut a patch (35, side, side) anywhere in any sample, as it is; zero where it reaches over the sample. Raises
     BadInput if patches with enough skin cannot be found.
     """
@@ -194,7 +194,7 @@ def _draw_patch(samples: Sequence[Sample], settings: ShapeSettings, rng: np.rand
         row, column = (
             int(rng.integers(-beyond, max(1 - beyond, length - side + beyond))) for length in sample.shape[1:]
         )
-        return cut_out(sample, row, column, side)
+        return patch_at(sample, row, column, side)
 
     return patch_with_skin(cut, side, _MIN_WEIGHT)
 
@@ -206,7 +206,7 @@ def _without_nir(patch: FloatArray) -> FloatArray:
     return blind
 
 
-def _draw_batch(samples: Sequence[Sample], settings: ShapeSettings, iteration: int) -> FloatArray:
+def _draw_batch(samples: Sequence[Sample], settings: ShapeNetSettings, iteration: int) -> FloatArray:
     """The patches (batch, 35, side, side) of one iteration; they follow from its number and the settings' seed."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
     patches = []
@@ -216,7 +216,7 @@ def _draw_batch(samples: Sequence[Sample], settings: ShapeSettings, iteration: i
     return np.stack(patches)
 
 
-def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArray:
+def _field_scale(samples: Sequence[Sample], settings: ShapeNetSettings) -> FloatArray:
     """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
     rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
     patches = np.stack([_draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
@@ -226,7 +226,7 @@ def _field_scale(samples: Sequence[Sample], settings: ShapeSettings) -> FloatArr
 def train_shape(
     out: Path,
     data: ShapeData,
-    settings: ShapeSettings,
+    settings: ShapeNetSettings,
     *,
     resume: bool = False,
     command: str = "",

@@ -31,8 +31,8 @@ from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import (
     TRUTH_FRACTION,
     Range,
-    Scene,
     SceneRanges,
+    TrainingScene,
     TruthOnGrid,
     draw_base,
     draw_finger_of,
@@ -72,7 +72,7 @@ class ShapeData(SceneRanges):
     """Its standard deviation from finger to finger."""
 
 
-def _draw_shape_scene(number: int, data: ShapeData) -> tuple[Scene, float]:
+def _draw_shape_scene(number: int, data: ShapeData) -> tuple[TrainingScene, float]:
     """Draw the finger `number`, its skin's ranges, camera and lights, and the gain of the relief."""
     rng = np.random.default_rng([number, 77])
     scale = float(rng.uniform(*data.scale))
@@ -87,7 +87,7 @@ def _draw_shape_scene(number: int, data: ShapeData) -> tuple[Scene, float]:
     render = RenderSettings(aperture_mm=aperture_mm, rim_exponent=rim)
     gain = max(float(rng.normal(data.gain, data.gain_spread)), 0.1)
     twin = TwinSettings(scale=scale, skin=data.skin(base), render=render, sensor=drawn_sensor(rng, data))
-    return Scene(number, finger, rig, twin, data), gain
+    return TrainingScene(number, finger, rig, twin, data), gain
 
 
 def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dict[str, Any]]:

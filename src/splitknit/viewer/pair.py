@@ -250,7 +250,7 @@ class _Band:
         self.template = make_template(band)
         self.pitch_mm = band.pitch_mm
         known = mask & np.isfinite(ridge) & np.isfinite(shape)
-        self._columns, self._rows, _ = band_places(known, shape, matrix, size, pitch, settings)
+        self._columns, self._rows, _ = band_places(known, shape, matrix, size, pitch_mm=pitch, settings=settings)
         valid = [np.flatnonzero(band.valid.any(axis=axis)) for axis in (0, 1)]
         self._middle = [float(lines[0] + lines[-1]) / 2 if lines.size else 0.0 for lines in valid]
 

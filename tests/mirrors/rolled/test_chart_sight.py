@@ -7,7 +7,7 @@ import pytest
 
 from splitknit.mirrors.rolled.chart import Chart, Sight, heights, read, surface_normals
 from splitknit.mirrors.rolled.reflection import Plane
-from splitknit.mirrors.rolled.work import _chart_over, _sampled
+from splitknit.mirrors.rolled.work import _angles, _lengths, _sampled
 from splitknit.model import Camera
 
 CAMERA = Camera(12.0, (420, 900))
@@ -18,7 +18,7 @@ FRONT = Sight("front", CAMERA)
 
 
 def capsule_chart(pitch: float = 0.25) -> Chart:
-    return _chart_over(np.zeros(3), np.eye(3), (-170.0, 170.0), (-14.0, 10.0), CAP, pitch, A)
+    return Chart(np.zeros(3), np.eye(3), _angles(170.0, A, pitch), _lengths(-14.0, 10.0, pitch), CAP)
 
 
 def capsule_radius(chart: Chart) -> np.ndarray:
@@ -31,7 +31,7 @@ def capsule_radius(chart: Chart) -> np.ndarray:
 def test_points_are_found_where_they_were_put() -> None:
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     axes = turn * np.sign(np.linalg.det(turn))
-    chart = _chart_over(np.array([3.0, -2.0, 1.0]), axes, (-120.0, 120.0), (-12.0, 9.0), 8.0, 0.5, 8.0)
+    chart = Chart(np.array([3.0, -2.0, 1.0]), axes, _angles(120.0, 8.0, 0.5), _lengths(-12.0, 9.0, 0.5), 8.0)
     radius = np.random.default_rng(0).uniform(5, 8, chart.shape)
     angle, length, distance = chart.locate(chart.points(radius))
     assert np.allclose(angle, chart.angle_rad[None], atol=1e-9)
@@ -51,7 +51,8 @@ def test_normals_point_outwards() -> None:
 
 
 def test_a_surface_goes_from_chart_to_chart() -> None:
-    coarse, fine = capsule_chart(0.5), _chart_over(np.zeros(3), np.eye(3), (-90.0, 90.0), (-14.0, 10.0), CAP, 0.1, A)
+    coarse = capsule_chart(0.5)
+    fine = Chart(np.zeros(3), np.eye(3), _angles(90.0, A, 0.1), _lengths(-14.0, 10.0, 0.1), CAP)
     got = _sampled(coarse, capsule_radius(coarse), fine)
     # the second derivative jumps where the cap begins
     assert np.abs(got - capsule_radius(fine)).max() < 5e-3

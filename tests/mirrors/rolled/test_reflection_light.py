@@ -11,7 +11,6 @@ from splitknit.mirrors.rolled.reflection import (
     facing_fraction,
     led_image,
     mirrored_fraction,
-    plane_of,
     reflect_points,
     reflect_vectors,
 )
@@ -76,7 +75,7 @@ def test_light_by_way_of_a_mirror_ends_at_its_outline() -> None:
 
 def test_a_plane_is_moved_as_it_says() -> None:
     mirror = Mirror("right", tuple(tuple(float(v) for v in corner) for corner in CORNERS))
-    plane = plane_of(mirror)
+    plane = Plane(mirror.point_mm, mirror.normal)
     assert np.allclose(plane.normal, LEAN)
     moved = plane.moved((0.0, 0.0), 0.5)
     assert moved.offset_mm - plane.offset_mm == pytest.approx(0.5)

@@ -11,9 +11,8 @@ from splitknit.mirrors.rolled.blend import STEEPEST_DEG, BlendSettings, blend, s
 from splitknit.mirrors.rolled.chart import Chart, Sight, surface_normals
 from splitknit.mirrors.rolled.finger import _view_weight
 from splitknit.mirrors.rolled.reflection import Plane
-from splitknit.mirrors.rolled.register import Seen, align, ridge_band, shifts_by
-from splitknit.mirrors.rolled.search import SearchSettings, search
-from splitknit.mirrors.rolled.work import _chart_over
+from splitknit.mirrors.rolled.register import RidgeSearchSettings, ViewRidges, _shifts_by, align, ridges_of, search
+from splitknit.mirrors.rolled.work import _angles, _lengths
 from splitknit.model import Camera
 from splitknit.prints.rolled import _coverage_deg
 
@@ -31,13 +30,13 @@ def ridges(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
 
 def test_the_ridge_band_has_no_mean() -> None:
     relief = ridges((80, 80)) + 5.0
-    band = ridge_band(relief, np.ones(relief.shape, bool), 0.1)
+    band = ridges_of(relief, np.ones(relief.shape, bool), 0.1)
     assert abs(float(band.mean())) < 0.02
     assert np.corrcoef(band.ravel(), relief.ravel())[0, 1] > 0.95
 
 
 def cylinder(radius: float) -> tuple[Chart, np.ndarray]:
-    chart = _chart_over(np.array([0.0, 0.0, -7.0]), np.eye(3), (-100.0, 100.0), (-14.0, 0.0), 7.0, 0.1, 7.0)
+    chart = Chart(np.array([0.0, 0.0, -7.0]), np.eye(3), _angles(100.0, 7.0, 0.1), _lengths(-14.0, 0.0, 0.1), 7.0)
     return chart, np.full(chart.shape, radius)
 
 
@@ -65,14 +64,15 @@ def test_a_bulge_is_told_from_the_ridges(more: float) -> None:
     first, second, both, truth = bulged(chart, more)
     before = np.corrcoef(first[both], second[both])[0, 1]
     assert before < 0.3  # ridges are shifted by more than a period
-    ranges = SearchSettings(across_mm=(1.0, 0.05), along_mm=(0.05, 0.05), deviations=(0.2, 0.06, 0.1))
-    found = search(chart, radius, FRONT, RIGHT, first, second, both, ranges)
+    ranges = RidgeSearchSettings(across_mm=(1.0, 0.05), along_mm=(0.05, 0.05), deviations=(0.2, 0.06, 0.1))
+    found = search(chart, radius, ViewRidges(FRONT, first, both), ViewRidges(RIGHT, second, both), ranges)
     assert found.correlation > 0.8
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
     left = found.radius_mm[70, middle] - truth[middle]
     # surface and mirror trade against each other: what both move by is what counts
     assert np.abs(left + found.pose[2] * np.sin(2 * chart.angle_rad[middle])).max() < 0.15
-    nothing = search(chart, radius, FRONT, RIGHT, first, ridges(chart.shape, 9) * both, both, ranges)
+    other = ViewRidges(RIGHT, ridges(chart.shape, 9) * both, both)
+    nothing = search(chart, radius, ViewRidges(FRONT, first, both), other, ranges)
     assert not nothing.radius_mm.any()
 
 
@@ -84,7 +84,11 @@ def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     there = np.ascontiguousarray(both[:, ::-1])
     calm = ridges(chart.shape, 11) * there
     done = align(
-        chart, radius, FRONT, first + calm, (Seen(RIGHT, second, both), Seen(left, calm, there)), pose_free=False
+        chart,
+        radius,
+        ViewRidges(FRONT, first + calm, both),
+        (ViewRidges(RIGHT, second, both), ViewRidges(left, calm, there)),
+        pose_free=False,
     )
     assert done.after[0] > max(0.95, done.before[0] + 0.05)
     assert done.after[1] > 0.99
@@ -93,14 +97,21 @@ def test_what_the_search_leaves_is_taken_up_smoothly() -> None:
     middle = np.abs(np.rad2deg(chart.angle_rad) - 45) < 15
     assert np.abs(done.radius_mm[30:110, middle] - truth[middle]).max() < 0.02
     # with one mirror the side that it does not show stays as it is
-    alone = align(chart, radius, FRONT, first, (Seen(RIGHT, second, both),), pose_free=False)
+    alone = align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, both),), pose_free=False)
     assert np.abs(alone.radius_mm[:, np.rad2deg(chart.angle_rad) < -25]).max() < 0.003
     # ridges that lie along the finger beside the front's are the mirror's turn, of that mirror alone
     lower = np.roll(second, 1, axis=0) * both
-    turned = align(chart, radius + truth, FRONT, first + calm, (Seen(left, calm, there), Seen(RIGHT, lower, both)))
+    turned = align(
+        chart,
+        radius + truth,
+        ViewRidges(FRONT, first + calm, both),
+        (ViewRidges(left, calm, there), ViewRidges(RIGHT, lower, both)),
+    )
     assert abs(turned.poses[1][1]) > 5 * abs(turned.poses[0][1])
     few = np.zeros_like(both)
-    assert align(chart, radius, FRONT, first, (Seen(RIGHT, second, few),)).radius_mm.max() == 0.0
+    assert (
+        align(chart, radius, ViewRidges(FRONT, first, both), (ViewRidges(RIGHT, second, few),)).radius_mm.max() == 0.0
+    )
 
 
 def test_ridges_move_as_surface_and_mirror_do() -> None:
@@ -109,8 +120,8 @@ def test_ridges_move_as_surface_and_mirror_do() -> None:
     _, rays = chart.rays()
     at = np.array([70]), np.array([np.abs(chart.angle_rad - np.pi / 4).argmin()])
     steps = np.gradient(points, axis=1)[at], np.gradient(points, axis=0)[at]
-    front, no_pose = shifts_by(FRONT, points[at], rays[at], steps)
-    mirror, by_pose = shifts_by(RIGHT, points[at], rays[at], steps)
+    front, no_pose = _shifts_by(FRONT, points[at], rays[at], steps)
+    mirror, by_pose = _shifts_by(RIGHT, points[at], rays[at], steps)
     column_mm = np.linalg.norm(steps[0])
     # at 45 deg a surface that rises by 1 mm moves what the front shows by 1 mm towards the side, the mirror's back
     assert front[0] * column_mm == pytest.approx([1.0, 0.0], abs=0.02)
@@ -173,4 +184,4 @@ def test_settings_are_checked() -> None:
         {"candidates": 0},
     ):
         with pytest.raises(BadInput, match=r"rolled\.search"):
-            SearchSettings(**wrong)
+            RidgeSearchSettings(**wrong)

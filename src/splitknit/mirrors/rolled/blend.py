@@ -1,13 +1,15 @@
-"""Views of one finger as one relief: weights that fade into each other, seams, and how far around it reaches."""
+"""Settings of the rolled-equivalent finger; views of one finger as one relief, and its seams."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.errors import require
+from splitknit.mirrors.rolled.register import RidgeSearchSettings
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -28,6 +30,28 @@ class BlendSettings(Checked):
     most_deviation_um: Annotated[float, Limits(0, above=True)] = 35.0
     """Where the relief's standard deviation is as large as this, ridges are not known; from three quarters of it on, a
     view counts less."""
+
+
+@dataclass(frozen=True, slots=True)
+class RolledSettings:
+    """How views from the front and in mirrors become one finger."""
+
+    around_deg: float = 105.0
+    """The chart reaches this far to either side of the front."""
+    pitch_mm: float = 0.035
+    """Of the chart: finer than what the camera resolves."""
+    turns: int = 1
+    """How often the views' ridges are found on the surface as it is known by then."""
+    slope_prior: float = 0.5
+    """How much slopes that the lights hardly determine are held to the shape's: variance of the images' relative error
+    over that of the slopes."""
+    search: RidgeSearchSettings = field(default_factory=RidgeSearchSettings)
+    blend: BlendSettings = field(default_factory=BlendSettings)
+
+    def __post_init__(self) -> None:
+        require(30.0 <= self.around_deg <= 150.0, "rolled.around_deg must lie in [30, 150].")
+        require(0.01 <= self.pitch_mm <= 0.2, "rolled.pitch_mm must lie in [0.01, 0.2].")
+        require(1 <= self.turns <= 5, "rolled.turns must lie between 1 and 5.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,19 +16,17 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.imaging.areas import mirror_outline
 from splitknit.imaging.view import pixels_of
-from splitknit.mirrors.body import Body, Fit, Pose, SeenIn, Slopes
-from splitknit.mirrors.fit import fit_body, refuse_misfit
-from splitknit.mirrors.mirror import TURN_DEG, MirrorShape, cap, first_body, turn_of_tips
-from splitknit.mirrors.outline import Rows, finger_axis, is_cut, pad_side, rows_of
-from splitknit.mirrors.planes import MirrorPlane, Touching, touching
-from splitknit.mirrors.settings import ROW_MM, MirrorShapeSettings
+from splitknit.mirrors.body import Body, Slopes
+from splitknit.mirrors.fit import Estimate, MirrorOutline, Outlines, Pose, fit_body, refuse_misfit
+from splitknit.mirrors.mirror import TIPS_APART, TURN_DEG, MirrorShape, first_body, turn_of_tips
+from splitknit.mirrors.outline import OutlineRows, front_axis, is_cut, pad_side, rows_of, touching_planes
+from splitknit.mirrors.planes import MirrorPlane
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
-from splitknit.model import BoolArray, Camera, Mirror
+from splitknit.model import BoolArray, Camera, Mirror, Rig
 
 Array = NDArray[np.float64]
 
-EVERY = 2
-"""Of the rows, that many make one point of an outline in the fit."""
 FEW = 20
 """A view with fewer points of its outline left is not used."""
 MAX_MISSING = 0.4
@@ -42,7 +40,7 @@ CUT_TURN_DEG = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyBetweenMirrors:
+class _BodyBetweenMirrors:
     """What the outlines determine."""
 
     body: Body
@@ -54,20 +52,19 @@ class BodyBetweenMirrors:
     """Mirrors whose view is cut so much that it determines nothing."""
 
 
-def body_between_mirrors(  # noqa: PLR0917
+def body_between_mirrors(
     views: Views,
-    camera: Camera,
-    mirrors: Mapping[str, Mirror],
+    rig: Rig,
     tip_direction_deg: float = 0.0,
     settings: MirrorShapeSettings | None = None,
     slopes_on: Callable[[MirrorShape], Slopes | None] | None = None,
-) -> BodyBetweenMirrors:
+) -> _BodyBetweenMirrors:
     """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front.
 
     Parameters
     ----------
     views : of the front and of the mirrors beside the finger
-    camera, mirrors : the mirrors where they nominally are, by name
+    rig : its camera, and its mirrors where they nominally are
     tip_direction_deg : of the capture
     settings : MirrorShapeSettings
     slopes_on : measures the skin's slopes, given a first shape: they show how the finger is rolled
@@ -78,37 +75,32 @@ def body_between_mirrors(  # noqa: PLR0917
         If no mirror shows enough, or the views do not fit one finger.
     """
     chosen = settings or MirrorShapeSettings()
-    turn = np.deg2rad(tip_direction_deg)
-    hint = np.array([-np.sin(turn), np.cos(turn)])
-    axis, front = finger_axis(views.front, camera, views.binning, hint, ROW_MM)
-    seen: dict[str, SeenIn] = {}
-    rows: dict[str, Rows] = {}
+    camera, built = rig.camera, {mirror.name: mirror for mirror in rig.mirrors}
+    axis, front = front_axis(views.front, camera, views.binning, tip_direction_deg)
+    mirrors: dict[str, MirrorOutline] = {}
+    rows: dict[str, OutlineRows] = {}
     poses: dict[str, Pose] = {}
     cut, useless = [], []
     for name in sorted(views.mirrors):
-        mirror, mask = mirrors[name], views.mirrors[name]
+        mirror, mask = built[name], views.mirrors[name]
         plane = MirrorPlane.nominal(mirror)
-        outline = rows_of(mask, camera, views.binning, plane.image_axis(axis), ROW_MM)
+        outline = rows_of(mask, camera, views.binning, plane.image_axis(axis))
         side = pad_side(mirror, outline)
         if is_cut(outline, side):
             left = _still_shown(outline, side, mirror, camera)
             if left is not None:
                 cut.append(name)
                 outline = left
-        parts = _touching_both(camera, outline)
+        parts = touching_planes(outline, camera)
         if len(parts.offset_mm) < FEW:
             useless.append(name)
             continue
-        caps = [cap(part, camera, views.binning, axis) for part in (views.front, mask)]
-        tips = turn_of_tips(camera, plane, caps[0], caps[1], axis)
+        tips = turn_of_tips(views, name, camera, plane, axis)
         if tips is None and name not in cut:
-            raise BadInput(
-                f"the views do not fit one finger: the fingertip in the {name} mirror is not beside the one in front; "
-                "check that the rig file's mirrors are those in the picture and that one finger alone is in view."
-            )
+            raise BadInput(TIPS_APART.format(name))
         poses[name] = Pose(turn_rad=0.0 if tips is None else tips)
         spread = None if tips is None else float(np.deg2rad(TURN_DEG if name not in cut else CUT_TURN_DEG))
-        seen[name] = SeenIn(parts, plane, mirror.point_mm, turn_rad=poses[name].turn_rad, turn_sd_rad=spread)
+        mirrors[name] = MirrorOutline(parts, plane, mirror.point_mm, turn_rad=poses[name].turn_rad, turn_sd_rad=spread)
         if int(np.isfinite(outline.width_mm).sum()) >= FEW:
             rows[name] = outline
     require(
@@ -116,21 +108,22 @@ def body_between_mirrors(  # noqa: PLR0917
         "only the front view of the finger can be used: the mirrors cut its sides off; lay it in their middle.",
     )
     whole_first = sorted(rows, key=lambda name: (name in cut, name))
-    body = first_body(front, {name: rows[name] for name in whole_first}, seen, poses, chosen)
-    planes = _touching_both(camera, front.beyond(body.tip_mm - body.length_mm))
+    body = first_body(front, {name: rows[name] for name in whole_first}, mirrors, poses, chosen)
+    outlines = Outlines(touching_planes(front.beyond(body.tip_mm - body.length_mm), camera), mirrors)
     if cut:  # the first guess is further off
         chosen = replace(chosen, rounds=max(chosen.rounds, CUT_ROUNDS))
-    fit: Fit = fit_body(body, planes, seen, poses, chosen)
+    start = Estimate(body, poses)
+    fit = fit_body(start, outlines, chosen)
     if slopes_on is not None and chosen.slopes:
         slopes = slopes_on(MirrorShape(camera, fit.body, {}, {"front": (front,)}, fit))
         if slopes is not None:
-            fit = fit_body(body, planes, seen, poses, chosen, slopes)
-    refuse_misfit(fit, seen)
-    found = {name: fit.poses[name].of(seen[name]) for name in seen}
-    return BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in seen), tuple(useless))
+            fit = fit_body(start, outlines, chosen, slopes)
+    refuse_misfit(fit, mirrors)
+    found = {name: fit.poses[name].of(mirror) for name, mirror in mirrors.items()}
+    return _BodyBetweenMirrors(fit.body, found, tuple(name for name in cut if name in mirrors), tuple(useless))
 
 
-def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows | None:
+def _still_shown(rows: OutlineRows, side: str, mirror: Mirror, camera: Camera) -> OutlineRows | None:
     """What a cut view's outline still determines; None if it is straight, but not by its mirror's edge.
 
     The picture's border leaves a part of the pad's outline; a mirror's edge takes its place.
@@ -148,12 +141,6 @@ def _still_shown(rows: Rows, side: str, mirror: Mirror, camera: Camera) -> Rows 
         return None
     nothing = np.full_like(edge, np.nan)
     return replace(rows, left_mm=nothing) if side == "left" else replace(rows, right_mm=nothing)
-
-
-def _touching_both(camera: Camera, rows: Rows) -> Touching:
-    """Planes that touch the finger along both sides of a view's outline."""
-    parts = [touching(camera, *(part[::EVERY] for part in rows.places(side))) for side in ("left", "right")]
-    return Touching(*(np.concatenate([getattr(p, name) for p in parts]) for name in Touching.__dataclass_fields__))
 
 
 def outside(body: Body, points_mm: Array) -> BoolArray:

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, BlendSettings, blend
+from splitknit.mirrors.rolled.blend import STEEPEST_DEG, Blended, BlendSettings, RolledSettings, blend
 from splitknit.mirrors.rolled.chart import Chart, surface_normals
-from splitknit.mirrors.rolled.settings import RolledSettings
 from splitknit.mirrors.rolled.view_lights import Glass
 from splitknit.mirrors.rolled.work import MIN_MEETING, MirrorViews, ReliefSettings, Work
 from splitknit.model import BoolArray, Capture, FloatArray

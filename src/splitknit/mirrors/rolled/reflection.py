@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import FloatArray, Led, Mirror
+from splitknit.model import FloatArray, Led
 
 Array = NDArray[np.float64]
 
@@ -49,11 +49,6 @@ class Plane:
         first = other - np.dot(other, self.normal) * self.normal
         first = first / np.linalg.norm(first)
         return first, np.cross(self.normal, first)
-
-
-def plane_of(mirror: Mirror) -> Plane:
-    """Where a mirror lies as it was built."""
-    return Plane(mirror.point_mm, mirror.normal)
 
 
 def reflect_vectors(vectors: Array, plane: Plane) -> Array:

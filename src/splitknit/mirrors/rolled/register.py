@@ -1,25 +1,28 @@
-"""What makes two views' ridges meet: the finger's shape between its outlines, and the mirror's pose."""
+"""Two views' ridges brought onto each other: by the finger's shape between its outlines, and the mirror's pose."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, optimize
 
-from splitknit.mirrors.rolled.chart import Chart, Sight
+from splitknit.errors import require
+from splitknit.mirrors.rolled.chart import Chart, Sight, read
 from splitknit.model import BoolArray, FloatArray
+from splitknit.settings import Checked, Limits, check_fields
 
 # Ridges by themselves: a relief without what is smooth in it.
 
 
-def ridge_band(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 0.32) -> FloatArray:
+def ridges_of(relief: FloatArray, known: BoolArray, pitch_mm: float, sigma_mm: float = 0.32) -> FloatArray:
     """(n, m) relief less its local mean over `known`, zero elsewhere."""
     weight = known.astype(np.float32)
     filled = np.where(known, relief, np.float32(0.0)).astype(np.float32)
@@ -63,7 +66,7 @@ FEW = 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Correction:
+class _Correction:
     """What moves the surface and the mirrors."""
 
     radius_mm: Array
@@ -75,7 +78,7 @@ class Correction:
     after: tuple[float, ...]
 
 
-def shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
+def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
     """How a view's ridges move on the chart when the surface or the mirror does.
 
     Parameters
@@ -112,46 +115,41 @@ def _pixels(sight: Sight, points: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """A mirror's ridges on the chart."""
+class ViewRidges:
+    """A view's ridges on the chart."""
 
     sight: Sight
     band: FloatArray
-    """(n, m) ridge band, zero where not seen."""
-    both: BoolArray
-    """(n, m) where the front sees the finger, too."""
+    """(n, m) ridge band, zero where the view does not show the finger."""
+    known: BoolArray
+    """(n, m) where it does; of a mirror, where the front does, too."""
 
 
-def align(  # noqa: PLR0917
-    chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, mirrors: Sequence[Seen], pose_free: bool = True
-) -> Correction:
+def align(
+    chart: Chart, radius_mm: Array, front: ViewRidges, mirrors: Sequence[ViewRidges], *, pose_free: bool = True
+) -> _Correction:
     """Bend the surface and move the mirrors until their ridges lie on the front's, all of them at once.
 
     Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
     correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
-    within a quarter of a period to begin with: see :mod:`splitknit.mirrors.rolled.search`.
+    within a quarter of a period to begin with: see :func:`search`.
 
     Parameters
     ----------
     chart, radius_mm : the surface (n, m)
-    first : (n, m) ridge band of the front, zero where not seen
-    mirrors : the views that are brought onto it
+    front, mirrors : the views; the mirrors' are brought onto the front's
     pose_free : whether mirrors may move
 
     References
     ----------
     Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
     """
-    every = max(2, round(KNOT_MM / chart.pitch_mm))
-    knots = (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
+    every, knots = _knots(chart)
     count = knots[0] * knots[1]
-    parts = [
-        _Part(chart, radius_mm, front, first, one, every, knots) if int(one.both.sum()) >= FEW else None
-        for one in mirrors
-    ]
+    parts = [_Part(chart, radius_mm, front, one) if int(one.known.sum()) >= FEW else None for one in mirrors]
     weight = (chart.pitch_mm / CORRELATED_MM) ** 2  # neighbouring pixels are correlated
-    seen = np.any([one.both for one in mirrors], axis=0)
-    prior = _priors(knots, _depth_prior(chart, seen, every, knots), pose_free, len(mirrors))
+    seen = np.any([one.known for one in mirrors], axis=0)
+    prior = _priors(knots, _depth_prior(chart, seen), pose_free, len(mirrors))
     values = np.zeros(count + 3 * len(mirrors))
     scores: list[tuple[float, list[float], Array]] = []
     for _ in range(ROUNDS):
@@ -182,25 +180,23 @@ def align(  # noqa: PLR0917
     smooth = cv2.remap(grid, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     smooth = cv2.GaussianBlur(smooth, (0, 0), 0.35 * every)
     poses = [(float(a), float(b), float(c)) for a, b, c in values[count:].reshape(-1, 3)]
-    return Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
+    return _Correction(np.asarray(smooth, dtype=np.float64), tuple(poses), tuple(scores[0][1]), tuple(after))
 
 
 class _Part:
     """One mirror's fraction in the equations."""
 
-    def __init__(  # noqa: PLR0917
-        self, chart: Chart, radius_mm: Array, front: Sight, first: FloatArray, seen: Seen, every: int,
-        knots: tuple[int, int],
-    ) -> None:  # fmt: skip
-        self.rows, self.columns = np.nonzero(seen.both)
-        self.modes = ridge_moves(chart, radius_mm, (front, seen.sight), (self.rows, self.columns))
+    def __init__(self, chart: Chart, radius_mm: Array, front: ViewRidges, mirror: ViewRidges) -> None:
+        self.rows, self.columns = np.nonzero(mirror.known)
+        self.modes = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (self.rows, self.columns))
+        every, knots = _knots(chart)
         self.spread = _hats(self.columns / every, self.rows / every, knots)
-        one, other = (_evened(band, seen.both, chart.pitch_mm) for band in (first, seen.band))
+        one, other = (_evened(view.band, mirror.known, chart.pitch_mm) for view in (front, mirror))
         self.fields = other, np.gradient(other, axis=1), np.gradient(other, axis=0)
         self.target = one[self.rows, self.columns]
 
     def linearised(self, depths: Array, pose: Array) -> tuple[Any, Array, float]:
-        """Derivatives (K, knots + 3) of the mirror's ridges, what they lack (K,), and the correlation."""
+        """Derivatives (K, knots + 3) of the mirror's ridges, the residuals (K,), and the correlation."""
         by_depth = self.spread @ depths
         moved = self.modes[..., 0] * by_depth[:, None] + self.modes[..., 1:] @ pose
         column, row = self.columns + moved[:, 0], self.rows + moved[:, 1]
@@ -213,7 +209,7 @@ class _Part:
         return matrix, self.target - seen, score
 
 
-def ridge_moves(
+def _ridge_moves(
     chart: Chart, radius_mm: Array, sights: tuple[Sight, Sight], at: tuple[NDArray[np.intp], NDArray[np.intp]]
 ) -> Array:
     """(K, 2, 4) columns and rows by which the mirror's ridges move against the front's: by mm of surface, by pose."""
@@ -221,7 +217,7 @@ def ridge_moves(
     _, rays = chart.rays()
     right, down = np.gradient(points, axis=1), np.gradient(points, axis=0)
     (of_front, _), (of_mirror, by_pose) = (
-        shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
+        _shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
     )
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
 
@@ -246,8 +242,15 @@ def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.c
     return scipy.sparse.coo_array((np.concatenate(entries), (lines, np.concatenate(places))), shape=shape).tocsr()
 
 
-def _depth_prior(chart: Chart, seen: BoolArray, every: int, knots: tuple[int, int]) -> Array:
+def _knots(chart: Chart) -> tuple[int, tuple[int, int]]:
+    """Pixels of the chart from one knot of the correction to the next, and rows and columns of knots."""
+    every = max(2, round(KNOT_MM / chart.pitch_mm))
+    return every, (-(-(chart.shape[0] - 1) // every) + 1, -(-(chart.shape[1] - 1) // every) + 1)
+
+
+def _depth_prior(chart: Chart, seen: BoolArray) -> Array:
     """(knots) standard deviation of the surface at the knots, mm: away from what two views show it stays as it is."""
+    every, knots = _knots(chart)
     step = float(chart.angle_rad[1] - chart.angle_rad[0]) * every
     degrees = np.rad2deg(float(chart.angle_rad[0]) + step * np.arange(knots[1]))
     near = np.exp(-0.5 * ((np.abs(degrees) - 90.0) / OUTLINE_DEG) ** 2)
@@ -274,3 +277,161 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirror
     return scipy.sparse.block_diag(
         [smooth + near, scipy.sparse.diags_array(np.tile(1.0 / spreads**2, mirrors))]
     ).tocsr()
+
+
+# The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
+# squares of ridges look the same a period on; the whole overlap does not.
+
+
+_SEARCHED = 6000
+"""So many pixels show which of many guesses is best."""
+APART_MM = 0.15
+"""Moves that differ by less than this lead to the same place."""
+OUTER = 0.9
+"""Of the bulge's standard deviation: by how much more the surface bulges for each 20 deg towards the side."""
+LIKE_PLACES, MOVE_MM = 20.0, 0.05
+"""A move counts as so many measured ones, each with this standard deviation."""
+
+
+_DOUBT = 0.01
+"""Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
+MIN_CORRELATION = 0.2
+"""Correlation below which nothing is changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class RidgeSearchSettings(Checked):
+    """Ranges in which the views are brought together: (reach, step)."""
+
+    _group = "rolled.search"
+    across_mm: tuple[float, float] = (1.6, 0.05)
+    """By which the mirror's ridges may lie beside the front's around the finger: reach and step."""
+    along_mm: tuple[float, float] = (0.3, 0.05)
+    """The same along the finger."""
+    deviations: Annotated[tuple[float, float, float], Limits(0, above=True)] = (0.2, 0.06, 0.2)
+    """Standard deviations of what the outlines determine: the surface's bulge half-way between front and side (mm), the
+    mirror's place along its normal (mm), and its turns (deg)."""
+    candidates: Annotated[int, Limits(1, 50)] = 6
+    """So many of the best guesses are followed up."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for name in ("across_mm", "along_mm"):
+            reach, step = getattr(self, name)
+            require(0.0 <= reach <= 5.0 and step > 0.0, f"rolled.search.{name} must be (reach, step), both small.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ViewMatch:
+    """Surface and pose at which two views' ridges lie on each other."""
+
+    radius_mm: Array
+    """(n, m) to be added to the surface."""
+    pose: tuple[float, float, float]
+    """Turns (rad) and shift (mm) of the mirror."""
+    correlation: float
+    """Of the ridges in the overlap."""
+
+
+def search(
+    chart: Chart,
+    radius_mm: Array,
+    front: ViewRidges,
+    mirror: ViewRidges,
+    settings: RidgeSearchSettings | None = None,
+) -> _ViewMatch:
+    """Find how the surface bulges and where the mirror lies.
+
+    Parameters
+    ----------
+    chart, radius_mm : surface (n, m)
+    front, mirror : the two views
+    settings : RidgeSearchSettings, optional
+    """
+    chosen = settings or RidgeSearchSettings()
+    nothing = _ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
+    rows, columns = np.nonzero(mirror.known)
+    if rows.size < 500:
+        return nothing
+    moved = _ridge_moves(chart, radius_mm, (front.sight, mirror.sight), (rows, columns))
+    angle = chart.angle_rad[columns]
+    side = np.sign(float(np.median(angle)))
+    hump = np.sin(2 * angle) ** 2
+    along = (chart.length_mm[rows] - float(chart.length_mm[rows].mean())) / 10.0
+    by_bulge = moved[..., 0] * hump[:, None]
+    outer = (np.abs(angle) - np.pi / 4) / np.deg2rad(20.0)
+    by_bulges = by_bulge, by_bulge * along[:, None], by_bulge * outer[:, None]
+    modes = np.stack([*np.moveaxis(moved[..., 1:], 2, 0), *by_bulges], axis=-1).astype(np.float32)  # (K, 2, 6)
+    target = front.band[rows, columns]
+    place = np.stack([columns, rows], axis=1).astype(np.float32)
+
+    def score(moves: FloatArray, some: slice) -> float:
+        seen = read(mirror.band, *(place[some] + moves).T, empty=0.0)
+        there = target[some] - target[some].mean()
+        seen = seen - seen.mean()
+        power = float((seen**2).sum()) * float((there**2).sum())
+        return float((seen * there).sum()) / float(np.sqrt(max(power, 1e-24)))
+
+    bulge, shift, turn = chosen.deviations[0], chosen.deviations[1], float(np.deg2rad(chosen.deviations[2]))
+    spread = np.array([turn, turn, shift, bulge, bulge, OUTER * bulge])
+
+    def merit(values: Array, some: slice = slice(None)) -> float:
+        return score(modes[some] @ values.astype(np.float32), some) - _DOUBT * float(((values / spread) ** 2).sum())
+
+    few = slice(None, None, max(1, rows.size // _SEARCHED))
+    # what the outlines may be wrong by, as one move of all ridges
+    typical = np.sqrt(((np.median(modes, axis=0) * spread) ** 2).sum(axis=1)) + 1e-9
+    guesses = []
+    for move in itertools.product(*(_range(*pair) / chart.pitch_mm for pair in (chosen.across_mm, chosen.along_mm))):
+        far = float(((np.array(move) / typical) ** 2).sum())
+        guesses.append((score(np.array([move], dtype=np.float32), few) - _DOUBT * far, np.array(move)))
+    scale = np.array([0.003, 0.001, 0.03, 0.03, 0.05, 0.03])
+    simplex = np.vstack([np.zeros(6), np.eye(6)])
+    options: Any = {"initial_simplex": simplex, "maxfev": 200, "xatol": 0.02, "fatol": 1e-4}
+    minimize: Any = optimize.minimize
+
+    def refined(start: Array, some: slice) -> tuple[float, Array]:
+        done = minimize(lambda x: -merit(start + x * scale, some), np.zeros(6), method="Nelder-Mead", options=options)
+        return -float(done.fun), start + done.x * scale
+
+    starts = [
+        _explained(modes[few], move, spread, chart.pitch_mm)
+        for move in _apart(guesses, chart.pitch_mm, chosen.candidates)
+    ]
+    _, at = max((refined(start, few) for start in starts), key=lambda item: item[0])
+    _, at = refined(at, slice(None))
+    best = score(modes @ at.astype(np.float32), slice(None))
+    if best < MIN_CORRELATION:
+        return _ViewMatch(nothing.radius_mm, nothing.pose, best)
+    there = (
+        (np.sign(chart.angle_rad) == side) * np.sin(2 * chart.angle_rad) ** 2 * (np.abs(chart.angle_rad) < np.pi / 2)
+    )
+    rising = (chart.length_mm - float(chart.length_mm[rows].mean())) / 10.0
+    rising = np.clip(rising, float(along.min()), float(along.max()))
+    further = (np.abs(chart.angle_rad) - np.pi / 4) / np.deg2rad(20.0)
+    radius = there[None] * (at[3] + at[4] * rising[:, None] + at[5] * further[None])
+    return _ViewMatch(radius, (float(at[0]), float(at[1]), float(at[2])), best)
+
+
+def _explained(modes: FloatArray, move: Array, spread: Array, pitch_mm: float) -> Array:
+    """(6,) turns, shift and bulges that move all ridges by about `move` (2,), as likely as they can be."""
+    weight = LIKE_PLACES / len(modes) / (MOVE_MM / pitch_mm) ** 2
+    flat = modes.reshape(-1, modes.shape[2]).astype(np.float64)
+    matrix = weight * flat.T @ flat + np.diag(1.0 / spread**2)
+    return np.asarray(np.linalg.solve(matrix, weight * flat.T @ np.tile(move, len(modes))))
+
+
+def _apart(guesses: list[tuple[float, Array]], pitch_mm: float, count: int) -> list[Array]:
+    """The best moves (2,) of which no two are nearly the same."""
+    found: list[Array] = []
+    for _, move in sorted(guesses, key=lambda item: -item[0]):
+        if all(float(np.abs(move - other).max()) * pitch_mm > APART_MM for other in found):
+            found.append(move)
+        if len(found) == count:
+            break
+    return found
+
+
+def _range(reach: float, step: float) -> Array:
+    count = int(np.floor(reach / step + 1e-9))
+    return np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)

@@ -13,9 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.mirrors.rolled.chart import Sight
-from splitknit.mirrors.rolled.reflection import Plane, facing_fraction, led_image, mirrored_fraction, reflect_points
+from splitknit.mirrors.rolled.reflection import Plane, facing_fraction, led_image, mirrored_fraction
 from splitknit.model import FloatArray, Led, Mirror, Rig, Shade
+from splitknit.skin.grid import Grid
 
 Array = NDArray[np.float64]
 EDGE_BAND_MM = 0.3
@@ -44,17 +46,26 @@ def glass_in(mirror: Mirror, normal: Array, offset_mm: float) -> Glass:
 class Skin:
     """Points of the finger on a grid of one view's pixels."""
 
+    sight: Sight
+    origin_mm: Array
+    """(3,) of the grid, in the view's frame."""
+    grid: Grid
     points_mm: Array
     """(h, w, 3) in the rig's frame."""
     normals: Array
     """(h, w, 3) in the rig's frame."""
-    x_mm: tuple[float, float]
-    """x of the first and last column in the view's own frame."""
-    y_mm: tuple[float, float]
+
+    @staticmethod
+    def of(heights_mm: FloatArray, grid: Grid, sight: Sight, origin_mm: Array) -> Skin:
+        """The surface with heights (h, w) on a grid in a view's frame, whose origin is moved to `origin_mm`."""
+        normals = normals_from_gradients(*height_gradients(heights_mm, grid.pitch_mm))
+        level = np.broadcast_arrays(grid.x_mm[None, :], grid.y_mm[:, None])
+        points = sight.to_view(np.stack([*level, heights_mm], axis=-1).astype(np.float64) + origin_mm)
+        return Skin(sight, origin_mm, grid, points, sight.turned(np.asarray(normals, dtype=np.float64)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ViewLight:
+class _ViewLight:
     """The lights of one view."""
 
     rig: Rig
@@ -65,31 +76,30 @@ class ViewLight:
     A line of light that is not known to a tenth of a millimetre would look like a ridge."""
 
 
-def view_light(  # noqa: PLR0917
-    rig: Rig, sight: Sight, glasses: Sequence[Glass], skin: Skin, origin_mm: Array, pitch_mm: float
-) -> ViewLight:  # fmt: skip
-    """The lights as one view has them: in the view's frame, its origin moved to `origin_mm` (of that frame).
+def view_light(rig: Rig, glasses: Sequence[Glass], skin: Skin) -> _ViewLight:
+    """The lights as one view has them: in the frame of the view, its origin moved to that of the skin's grid.
 
     Light that meets two mirrors one after the other is left out.
 
     Parameters
     ----------
     rig : `rig.leds[k]` lights image k
-    sight, glasses : the view, and all mirrors
-    skin : on a grid of the view's pixels, `pitch_mm` apart
+    glasses : all mirrors
+    skin : as the view shows it
     """
+    sight = skin.sight
     leds, inner = [], []
     for exposure in rig.leds:
         members = [replace(exposure, also=()), *exposure.also]
         lights = [light for led in members for light in _lights(led, glasses, skin)]
-        inner.append(np.min([_inner(light, pitch_mm) for light in lights], axis=0))
+        inner.append(np.min([_inner(light, skin.grid.pitch_mm) for light in lights], axis=0))
         # the ring around the line of sight comes first: it stands for the exposure
         ring = "" if sight.plane is None else sight.name
-        first = [_in_view(light, sight, origin_mm, skin) for light in lights if light.path == ring]
-        others = [_in_view(light, sight, origin_mm, skin) for light in lights if light.path != ring]
+        first = [_in_view(light, skin) for light in lights if light.path == ring]
+        others = [_in_view(light, skin) for light in lights if light.path != ring]
         ring_led = replace(first[0], reflected=False)
         leds.append(replace(ring_led, also=(*(replace(led, reflected=False) for led in first[1:]), *others)))
-    return ViewLight(replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32))
+    return _ViewLight(replace(rig, leds=tuple(leds), mirrors=()), np.stack(inner).astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,26 +136,14 @@ def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
     return np.asarray(t * t * (3.0 - 2.0 * t), dtype=np.float32)
 
 
-def _in_view(light: _Light, sight: Sight, origin_mm: Array, skin: Skin) -> Led:
+def _in_view(light: _Light, skin: Skin) -> Led:
     """A light of the rig's frame in the view's moved frame, with its shade."""
+    sight, grid = skin.sight, skin.grid
     seen = light.led if sight.plane is None else led_image(light.led, sight.plane)
     if seen.position_mm is not None:
-        x, y, z = (float(v) for v in np.asarray(seen.position_mm) - origin_mm)
+        x, y, z = (float(v) for v in np.asarray(seen.position_mm) - skin.origin_mm)
         ax, ay, az = (float(v) for v in seen.axis)
         seen = replace(seen, position_mm=(x, y, z), aim=(ax, ay, az), reflected=True)
     fraction = light.facing if light.through is None else light.facing * light.through
-    return replace(seen, shade=Shade(skin.x_mm, skin.y_mm, np.ascontiguousarray(fraction)), reflected=True, also=())
-
-
-def skin_points(  # noqa: PLR0917
-    heights_mm: FloatArray, x_mm: Array, y_mm: Array, normals: FloatArray, sight: Sight, origin_mm: Array
-) -> Skin:
-    """Points and normals of a surface in a view's moved frame (heights (h, w) over x (w,), y (h,)), in the rig's."""
-    place = np.stack([*np.broadcast_arrays(x_mm[None, :], y_mm[:, None]), heights_mm], axis=-1).astype(np.float64)
-    points = place + origin_mm
-    if sight.plane is not None:
-        points = reflect_points(points, sight.plane)
-    return Skin(
-        points, sight.turned(np.asarray(normals, dtype=np.float64)), (float(x_mm[0]), float(x_mm[-1])),
-        (float(y_mm[0]), float(y_mm[-1])),
-    )  # fmt: skip
+    width, height = ((float(places[0]), float(places[-1])) for places in (grid.x_mm, grid.y_mm))
+    return replace(seen, shade=Shade(width, height, np.ascontiguousarray(fraction)), reflected=True, also=())

@@ -58,7 +58,7 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     binning = view_binning(camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
     mirrors = {mirror.name: mirror for mirror in capture.rig.mirrors}
-    views = find_views(mean, camera, mirrors, partial(finger_mask, settings=settings.mask), binning)
+    views = find_views(mean, capture.rig, partial(finger_mask, settings=settings.mask), binning)
     seen = [name for name in SIDES if name in views.mirrors]
     require(
         bool(seen),
@@ -68,8 +68,7 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
     sides = replace(views, mirrors={name: views.mirrors[name] for name in seen})
     between = body_between_mirrors(
         sides,
-        camera,
-        mirrors,
+        capture.rig,
         capture.tip_direction_deg or 0.0,
         mirror,
         lambda shape: skin_slopes(capture, grey, views, shape),

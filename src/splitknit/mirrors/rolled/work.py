@@ -19,12 +19,11 @@ from splitknit.imaging.geometry import bounding_box, gradients_from_normals, hei
 from splitknit.imaging.view import view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
+from splitknit.mirrors.rolled.blend import RolledSettings
 from splitknit.mirrors.rolled.body import outside
 from splitknit.mirrors.rolled.chart import Chart, Sight, heights, read, surface_normals
-from splitknit.mirrors.rolled.register import Seen, align, ridge_band
-from splitknit.mirrors.rolled.search import MIN_CORRELATION, SearchSettings, search
-from splitknit.mirrors.rolled.settings import RolledSettings
-from splitknit.mirrors.rolled.view_lights import Glass, skin_points, view_light
+from splitknit.mirrors.rolled.register import MIN_CORRELATION, RidgeSearchSettings, ViewRidges, align, ridges_of, search
+from splitknit.mirrors.rolled.view_lights import Glass, Skin, view_light
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import BoolArray, Capture, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
@@ -42,7 +41,9 @@ Array = NDArray[np.float64]
 LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
 """Trust from which a light counts, how many a slope needs, and the width over which skin with fewer fades out."""
 UNKNOWN_MM = 0.02
-"""Standard deviation of a relief that no network vouches for."""
+"""Standard deviation of a relief that no network estimated."""
+_ROWS = 64
+"""Of the grid whose normals are solved for at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,9 +128,7 @@ def _view_relief(  # noqa: PLR0917
     known = low.mask & np.isfinite(height)
     low = replace(low, mask=known)
     filled = refine(np.where(known, height, 0).astype(np.float32), known, 1, low.shape)
-    normals = normals_from_gradients(*height_gradients(filled, low.pitch_mm))
-    skin = skin_points(filled, low.x_mm, low.y_mm, normals, sight, origin)
-    light = view_light(capture.rig.select(white.leds), sight, glasses, skin, origin, low.pitch_mm)
+    light = view_light(capture.rig.select(white.leds), glasses, Skin.of(filled, low, sight, origin))
     smooth = refine(np.where(known, height, 0).astype(np.float32), known, factor, grid.shape)
     reach = np.kron(known, np.ones((factor, factor), dtype=np.bool_))
     reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])
@@ -219,9 +218,7 @@ def _blocks(mask: BoolArray, binning: int) -> BoolArray:
 # the shape's.
 
 
-def _held_normals(  # noqa: PLR0917
-    stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float, chunk: int = 64
-) -> FloatArray:
+def _held_normals(stack: FloatArray, light: Lighting, smooth_mm: FloatArray, grid: Grid, prior: float) -> FloatArray:
     """(C, h, w, 3) brightness times normal: least squares over the lights, slopes held near the shape's.
 
     An LED and its image in a mirror that leans by 45 deg lie on both sides of the mirror's plane: together they give
@@ -234,8 +231,8 @@ def _held_normals(  # noqa: PLR0917
     normals = np.moveaxis(normals_from_gradients(*slopes), -1, 0)  # (3, h, w)
     weights = light.trust * light.entering * light.entering
     result = np.zeros((channels, *grid.shape, 3), dtype=np.float32)
-    for start in range(0, grid.shape[0], chunk):
-        rows = slice(start, start + chunk)
+    for start in range(0, grid.shape[0], _ROWS):
+        rows = slice(start, start + _ROWS)
         here = grid.mask[rows]
         if not here.any():
             continue
@@ -286,7 +283,8 @@ def _shape_of(body: Body) -> _Shape:
     centre = np.array([*body.origin_mm, float(np.median(sections.z))])
     centre = centre + (body.tip_mm - cap) * along + float(np.median(sections.t)) * right
     lengths = (cap - body.length_mm - BELOW_MM, float(cap * np.deg2rad(FAN_DEG)))
-    chart = _chart_over(centre, axes, (-AROUND_DEG, AROUND_DEG), lengths, cap, SHAPE_PITCH_MM, cap)
+    rays = _angles(AROUND_DEG, cap, SHAPE_PITCH_MM), _lengths(*lengths, SHAPE_PITCH_MM)
+    chart = Chart(centre, axes, *rays, cap)
     radius = _radius_of(body, chart)
     return _Shape(chart, radius + _rolled_pad(body, chart, radius), half)
 
@@ -297,7 +295,7 @@ MIN_COSINE = 0.25
 """Views are compared where both see the skin less steeply than this."""
 MIN_MEETING = 0.3
 """Correlation of two views' ridges below which they are taken not to meet."""
-_SEARCH_CUT = SearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), deviations=(0.2, 0.6, 0.6))
+_SEARCH_CUT = RidgeSearchSettings(across_mm=(3.0, 0.05), along_mm=(0.3, 0.05), deviations=(0.2, 0.6, 0.6))
 """For views that are cut: their mirrors' poses are known less well."""
 
 
@@ -373,10 +371,9 @@ class Work:
     def chart(self, pitch_mm: float) -> Chart:
         """The finger's chart, as far around as is asked for."""
         whole = self.shape.chart
-        half = self.shape.half_mm
-        around = (-self.rolled.around_deg, self.rolled.around_deg)
-        lengths = (float(whole.length_mm[-1]), float(whole.length_mm[0]))
-        return _chart_over(whole.centre_mm, whole.axes, around, lengths, whole.cap_mm, pitch_mm, half)
+        angles = _angles(self.rolled.around_deg, self.shape.half_mm, pitch_mm)
+        lengths = _lengths(float(whole.length_mm[-1]), float(whole.length_mm[0]), pitch_mm)
+        return replace(whole, angle_rad=angles, length_mm=lengths)
 
     def radius_on(self, chart: Chart) -> Array:
         """The surface on a chart."""
@@ -397,19 +394,19 @@ class Work:
         points = chart.points(radius)
         normals = surface_normals(points)
         first, _, _, there = self.seen("front", points, normals)
-        first = ridge_band(first, there, chart.pitch_mm)
         sights = self.sights()
+        front = ViewRidges(sights["front"], ridges_of(first, there, chart.pitch_mm), there)
         given = {}
         for name in self.glasses:
             second, _, _, known = self.seen(name, points, normals)
-            given[name] = Seen(sights[name], ridge_band(second, known, chart.pitch_mm), there & known)
+            given[name] = ViewRidges(sights[name], ridges_of(second, known, chart.pitch_mm), there & known)
         if coarse:
             added, poses, correlations = np.zeros(chart.shape), [], []
             for name, one in given.items():
                 ranges = _SEARCH_CUT if name in self.cut else self.rolled.search
-                found = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, ranges)
+                found = search(chart, radius, front, one, ranges)
                 if found.correlation < MIN_MEETING and name not in self.cut:  # it may lie further off than it should
-                    again = search(chart, radius, sights["front"], one.sight, first, one.band, one.both, _SEARCH_CUT)
+                    again = search(chart, radius, front, one, _SEARCH_CUT)
                     found = max(found, again, key=lambda one: one.correlation)
                 self.met[name] = found.correlation >= MIN_CORRELATION
                 added += found.radius_mm
@@ -417,8 +414,8 @@ class Work:
                 correlations.append(found.correlation)
         else:
             none = np.zeros(chart.shape, dtype=np.bool_)
-            seen = tuple(one if self.met[name] else replace(one, both=none) for name, one in given.items())
-            done = align(chart, radius, sights["front"], first, seen)
+            seen = tuple(one if self.met[name] else replace(one, known=none) for name, one in given.items())
+            done = align(chart, radius, front, seen)
             added, poses, correlations = done.radius_mm, list(done.poses), list(done.after)
         for name, pose, correlation in zip(given, poses, correlations, strict=True):
             self.correlation.setdefault(name, []).append(round(correlation, 3))
@@ -432,16 +429,16 @@ class Work:
         return np.asarray(_sampled(chart, added, whole) * np.exp(-0.5 * beyond**2))
 
 
-def _chart_over(  # noqa: PLR0917
-    centre_mm: Array, axes: Array, angles_deg: tuple[float, float], lengths_mm: tuple[float, float], cap_mm: float,
-    pitch_mm: float, radius_mm: float,
-) -> Chart:  # fmt: skip
-    """A chart over ranges of angle and length (base, tip); `pitch_mm` along it, and around it at `radius_mm`."""
-    low, high = np.deg2rad(angles_deg[0]), np.deg2rad(angles_deg[1])
-    columns = max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1)
-    rows = max(2, int(np.ceil((lengths_mm[1] - lengths_mm[0]) / pitch_mm)) + 1)
-    length = _even(lengths_mm[1], lengths_mm[1] - pitch_mm * (rows - 1), rows)
-    return Chart(centre_mm, axes, _even(low, high, columns), length, cap_mm)
+def _angles(reach_deg: float, radius_mm: float, pitch_mm: float) -> Array:
+    """Angles to both sides of the front, `pitch_mm` apart at `radius_mm`."""
+    low, high = np.deg2rad(-reach_deg), np.deg2rad(reach_deg)
+    return _even(low, high, max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1))
+
+
+def _lengths(base_mm: float, tip_mm: float, pitch_mm: float) -> Array:
+    """Lengths from the tip to the base."""
+    rows = max(2, int(np.ceil((tip_mm - base_mm) / pitch_mm)) + 1)
+    return _even(tip_mm, tip_mm - pitch_mm * (rows - 1), rows)
 
 
 def _even(low: float, high: float, count: int) -> Array:
