@@ -20,7 +20,7 @@ from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import CHANNELS, SkinSettings, fresnel, load_walks
+from splitknit.simulator.light.skin import CHANNELS, Medium, SkinSettings, fresnel
 from splitknit.simulator.surface import Surface
 
 SCALE = 0.25
@@ -32,7 +32,7 @@ def light(surface: Surface, leds: tuple[Led, ...], skin: SkinSettings) -> Array3
     """(L, C, H, W) light inside the skin before it leaves towards the camera."""
     patch = cut_out(surface)
     optics = [skin.channel(channel) for channel in CHANNELS]
-    band = render_band(surface, leds, optics, roughness=skin.roughness, glare=0.0, walks=load_walks())
+    band = render_band(surface, leds, Medium(optics, skin.roughness, 0.0))
     leaving = np.sqrt(patch.nv**2 + (0.5 * skin.roughness) ** 2 * (1.0 - patch.nv**2))
     result = np.zeros((len(leds), len(optics), *surface.mask.shape), dtype=np.float32)
     result[(slice(None), slice(None), *band.window)] = band.diffuse / np.maximum(1.0 - fresnel(leaving), 1e-3)

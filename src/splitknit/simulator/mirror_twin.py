@@ -16,7 +16,7 @@ from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, finger_s
 from splitknit.simulator.finger.raycast import Placement
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
-from splitknit.simulator.light.skin import SkinSettings, load_walks
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.simulator.mirror_scene import MirrorScene
 from splitknit.simulator.mirror_view import View, as_built, mirror_view
 from splitknit.simulator.rigs import mirror_rig, stop_y_mm
@@ -104,12 +104,12 @@ def photograph_between_mirrors(
     surface = finger_surface(finger, pose, camera, master=master, workers=workers, skin=worn, keep_chart=True)
     seen = [mirror_view(body, worn, placement, camera, mirror, workers=workers) for mirror in mirrors]
     background_seed, noise_seed = seeds[0].spawn(2)
-    scene = MirrorScene((surface, rig, skin), seen, settings, background_seed, load_walks())
+    scene = MirrorScene((surface, rig, skin), seen, settings, background_seed)
     truth = surface_truth(surface)
     if surface.chart is not None:
         truth["chart_mm"] = surface.chart
     truth |= _view_truth(seen, scene.masks)
-    capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
+    capture = take_capture(scene.front, scene.photograph, noise_seed, truth)
     truth |= _body_truth(body, worn, placement, views.truth_pitch_mm)
     return capture, truth
 

@@ -26,7 +26,7 @@ from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSett
 from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.mirror_twin import mirror_pose, photograph_between_mirrors, rig_with_mirrors
 from splitknit.simulator.rigs import coloured_rig
 from splitknit.simulator.scene import (
@@ -36,8 +36,8 @@ from splitknit.simulator.scene import (
     TwinSettings,
     exposures_of,
     optics_truth,
+    response_to,
     surface_truth,
-    take_band,
     take_capture,
 )
 from splitknit.simulator.surface import Surface
@@ -238,7 +238,6 @@ def photograph(
     seed: np.random.SeedSequence,
     *,
     settings: TwinSettings | None = None,
-    walks: WalkTable | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Photograph `surface` under every LED of `rig`.
 
@@ -249,7 +248,6 @@ def photograph(
     skin : optics of the finger
     seed : of background and noise
     settings : only `render`, `background`, `sensor` and `sensor_scale` are used here
-    walks : table of random walks; None loads the shipped one
 
     Returns
     -------
@@ -266,12 +264,10 @@ def photograph(
         surface.mask.shape == rig.camera.image_size,
         f"the surface has {surface.mask.shape} pixels, but the rig's camera has {rig.camera.image_size}.",
     )
-    walks = walks or load_walks()
     background_seed, noise_seed = seed.spawn(2)
-    scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
+    scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed))
     truth = surface_truth(surface)
-    capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
-    return capture, truth
+    return take_capture(scene, scene.photograph, noise_seed, truth), truth
 
 
 # A moving finger: every shot shows a surface of its own.
@@ -293,14 +289,13 @@ def _photograph_moving(
         finger, pose, rig.camera, np.random.SeedSequence([seed, impression, 0x53]), settings.motion, len(shots),
         settings.render.workers, sum(name == shots[0][0] for name, _ in shots) // 2,
     )  # fmt: skip
-    walks = load_walks()
     background_seed, noise_seed = photo_seed.spawn(2)
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
     exposed_px = EXPOSURE_S * rig.camera.px_per_mm
     for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
         # the same dust in every shot
-        scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
+        scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed))
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
@@ -310,8 +305,8 @@ def _photograph_moving(
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
         return _moving_band(name, lit[name], seed)
 
-    capture = take_capture(rig, skin, settings, photograph_band, seed=noise_seed, truth=truth)
-    return capture, truth
+    scene = next(iter(lit.values()))[0].scene
+    return take_capture(scene, photograph_band, noise_seed, truth), truth
 
 
 def _shots_of(rig: Rig) -> list[tuple[str, tuple[int, ...]]]:
@@ -351,7 +346,7 @@ def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence
     exposure = np.float32(first.settings.sensor.exposure / bright)
     ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
     glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
-    seen_by = "coloured" if any(rig.leds[k].colour for k in used) else name
+    seen_by = response_to(name, [rig.leds[k] for k in used])
 
     def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
         shot = shots[number]
@@ -362,7 +357,7 @@ def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence
         smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
         return scene.record(np.asarray(smeared, dtype=np.float32), seen_by, seed)
 
-    band = take_band((name, seen_by), [shot.leds for shot in shots], first, shoot, ambient * exposure, seed=seed)
+    band = first.take(name, [shot.leds for shot in shots], shoot, ambient * exposure, seed)
     return band, glare, np.array(float(exposure))
 
 
@@ -431,7 +426,7 @@ class FingerScene:
         self.skin: SkinSettings = laid.skin
         self.surface: Surface = laid.surface
         rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
-        self._scene = Scene((self.surface, self.rig, self.skin), settings, rng, load_walks())
+        self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, _Rendered] = {}
         self._room: FloatArray | None = None
 

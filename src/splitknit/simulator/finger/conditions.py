@@ -19,7 +19,7 @@ from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
 from splitknit.simulator.light.coat import draw_grains, stamp
-from splitknit.simulator.light.skin import CHANNELS, SkinSettings, diffusion_profile, load_walks
+from splitknit.simulator.light.skin import CHANNELS, SkinSettings, diffusion_profile
 from splitknit.simulator.surface import Coat, Film, Surface
 
 Array = NDArray[np.float64]
@@ -439,11 +439,10 @@ def _bounded(skin: SkinSettings, name: str, factor: float) -> float:
 
 def _tint(skin: SkinSettings, other: SkinSettings) -> dict[str, float]:
     """Diffuse reflectance of another medium over that of the skin, for every channel."""
-    walks = load_walks()
 
     def albedo(settings: SkinSettings, name: str) -> float:
         optics = settings.channel(name)  # type: ignore[arg-type]
-        return float(diffusion_profile(walks, optics.scattering_per_mm, optics.absorption_per_mm).albedo)
+        return float(diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm).albedo)
 
     return {name: albedo(other, name) / albedo(skin, name) for name in CHANNELS}
 
