@@ -48,7 +48,7 @@ def master(finger: Finger) -> MasterPrint:
 
 @pytest.fixture(scope="module")
 def seen(finger: Finger, master: MasterPrint) -> Surface:
-    return finger_surface(finger, POSE, CAMERA, master=master)
+    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
 def _points(surface: Surface) -> np.ndarray:
@@ -109,8 +109,8 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: Surface) -> N
 
 def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: MasterPrint) -> None:
     far = perspective_camera((300, 260), 10.0, 1e8)
-    plain = finger_surface(finger, POSE, Camera(10.0, (300, 260)), master=master)
-    spread = finger_surface(finger, POSE, far, master=master)
+    plain = finger_surface(replace(finger, printed=master), POSE, Camera(10.0, (300, 260)))
+    spread = finger_surface(replace(finger, printed=master), POSE, far)
     assert (plain.mask != spread.mask).sum() <= 2
     both = plain.mask & spread.mask & (plain.normals[..., 2] > 0.3)
     np.testing.assert_allclose(spread.height_mm[both], plain.height_mm[both], atol=5e-4)
@@ -132,8 +132,8 @@ def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: Ma
 def test_the_sides_move_inwards(finger: Finger, master: MasterPrint) -> None:
     """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the sides."""
     pose = Pose(insertion_mm=26.0)
-    plain = finger_surface(finger, pose, Camera(15.0, (430, 560)), master=master)
-    spread = finger_surface(finger, pose, CENTRED, master=master)
+    plain = finger_surface(replace(finger, printed=master), pose, Camera(15.0, (430, 560)))
+    spread = finger_surface(replace(finger, printed=master), pose, CENTRED)
     assert 0.92 * plain.mask.sum() < spread.mask.sum() < 0.97 * plain.mask.sum()
     row = 250
     edges = [np.flatnonzero(s.mask[row])[[0, -1]] for s in (plain, spread)]
@@ -145,7 +145,7 @@ def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: Maste
     """A near camera sees skin of the side towards it that no orthographic camera sees: normals that point down."""
     camera = perspective_camera((300, 420), 10.0, 30.0)
     pose = Pose(x_mm=18.0, insertion_mm=20.0)
-    surface = finger_surface(finger, pose, camera, master=master)
+    surface = finger_surface(replace(finger, printed=master), pose, camera)
     down = surface.mask & (surface.shape_normals[..., 2] < -0.05)
     assert down.sum() > 200
     assert np.flatnonzero(surface.mask.any(axis=0))[0] > 270  # and nothing beside the finger
@@ -193,7 +193,7 @@ def test_landmarks_are_pixels_of_the_lens(seen: Surface, finger: Finger, master:
 
 
 def test_workers_do_not_change_the_result(finger: Finger, master: MasterPrint, seen: Surface) -> None:
-    again = finger_surface(finger, POSE, CAMERA, master=master, workers=1)
+    again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     for name in ("height_mm", "normals", "x_mm", "y_mm"):
         assert getattr(again, name).tobytes() == getattr(seen, name).tobytes()
 

@@ -47,7 +47,7 @@ def compare(finger: Finger, scale: float = SCALE) -> tuple[Array32, Array32, NDA
     matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
     near = replace(rig.camera, model="perspective", matrix=matrix)
     pose, master, skin, leds = Pose(insertion_mm=26.5), finger.master(), SkinSettings(), rig.leds[:7]
-    flat, spread = (finger_surface(finger, pose, camera, master=master) for camera in (rig.camera, near))
+    flat, spread = (finger_surface(replace(finger, printed=master), pose, camera) for camera in (rig.camera, near))
     assert spread.x_mm is not None and spread.y_mm is not None
     x, y, z = (np.nan_to_num(a).astype(np.float64) for a in (spread.x_mm, spread.y_mm, spread.height_mm))
     place = [a.astype(np.float32) for a in pixels_of_points(rig.camera, x, y, z)]

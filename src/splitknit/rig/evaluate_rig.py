@@ -71,7 +71,7 @@ def _pose_of(seed: int, camera: Camera) -> Pose:
 def _view_of(seed: int, camera: Camera) -> Surface:
     """The finger on the pixels of `camera`."""
     finger, master = _person(seed)
-    return finger_surface(finger, _pose_of(seed, camera), camera, master=master, workers=1)
+    return finger_surface(replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1)
 
 
 def _phalange(seed: int, surface: Surface) -> BoolArray:

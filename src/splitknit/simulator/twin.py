@@ -23,11 +23,11 @@ from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
-from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
+from splitknit.simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
 from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings
-from splitknit.simulator.mirror_twin import mirror_pose, photograph_between_mirrors, rig_with_mirrors
+from splitknit.simulator.mirror_twin import Drawn, mirror_pose, photograph_between_mirrors, rig_with_mirrors
 from splitknit.simulator.rigs import coloured_rig
 from splitknit.simulator.scene import (
     BACKGROUND_MM,
@@ -167,10 +167,8 @@ def simulate_capture(
     if settings.motion.amplitude_mm > 0:
         capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
     elif settings.between_mirrors:
-        finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-        capture, truth = photograph_between_mirrors(
-            finger, pose, rig, skin, seeds=(photo_seed, seed), settings=settings
-        )
+        drawn = _drawn(seed, pattern, settings, impression, finger)
+        capture, truth = photograph_between_mirrors(drawn, seed, settings)
     else:
         laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
@@ -199,20 +197,19 @@ def lay_down(
 ) -> LaidDown:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
-    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-    workers, camera = settings.render.workers, rig.camera
+    drawn = _drawn(seed, pattern, settings, impression, finger)
+    finger, pose, skin = drawn.finger, drawn.pose, drawn.skin
+    workers, camera = settings.render.workers, drawn.rig.camera
     if settings.condition.active:
         condition_seed = np.random.SeedSequence([seed, impression, 0x54])
         surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
     else:
         surface = finger_surface(finger, pose, camera, workers=workers)
-    return LaidDown(surface, rig, skin, photo_seed)
+    return LaidDown(surface, drawn.rig, skin, drawn.photo_seed)
 
 
-def _drawn(
-    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
-) -> tuple[Finger, Pose, Rig, SkinSettings, np.random.SeedSequence]:
-    """Draw what a seed stands for: finger, pose, rig, skin, and the seed of background and noise."""
+def _drawn(seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None) -> Drawn:
+    """Draw what a seed stands for."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
     between = settings.between_mirrors
     if between:
@@ -228,7 +225,7 @@ def _drawn(
         pose = settings.pose
     else:
         pose = mirror_pose(settings, rig.camera, pose_rng) if between else settings.pose.draw(pose_rng, rig.camera)
-    return finger, pose, rig, skin, photo_seed
+    return Drawn(finger, pose, rig, skin, photo_seed)
 
 
 def photograph(
@@ -283,19 +280,19 @@ def _photograph_moving(
     the finger. The ambient frame of a band shows the finger where its first shot does. Coloured LEDs of one exposure
     show the finger at one place.
     """
-    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-    shots = _shots_of(rig)
-    moving = moving_finger(
-        finger, pose, rig.camera, np.random.SeedSequence([seed, impression, 0x53]), settings.motion, len(shots),
-        settings.render.workers, sum(name == shots[0][0] for name, _ in shots) // 2,
-    )  # fmt: skip
-    background_seed, noise_seed = photo_seed.spawn(2)
+    drawn = _drawn(seed, pattern, settings, impression, finger)
+    rig, shots = drawn.rig, _shots_of(drawn.rig)
+    path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
+    reference = sum(name == shots[0][0] for name, _ in shots) // 2
+    path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
+    moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
+    background_seed, noise_seed = drawn.photo_seed.spawn(2)
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
     exposed_px = EXPOSURE_S * rig.camera.px_per_mm
-    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
+    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(settings.render.workers), strict=True)):
         # the same dust in every shot
-        scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed))
+        scene = Scene((surface, rig, drawn.skin), settings, np.random.default_rng(background_seed))
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
