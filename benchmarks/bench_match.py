@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -43,7 +44,7 @@ def main() -> None:
     finger, camera = draw_finger(1), default_rig(SURFACE).camera
     master = finger.master()
     seen = [
-        finger_surface(finger, pose, camera, master=master)
+        finger_surface(replace(finger, printed=master), pose, camera)
         for pose in (Pose(insertion_mm=26.0), Pose(insertion_mm=27.0, yaw_rad=0.1, roll_rad=0.1))
     ]
     surfaces = [(s.height_mm - s.shape_mm, s.mask, camera.pitch_mm, s.shape_mm) for s in seen]

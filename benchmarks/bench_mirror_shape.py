@@ -24,6 +24,7 @@ from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.views import view_binning
 from splitknit.presets import preset_settings
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.raycast import PlacedFinger
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.mirror_view import mirror_view
@@ -43,9 +44,9 @@ def drawn() -> tuple[dict[str, np.ndarray], Any]:
     body, master = FingerBody(finger.shape), finger.master()
     pose = Pose(yaw_rad=0.06, insertion_mm=24.0)
     placement, skin = place(body, pose, rig.camera), skin_map(master, finger.skin)
-    masks = {"front": finger_surface(finger, pose, rig.camera, master=master).mask}
+    masks = {"front": finger_surface(replace(finger, printed=master), pose, rig.camera).mask}
     for mirror in rig.mirrors:
-        masks[mirror.name] = mirror_view(body, skin, placement, rig.camera, mirror).mask
+        masks[mirror.name] = mirror_view(PlacedFinger(body, skin, placement), rig.camera, mirror).mask
     return masks, rig
 
 

@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
     board = design_circuit(rig)
     stage = board.channels[0].stage
     low, middle, high = (1000 * a for a in stage.current_a)
-    print(f"LED board: {len(board.components)} parts, {middle:.0f} mA a LED ({low:.0f} to {high:.0f} over all corners)")
+    print(f"LED board: {board.parts} parts, {middle:.0f} mA a LED ({low:.0f} to {high:.0f} over all corners)")
     return 0
 
 

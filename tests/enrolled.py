@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from perfect_results import write_perfect
@@ -21,7 +22,7 @@ def people(folder: Path) -> Path:
         drawn = draw_finger(seed, "right_loop")
         master = drawn.master()
         for session, pose in enumerate(POSES, start=1):
-            seen = finger_surface(drawn, pose, camera, master=master)
+            seen = finger_surface(replace(drawn, printed=master), pose, camera)
             write_perfect(folder / person / f"session_{session}" / finger, seen, camera)
     return folder
 

@@ -1,4 +1,4 @@
-"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY and GLB, floats as TIFF."""
+"""Readers, for tests alone, of what splitknit writes and never reads: meshes as PLY, GLB and STL, floats as TIFF."""
 
 from __future__ import annotations
 
@@ -52,6 +52,15 @@ def read_ply(path: Path) -> Ply:
     corners = np.frombuffer(body, FACE, faces, vertices * VERTEX.itemsize)
     assert (corners["count"] == 3).all()
     return Ply(points["place"], points["normal"], points["quality"], corners["corners"], comments)
+
+
+def read_stl(path: Path) -> np.ndarray:
+    """(N, 3, 3) corners of the triangles of a binary file."""
+    data = path.read_bytes()
+    triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
+    (count,) = struct.unpack_from("<I", data, 80)
+    assert len(data) == 84 + count * triangle.itemsize
+    return np.frombuffer(data, triangle, count, 84)["corners"].copy()
 
 
 def read_glb(path: Path) -> Glb:

@@ -20,9 +20,8 @@ from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import MESHES as KNOWN_MESHES
 from splitknit.io.results import read_result, write_mesh
-from splitknit.rig.assembly import read_stl
 from splitknit.simulator.finger.finger import Pose
-from written_files import read_glb, read_obj, read_ply
+from written_files import read_glb, read_obj, read_ply, read_stl
 
 PICTURES = {"png": "png", "tiff": "tiff", "wsq": "wsq", "iso-19794-4": "fir", "ansi-nist-itl": "an2"}
 MINUTIAE = {"iso-19794-2": "iso", "ansi-378": "fmr", "ansi-378-2009": "fmr"}

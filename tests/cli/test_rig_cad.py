@@ -7,12 +7,14 @@ import importlib.util
 import json
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import pytest
 
 from splitknit.cli.main import main
 from splitknit.io.rig import write_rig
 from splitknit.model import default_rig
+from written_files import read_stl
 
 needs_cad = pytest.mark.skipif(
     importlib.util.find_spec("build123d") is None, reason="build123d (extra 'rig') is not installed"
@@ -61,7 +63,6 @@ def hashes(folder):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default::DeprecationWarning")
 def test_the_folder_is_complete_and_the_same_every_time(tmp_path, capsys):
-    from splitknit.rig.assembly import read_stl
     from splitknit.rig.part_reports import _check_soundness
 
     rig = default_rig()
@@ -86,9 +87,17 @@ def test_the_folder_is_complete_and_the_same_every_time(tmp_path, capsys):
         assert sound.volume_mm3 / 1000 == pytest.approx(part["volume_cm3"], abs=1e-3)
         failed = [check for check, verdict in part["checks"].items() if not verdict["ok"]]
         assert bool(part["findings"]) or not failed
-    assert {f"{name}.png" for name in written["parts"]} | {"exploded.png", "section.png"} == set(written["pictures"])
+    assert {f"{name}.svg" for name in written["parts"]} | {"exploded.svg", "section.svg"} == set(written["pictures"])
     for name in written["pictures"]:
-        assert (tmp_path / "a" / "pictures" / name).stat().st_size > 3000
+        drawing = ElementTree.parse(tmp_path / "a" / "pictures" / name).getroot()
+        edges = [one for one in drawing.iter() if one.tag.endswith(("path", "line"))]
+        assert len(edges) >= 8
+        width, height = (float(drawing.get(side).removesuffix("mm")) for side in ("width", "height"))
+        size = written["parts"].get(name.removesuffix(".svg"), {}).get("size_mm")
+        if size:  # two views beside each other, at true scale
+            assert width < 2 * (size[0] + size[1]) + 30 and height < sum(size) + 20
+        else:
+            assert height > written["dimensions"]["total_height_mm"] * 0.8
 
 
 @needs_cad

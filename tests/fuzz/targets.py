@@ -65,7 +65,6 @@ from splitknit.io.images import decode_image, encode_image, image_size, read_ima
 from splitknit.io.iso19794 import decode_iso19794, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
 from splitknit.io.light_list import read_named_lights
-from splitknit.io.mesh import surface_mesh
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     decode_ansi378,
@@ -110,7 +109,6 @@ from splitknit.prints.from_file import (
     read_print_folder,
 )
 from splitknit.prints.sources import read_source
-from splitknit.rig.assembly import read_stl, write_stl
 from splitknit.rig.candidates import Candidate, Study
 from splitknit.rig.optimise import _SweepFolder
 from splitknit.separation.folder import _read_light
@@ -382,16 +380,6 @@ def _result(folder: Path, files: Files) -> object:
         lambda: read_source(path, photo=False, surface=True),
         lambda: read_side(folder, "metric", MatchingSettings()),
     )
-
-
-def _meshes() -> tuple[Any, Any, Any, Any]:
-    arrays = _arrays()
-    rows, columns = np.mgrid[:80, :110].astype(np.float32)
-    height = np.where(arrays["mask"], arrays["height_mm"], np.nan).astype(np.float32)
-    part = np.s_[30:40, 50:60]
-    vertices, faces, _ = surface_mesh(columns[part] / 4, rows[part] / 4, height[part])
-    normals = np.tile(np.float32([0, 0, 1]), (len(vertices), 1))
-    return vertices, normals, np.full(len(vertices), 99, np.uint8), faces
 
 
 # --- templates, records, scores ----------------------------------------------------------------------------------
@@ -937,11 +925,6 @@ def _print_folder(folder: Path, files: Files) -> None:
     read_print_folder(folder)
 
 
-def _stls() -> list[Files]:
-    vertices, _, _, faces = _meshes()
-    return _written("x.stl", lambda path: write_stl(path, vertices[faces], "x"))
-
-
 TARGETS = (
     Target("image", _images, _of_files("image", _pixels)),
     Target("capture", _captures, _capture),
@@ -950,7 +933,6 @@ TARGETS = (
     Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),
-    Target("stl", _stls, _of_files("x.stl", read_stl)),
     Target(
         "print_png",
         _prints,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def impressions() -> list[Impression]:
         finger = draw_finger(700 + seed, pattern)
         master = finger.master()
         for pose in POSES:
-            seen = finger_surface(finger, pose, camera, master=master)
+            seen = finger_surface(replace(finger, printed=master), pose, camera)
             ridge = seen.height_mm - seen.shape_mm
             found.append(Impression(seed, pose, ridge, seen.shape_mm, seen.mask, seen.normals, camera.pitch_mm))
     return found

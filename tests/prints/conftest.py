@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from bodies import Twin
 
@@ -14,4 +16,5 @@ def twin() -> Twin:
     """A whorl, lying straight, at a quarter of full scale."""
     finger = draw_finger(731, "whorl")
     master = finger.master()
-    return Twin(finger_surface(finger, Pose(insertion_mm=27.0), default_rig(0.25).camera, master=master), master)
+    finger = replace(finger, printed=master)
+    return Twin(finger_surface(finger, Pose(insertion_mm=27.0), default_rig(0.25).camera), master)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.rig.assembly import PartKind, read_stl, write_stl
+from splitknit.rig.assembly import PartKind
 from splitknit.rig.part_reports import (
     _check_soundness,
     _first_hits,
@@ -140,36 +140,6 @@ def test_leaning_faces_are_judged_by_their_angle(lean, steep):
     expected = 20 * 10 / np.cos(np.deg2rad(lean)) if steep else 0.0
     assert found.steep_mm2 == pytest.approx(expected, rel=1e-5)
     assert _overhang(body, limit_deg=60.0).steep_mm2 == 0
-
-
-def test_stl_round_trip(tmp_path):
-    mesh = block((0, 0, 0), (3, 4, 5))
-    write_stl(tmp_path / "a.stl", mesh, "block")
-    write_stl(tmp_path / "b.stl", mesh, "block")
-    assert np.array_equal(read_stl(tmp_path / "a.stl"), mesh)
-    assert (tmp_path / "a.stl").read_bytes() == (tmp_path / "b.stl").read_bytes()
-    assert (tmp_path / "a.stl").stat().st_size == 84 + 50 * 12
-    lines = ["solid block"]
-    for triangle in mesh:
-        lines += ["facet normal 0 0 0", "outer loop"]
-        lines += [f"vertex {x} {y} {z}" for x, y, z in triangle]
-        lines += ["endloop", "endfacet"]
-    (tmp_path / "text.stl").write_text("\n".join([*lines, "endsolid"]))
-    assert np.array_equal(read_stl(tmp_path / "text.stl"), mesh)
-
-
-def test_files_that_are_no_stl_are_refused(tmp_path):
-    mesh = block((0, 0, 0), (1, 1, 1))
-    write_stl(tmp_path / "cut.stl", mesh)
-    (tmp_path / "cut.stl").write_bytes((tmp_path / "cut.stl").read_bytes()[:-7])
-    (tmp_path / "odd.stl").write_text("solid x\nvertex 1 2 3\nvertex 1 2\n")
-    for name, words in (
-        ("cut.stl", "not an STL file"),
-        ("odd.stl", "do not make triangles"),
-        ("none.stl", "does not exist"),
-    ):
-        with pytest.raises(BadInput, match=words):
-            read_stl(tmp_path / name)
 
 
 def test_what_is_outside_a_limit_is_said():

@@ -21,7 +21,6 @@ from splitknit.rig.evaluate_rig import (
     evaluate,
 )
 from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph
-from splitknit.simulator.light.skin import load_walks
 
 RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)
 STUDY = Study(fingers=1)
@@ -48,7 +47,6 @@ def _shot(seen, candidate=RIG, seed=1, photons=None, rendered=False):
         known_rig=rig,
         mask=mask,
         skin=None,
-        walks=load_walks(),
         photons=photons,
         seed=np.random.SeedSequence(seed),
         rendered=rendered,

@@ -12,7 +12,7 @@ from splitknit.separation.symmetry import by_symmetry
 from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
-from splitknit.simulator.light.skin import SkinSettings, load_walks
+from splitknit.simulator.light.skin import SkinSettings
 
 CHECK_MM, PX_PER_MM = 0.4, 20.0
 UNBOUNDED = StackSettings(clip_level=None)
@@ -25,7 +25,7 @@ def skin():
     settings = PalmSettings(size_mm=(8.0, 7.0), ridge_depth_um=(60.0, 60.0), radius_mm=(35.0, 35.0))
     palm = palm_surface(draw_palm(11, settings), Camera(PX_PER_MM, (80, 100)))
     led, pattern = default_rig().leds[1], Checkerboard(CHECK_MM)
-    options = {"walks": load_walks(), "settings": RenderSettings(reach_mm=3.0)}
+    options = {"settings": RenderSettings(reach_mm=3.0)}
     truth = separate_truth(palm, led, SkinSettings(), check_mm=CHECK_MM, **options)
     white = float(truth.white.max())
     stack = checkerboard_stack(palm, led, SkinSettings(), pattern, **options).transpose(0, 2, 3, 1) / white

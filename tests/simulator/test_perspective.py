@@ -21,11 +21,11 @@ from splitknit.simulator.light.renderer import render_ambient, render_band
 from splitknit.simulator.light.separation import Checkerboard, pattern_states, separate_truth
 from splitknit.simulator.light.skin import (
     ChannelOptics,
+    Medium,
     SkinSettings,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
-    load_walks,
 )
 from splitknit.simulator.surface import Surface
 from surfaces import perspective_camera, perspective_plane, ridged_egg
@@ -48,7 +48,7 @@ def master(finger: Finger) -> MasterPrint:
 
 @pytest.fixture(scope="module")
 def seen(finger: Finger, master: MasterPrint) -> Surface:
-    return finger_surface(finger, POSE, CAMERA, master=master)
+    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
 def _points(surface: Surface) -> np.ndarray:
@@ -109,8 +109,8 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: Surface) -> N
 
 def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: MasterPrint) -> None:
     far = perspective_camera((300, 260), 10.0, 1e8)
-    plain = finger_surface(finger, POSE, Camera(10.0, (300, 260)), master=master)
-    spread = finger_surface(finger, POSE, far, master=master)
+    plain = finger_surface(replace(finger, printed=master), POSE, Camera(10.0, (300, 260)))
+    spread = finger_surface(replace(finger, printed=master), POSE, far)
     assert (plain.mask != spread.mask).sum() <= 2
     both = plain.mask & spread.mask & (plain.normals[..., 2] > 0.3)
     np.testing.assert_allclose(spread.height_mm[both], plain.height_mm[both], atol=5e-4)
@@ -119,10 +119,10 @@ def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: Ma
     np.testing.assert_allclose(spread.normals[both], plain.normals[both], atol=2e-2)
     np.testing.assert_allclose(spread.landmarks["tip_px"], plain.landmarks["tip_px"], atol=0.1)
     np.testing.assert_allclose(spread.landmarks["cores_px"], plain.landmarks["cores_px"], atol=0.01)
-    walks, skin, led = load_walks(), SkinSettings(), Led("white", (52.5, 0.0, 140.0))
+    skin, led = SkinSettings(), Led("white", (52.5, 0.0, 140.0))
     optics = [skin.channel("green")]
     one, other = (
-        render_band(s, [led], optics, roughness=0.25, glare=1.0, walks=walks) for s in (plain, spread)
+        render_band(s, [led], Medium(optics, 0.25, 1.0)) for s in (plain, spread)
     )  # fmt: skip
     where = both[one.window]
     for a, b in ((one.diffuse[0, 0], other.diffuse[0, 0]), (one.glare[0], other.glare[0])):
@@ -132,8 +132,8 @@ def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: Ma
 def test_the_sides_move_inwards(finger: Finger, master: MasterPrint) -> None:
     """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the sides."""
     pose = Pose(insertion_mm=26.0)
-    plain = finger_surface(finger, pose, Camera(15.0, (430, 560)), master=master)
-    spread = finger_surface(finger, pose, CENTRED, master=master)
+    plain = finger_surface(replace(finger, printed=master), pose, Camera(15.0, (430, 560)))
+    spread = finger_surface(replace(finger, printed=master), pose, CENTRED)
     assert 0.92 * plain.mask.sum() < spread.mask.sum() < 0.97 * plain.mask.sum()
     row = 250
     edges = [np.flatnonzero(s.mask[row])[[0, -1]] for s in (plain, spread)]
@@ -145,7 +145,7 @@ def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: Maste
     """A near camera sees skin of the side towards it that no orthographic camera sees: normals that point down."""
     camera = perspective_camera((300, 420), 10.0, 30.0)
     pose = Pose(x_mm=18.0, insertion_mm=20.0)
-    surface = finger_surface(finger, pose, camera, master=master)
+    surface = finger_surface(replace(finger, printed=master), pose, camera)
     down = surface.mask & (surface.shape_normals[..., 2] < -0.05)
     assert down.sum() > 200
     assert np.flatnonzero(surface.mask.any(axis=0))[0] > 270  # and nothing beside the finger
@@ -193,7 +193,7 @@ def test_landmarks_are_pixels_of_the_lens(seen: Surface, finger: Finger, master:
 
 
 def test_workers_do_not_change_the_result(finger: Finger, master: MasterPrint, seen: Surface) -> None:
-    again = finger_surface(finger, POSE, CAMERA, master=master, workers=1)
+    again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     for name in ("height_mm", "normals", "x_mm", "y_mm"):
         assert getattr(again, name).tobytes() == getattr(seen, name).tobytes()
 
@@ -215,20 +215,20 @@ def test_light_on_a_plane_follows_the_true_points_and_view() -> None:
     sheet = perspective_plane(camera, -8.0, slope=-1.5)
     led = Led("white", (40.0, 6.0, 50.0))
     dense = ChannelOptics(scattering_per_mm=3000.0, absorption_per_mm=60.0, relief_gain_per_um=0.0)
-    image = render_band(sheet, [led], [dense], roughness=0.2, glare=1.0, walks=load_walks())
+    image = render_band(sheet, [led], Medium([dense], 0.2, 1.0))
     to = np.array([40.0, 6.0, 50.0]) - _points(sheet)
     distance = np.linalg.norm(to, axis=-1)
     cosine = (to * sheet.normals).sum(-1) / distance
     leaving = (_view(sheet) * sheet.normals).sum(-1)
     assert leaving.min() < 0.2 and leaving.max() > 0.85
     rough = np.sqrt(leaving**2 + 0.1**2 * (1 - leaving**2))
-    albedo = diffusion_profile(load_walks(), 3000.0, 60.0).albedo
+    albedo = diffusion_profile(3000.0, 60.0).albedo
     expected = 1e4 * cosine / distance**2 * (1 - fresnel(cosine)) * (1 - fresnel(rough)) * albedo
     inner = (slice(8, -8), slice(8, -8))
     np.testing.assert_allclose(
         image.diffuse[0, 0][inner], (expected / (np.pi * diffuse_transmittance()))[inner], rtol=0.004
     )
-    sky = render_ambient(sheet, 1.0, [dense], roughness=0.2, walks=load_walks())
+    sky = render_ambient(sheet, 1.0, Medium([dense], 0.2))
     half = 0.5 * (1.0 + sheet.normals[..., 2])
     np.testing.assert_allclose(sky[0][inner], (half * albedo * (1 - fresnel(rough)))[inner], rtol=0.006)
 

@@ -15,7 +15,7 @@ from splitknit.simulator.camera.sensor import SensorSettings, binning_scale
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinSettings, load_walks
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.simulator.scene import BackgroundSettings, Scene, TwinSettings
 from splitknit.simulator.twin import photograph, simulate_capture
 from surfaces import perspective_camera, ridged_egg
@@ -147,4 +147,4 @@ def _scene_blur(perspective, lens):
     rig, settings, _, _ = perspective
     surface = finger_surface(FINGER, settings.pose, rig.camera)
     settings = replace(settings, render=lens)
-    return Scene((surface, rig, SkinSettings()), settings, np.random.default_rng(0), load_walks()).blur
+    return Scene((surface, rig, SkinSettings()), settings, np.random.default_rng(0)).blur

@@ -14,7 +14,7 @@ import pytest
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
-from splitknit.simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel, load_walks
+from splitknit.simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel
 from splitknit.simulator.surface import Surface
 
 sys.path.append(str(VALIDATION / "twin"))
@@ -58,7 +58,7 @@ def mean_and_error(image: Any) -> tuple[np.ndarray, np.ndarray]:
 def test_flat_skin_with_a_diffuse_boundary_agrees_with_the_table_of_walks() -> None:
     settings = replace(FEW, samples=8192)
     image = render_crop(FLAT, WINDOW, LEDS, BLUE, settings)
-    albedo = diffusion_profile(load_walks(), BLUE.scattering_per_mm, BLUE.absorption_per_mm).albedo
+    albedo = diffusion_profile(BLUE.scattering_per_mm, BLUE.absorption_per_mm).albedo
     walks = 16 * settings.samples
     assert abs(image.left - albedo) < 4 * 0.25 / np.sqrt(walks)
     cosine = np.array([np.cos(TILT), 1.0])

@@ -19,7 +19,6 @@ from splitknit.simulator.light.skin import (
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
-    load_walks,
 )
 from splitknit.simulator.surface import Surface
 
@@ -76,7 +75,7 @@ def _many_rays(monkeypatch: pytest.MonkeyPatch) -> None:
 @needs_numba
 @pytest.mark.parametrize(("scattering", "absorption"), [(5.18, 0.40), (2.0, 0.1)])
 def test_flat_skin_with_a_diffuse_boundary_agrees_with_the_table_of_walks(scattering, absorption):
-    albedo = diffusion_profile(load_walks(), scattering, absorption).albedo
+    albedo = diffusion_profile(scattering, absorption).albedo
     expected = albedo * ENTERING * TO_CAMERA / diffuse_transmittance()
     np.testing.assert_allclose(walked(FLAT, medium(scattering, absorption)), expected, rtol=0.02)
 
@@ -97,7 +96,7 @@ def test_dense_skin_is_lambertian_whatever_its_slope():
     light = finger.walk_solid(
         solid, roof, even, medium(10.0, 2.0, pitch_mm=pitch_mm), walks=60.0, rays=32, threads=1, seed=[2]
     ).radiance
-    albedo = diffusion_profile(load_walks(), 10.0, 2.0).albedo
+    albedo = diffusion_profile(10.0, 2.0).albedo
     normal = np.array([slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
     sides = []
     for side in (-1, 1):

@@ -24,12 +24,11 @@ from viewer_server import Asking
 
 from splitknit.errors import BadInput
 from splitknit.io.images import read_image
-from splitknit.rig.assembly import read_stl
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service
 from splitknit.viewer.server import HEADERS
 from splitknit.viewer.surface import Surface, read_surface
-from written_files import read_glb, read_ply
+from written_files import read_glb, read_ply, read_stl
 
 Serve = Callable[..., Asking]
 

@@ -42,13 +42,16 @@ def templates_of(seed: int, number: int, sessions: int) -> list[Template]:
     master = replace(own.finger, print_settings=settings).master()
     found = []
     for session in range(1, sessions + 1):
-        impression = draw_impression(own, ranges, camera, seed=seed, number=number, session=session)
+        impression = draw_impression(own, ranges, camera, (seed, number, session))
         rng = np.random.default_rng([seed, 0xC0DE, number, session])
         skin = draw_deformation(
             rng, master, impression.deformation_mm, ranges.deformation_smooth_mm, impression.swelling
         )
         seen = finger_surface(
-            finger_of_today(own.finger, impression), impression.pose(), camera, master=deformed(master, skin), workers=1
+            replace(finger_of_today(own.finger, impression), printed=deformed(master, skin)),
+            impression.pose(),
+            camera,
+            workers=1,
         )
         first = int(np.argmax(seen.mask.any(axis=1)))
         mask = seen.mask.copy()

@@ -153,12 +153,10 @@ def _edges(settings: PopulationSettings, person: Person, name: str, session: int
     """(2, 16) left and right edge of the upright outline, mm from the middle line, at distances from the tip."""
     own = person.fingers[name]
     rig = settings.rig()
-    impression = draw_impression(
-        own, settings.sessions, rig.camera, seed=settings.seed, number=person.number, session=session
-    )
+    impression = draw_impression(own, settings.sessions, rig.camera, (settings.seed, person.number, session))
     pose = replace(impression.pose(), yaw_rad=0.0, x_mm=0.0)  # the thesis turns outlines upright
     today = finger_of_today(own.finger, impression)
-    surface = finger_surface(today, pose, rig.camera, master=_smooth_skin(today), workers=1)
+    surface = finger_surface(replace(today, printed=_smooth_skin(today)), pose, rig.camera, workers=1)
     pitch = surface.camera.pitch_mm
     rows = np.nonzero(surface.mask.any(axis=1))[0]
     left = np.argmax(surface.mask, axis=1) * pitch

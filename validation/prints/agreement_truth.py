@@ -64,9 +64,8 @@ def read_truth(folder: Path, subject: str, session: int, finger: str) -> Truth:
     settings, number = people(folder), int(subject[1:])
     own = settings.person(number).fingers[finger]
     camera = settings.rig().camera
-    impression = draw_impression(
-        own, settings.sessions, camera, seed=settings.seed, number=number, session=session
-    )  # as the capture was drawn
+    # as the capture was drawn
+    impression = draw_impression(own, settings.sessions, camera, (settings.seed, number, session))
     assert abs(impression.yaw_deg - float(arrays["impression_yaw_deg"])) < 1e-9, "another population's truth"
     body = FingerBody(finger_of_today(own.finger, impression).shape)
     moved = deformed_minutiae(

@@ -23,10 +23,8 @@ from splitknit.simulator.light.skin import (
     Profile,
     SkinRanges,
     SkinSettings,
-    WalkTable,
     diffusion_profile,
     fresnel,
-    load_walks,
 )
 
 VISIBLE: tuple[Channel, ...] = ("red", "green", "blue")
@@ -94,11 +92,10 @@ WHY_ABSORPTION = (
 
 def nist() -> Check:
     """Reflectance of flat skin at 780 nm, surface reflection included, as an integrating sphere sees it."""
-    walks = load_walks()
     surface = float(fresnel(np.array(1.0)))
     with mock.patch.dict(EFFECTIVE, nir=AT_780_NM):  # the simulator's own mixture at another wavelength
         optics = [finger.channel("nir") for finger in drawn_fingers()]
-    ours = surface + (1 - surface) * np.array([_profile(walks, one).albedo for one in optics])
+    ours = surface + (1 - surface) * np.array([_profile(one).albedo for one in optics])
     low, mean, high = NIST
     passed = bool(ours.min() <= low and ours.max() >= high)
     return Check(
@@ -114,11 +111,11 @@ WHY_NIST = (
 
 def face() -> Check:
     """Slopes left in red over those left in green behind scattering, from coarse to fine."""
-    walks, usual, (low, high) = load_walks(), SkinSettings(), FACE_RED_OVER_GREEN
+    usual, (low, high) = SkinSettings(), FACE_RED_OVER_GREEN
 
     def ratios(red: ChannelOptics, green: ChannelOptics) -> NDArray[np.float64]:
         """Light left of a pattern in red over that in green, relative to the mean of each."""
-        left = [profile.transfer(cycles) / profile.albedo for profile in (_profile(walks, red), _profile(walks, green))]
+        left = [profile.transfer(cycles) / profile.albedo for profile in (_profile(red), _profile(green))]
         return np.asarray(left[0] / left[1])
 
     cycles = 1 / np.array(PERIODS_MM)
@@ -130,7 +127,7 @@ def face() -> Check:
         ratios(*(ChannelOptics(s, a, 0.0) for s, a in zip(c["scattering"][:2], c["absorption"][:2], strict=True)))
         for c in JENSEN.values()
     ]
-    gloss = _profile(walks, usual.channel("green")).albedo / _profile(walks, usual.channel("red")).albedo
+    gloss = _profile(usual.channel("green")).albedo / _profile(usual.channel("red")).albedo
     why = (
         "behind a diffuse boundary the ratio falls down to periods of about 1 mm and is lower than the face's below; "
         f"Jensen's coefficients make it flatter but lower still ({np.min(theirs):.2f} to {np.max(theirs):.2f}); "
@@ -142,8 +139,8 @@ def face() -> Check:
     return Check(name, f"{low:g} to {high:g} at all scales (face)", shown, passed, "" if passed else why)
 
 
-def _profile(walks: WalkTable, optics: ChannelOptics) -> Profile:
-    return diffusion_profile(walks, optics.scattering_per_mm, optics.absorption_per_mm)
+def _profile(optics: ChannelOptics) -> Profile:
+    return diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
 
 
 def drawn_fingers() -> list[SkinSettings]:

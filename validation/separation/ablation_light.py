@@ -13,7 +13,7 @@ from splitknit.imaging.band import GREY_WEIGHTS, linear_channels, linear_stack
 from splitknit.model import Band, Capture, FloatArray, default_rig
 from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 from splitknit.simulator.light.separation import separate_truth
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings, load_walks
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import photograph
@@ -55,10 +55,9 @@ def true_shares(twin: Twin, check_mm: float) -> dict[str, FloatArray]:
     shape = (len(band.leds), *twin.capture.shape)
     names = ("direct", "direct without glare", "all but glare")
     fractions = {name: np.ones(shape, dtype=np.float32) for name in names}
-    walks = load_walks()
     for k, (index,) in enumerate(band.leds):
         led = twin.capture.rig.leds[index]
-        light = separate_truth(twin.surface, led, twin.skin, check_mm=check_mm, walks=walks, phases="centred")
+        light = separate_truth(twin.surface, led, twin.skin, check_mm=check_mm, phases="centred")
         direct, white = (np.tensordot(GREY_WEIGHTS, part, 1) for part in (light.direct, light.white))
         lit = white > 1e-6 * white.max()
         for name, part in zip(names, (direct, direct - light.glare, white - light.glare), strict=True):

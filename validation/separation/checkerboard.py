@@ -30,7 +30,6 @@ from typing import Any
 import numpy as np
 from patches import (
     LEDS,
-    OPAQUE,
     PX_PER_MM,
     SIZE,
     Patch,
@@ -38,6 +37,7 @@ from patches import (
     draw_patches,
     inner,
     known_states,
+    opaque,
     photograph,
     truth_of,
 )
@@ -107,8 +107,8 @@ def ideal(patches: dict[str, Patch]) -> list[dict[str, Any]]:
     rows = []
     for name, patch in patches.items():
         for check, alpha, dark in ((0.21, 0.5, 0.0), (0.42, 0.5, 0.1), (0.42, 0.25, 0.0), (0.42, 0.75, 0.05)):
-            truth = truth_of(patch, check, optics=OPAQUE)
-            stack = photograph(patch, Checkerboard(check, alpha=alpha, dark=dark), optics=OPAQUE)
+            truth = truth_of(opaque(patch), check)
+            stack = photograph(opaque(patch), Checkerboard(check, alpha=alpha, dark=dark))
             mask = inner(patch[0], truth)
             # squares of a quarter of the plane: a pixel on a steep flank may see too few shifts to be lit throughout
             found = checkerboard(stack, alpha=alpha, dark=dark, mask=mask, settings=UNBOUNDED)

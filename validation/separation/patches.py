@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -18,7 +19,7 @@ from splitknit.simulator.light.separation import (
     pattern_states,
     separate_truth,
 )
-from splitknit.simulator.light.skin import ChannelOptics, SkinRanges, SkinSettings, load_walks
+from splitknit.simulator.light.skin import ChannelOptics, Medium, SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
 
 PX_PER_MM = 37.85
@@ -26,10 +27,10 @@ SIZE = (224, 240)
 LEDS = default_rig().leds
 OPAQUE = (ChannelOptics(scattering_per_mm=1e6, absorption_per_mm=1e5, relief_gain_per_um=0.0),)
 """Light leaves where it entered: the pattern is ideal."""
-RENDER: dict[str, Any] = {"walks": load_walks(), "settings": RenderSettings(reach_mm=3.0, workers=1)}
+RENDER: dict[str, Any] = {"settings": RenderSettings(reach_mm=3.0, workers=1)}
 """A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
 
-Patch = tuple[Surface, Led, SkinSettings]
+Patch = tuple[Surface, Led, SkinSettings | Medium]
 """What is looked at, where the projector stands, and the skin: the first arguments of the twin's separation."""
 
 
@@ -48,14 +49,21 @@ def draw_patches(smoke: bool) -> dict[str, Patch]:
     return result
 
 
+def opaque(patch: Patch) -> Patch:
+    """The same patch, whose light leaves where it entered."""
+    surface, led, skin = patch
+    assert isinstance(skin, SkinSettings)
+    return surface, led, replace(skin.medium(led.band), optics=OPAQUE)
+
+
 def truth_of(patch: Patch, check_mm: float, **options: Any) -> Separated:
     """Direct and global light at this check size."""
     return separate_truth(*patch, check_mm=check_mm, **RENDER, **options)
 
 
-def photograph(patch: Patch, pattern: Checkerboard, **options: Any) -> np.ndarray:
+def photograph(patch: Patch, pattern: Checkerboard) -> np.ndarray:
     """Return the images (N, h, w, C) under all shifts of a pattern, without noise."""
-    return np.moveaxis(checkerboard_stack(*patch, pattern, **RENDER, **options), 1, -1)
+    return np.moveaxis(checkerboard_stack(*patch, pattern, **RENDER), 1, -1)
 
 
 def inner(surface: Surface, truth: Separated) -> np.ndarray:

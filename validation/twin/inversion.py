@@ -34,7 +34,7 @@ from run import HERE, OUT, source_hash
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import Channel, SkinSettings, load_walks
+from splitknit.simulator.light.skin import Channel, Medium, SkinSettings
 from splitknit.skin.diffusion import diffusion
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
@@ -95,7 +95,7 @@ def painted(crop: Crop, folder: Path) -> Array:
         skin = SkinSettings(scattering_factor=crop.factor)
         media = [skin.channel(name) for name in CHANNELS]
         leds = default_rig().leds[:7]
-        light = render_band(surface, leds, media, roughness=skin.roughness, glare=1.0, walks=load_walks())
+        light = render_band(surface, leds, Medium(media, skin.roughness, 1.0))
         window = middle(surface, 2 * crop.side_px)
         partial = path.with_suffix(".part.npz")
         np.savez_compressed(

@@ -17,7 +17,7 @@ from reference_scene import ReferenceScene
 from splitknit.model import FloatArray, Led, default_rig
 from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import Channel, ChannelOptics, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.light.skin import Channel, ChannelOptics, Medium, SkinSettings
 from splitknit.simulator.surface import Surface
 
 FIELD_MM = 10.0
@@ -49,11 +49,6 @@ def lights(channel: str) -> tuple[tuple[Led, ...], Array]:
 
 
 @lru_cache(maxsize=1)
-def _walks() -> WalkTable:
-    return load_walks()
-
-
-@lru_cache(maxsize=1)
 def _scene(depth_um: float, seed: int, nir: bool, crop_px: int) -> tuple[Surface, ReferenceScene]:
     surface = ridged_patch(depth_um, FIELD_MM, seed=seed)
     leds, _ = lights("nir" if nir else "red")
@@ -63,7 +58,7 @@ def _scene(depth_um: float, seed: int, nir: bool, crop_px: int) -> tuple[Surface
 def _twin(surface: Surface, leds: Sequence[Led], optics: ChannelOptics) -> FloatArray:
     """The twin's light without and with its relief term, (2, L, H, W)."""
     both = [replace(optics, relief_gain_per_um=0.0), optics]
-    light = render_band(surface, leds, both, roughness=0.25, glare=0.0, walks=_walks())
+    light = render_band(surface, leds, Medium(both, 0.25, 0.0))
     return np.moveaxis(light.diffuse, 1, 0)
 
 
@@ -143,7 +138,7 @@ def compare_glare(depth_um: float, roughness: float, samples: int = 64, crop_px:
     window = middle(surface, crop_px)
     image = render_glare(scene, roughness, ReferenceSettings(seed=1), samples)
     batches = image.batches.astype(np.float64)
-    light = render_band(surface, leds, [SkinSettings().channel("red")], roughness=roughness, glare=1.0, walks=_walks())
+    light = render_band(surface, leds, Medium([SkinSettings().channel("red")], roughness, 1.0))
     twin = binned(light.glare[(slice(None), *window)])
     reference = batches.mean(axis=0)
     level, level_error = spread(lambda one: np.asarray(twin.mean() / one.mean()), batches)
@@ -181,7 +176,7 @@ def compare_finger(channels: Sequence[tuple[Channel, int]], boundary: str, scale
     for channel, samples in channels:
         optics = SkinSettings().channel(channel)
         image = render_volume(scene, optics, replace(settings, samples=samples))
-        band = render_band(surface, rig.leds[:7], [optics], roughness=0.25, glare=0.0, walks=_walks())
+        band = render_band(surface, rig.leds[:7], Medium([optics], 0.25, 0.0))
         full = np.zeros((7, *surface.mask.shape), dtype=np.float32)
         full[(slice(None), *band.window)] = band.diffuse[:, 0]
         twin = binned(full[(slice(None), *window)], factor)

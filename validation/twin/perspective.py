@@ -20,7 +20,7 @@ from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import CHANNELS, SkinSettings, fresnel, load_walks
+from splitknit.simulator.light.skin import CHANNELS, Medium, SkinSettings, fresnel
 from splitknit.simulator.surface import Surface
 
 SCALE = 0.25
@@ -32,7 +32,7 @@ def light(surface: Surface, leds: tuple[Led, ...], skin: SkinSettings) -> Array3
     """(L, C, H, W) light inside the skin before it leaves towards the camera."""
     patch = cut_out(surface)
     optics = [skin.channel(channel) for channel in CHANNELS]
-    band = render_band(surface, leds, optics, roughness=skin.roughness, glare=0.0, walks=load_walks())
+    band = render_band(surface, leds, Medium(optics, skin.roughness, 0.0))
     leaving = np.sqrt(patch.nv**2 + (0.5 * skin.roughness) ** 2 * (1.0 - patch.nv**2))
     result = np.zeros((len(leds), len(optics), *surface.mask.shape), dtype=np.float32)
     result[(slice(None), slice(None), *band.window)] = band.diffuse / np.maximum(1.0 - fresnel(leaving), 1e-3)
@@ -47,7 +47,7 @@ def compare(finger: Finger, scale: float = SCALE) -> tuple[Array32, Array32, NDA
     matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
     near = replace(rig.camera, model="perspective", matrix=matrix)
     pose, master, skin, leds = Pose(insertion_mm=26.5), finger.master(), SkinSettings(), rig.leds[:7]
-    flat, spread = (finger_surface(finger, pose, camera, master=master) for camera in (rig.camera, near))
+    flat, spread = (finger_surface(replace(finger, printed=master), pose, camera) for camera in (rig.camera, near))
     assert spread.x_mm is not None and spread.y_mm is not None
     x, y, z = (np.nan_to_num(a).astype(np.float64) for a in (spread.x_mm, spread.y_mm, spread.height_mm))
     place = [a.astype(np.float32) for a in pixels_of_points(rig.camera, x, y, z)]

@@ -17,7 +17,6 @@ from splitknit.simulator.light.skin import (
     SkinSettings,
     diffusion_profile,
     fresnel,
-    load_walks,
 )
 
 Array = NDArray[np.float64]
@@ -117,7 +116,7 @@ def walked(x_mm: float, optics: ChannelOptics, relief: tuple[Array, Array], rng:
 def convolved(optics: ChannelOptics, relief: tuple[Array, Array]) -> Array:
     """The twin's light without its relief term, at the places (PLACES, lights)."""
     normals = _normals(relief[1])
-    profile = diffusion_profile(load_walks(), optics.scattering_per_mm, optics.absorption_per_mm)
+    profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
     transfer = profile.transfer(np.fft.rfftfreq(SAMPLES, PERIOD_MM / SAMPLES))
     light = np.fft.irfft(np.fft.rfft(_entering(normals)) * transfer, SAMPLES) * (1.0 - fresnel(normals[2]))
     return light[:, :: SAMPLES // PLACES].T

@@ -14,10 +14,10 @@ from splitknit.simulator.light.renderer import RenderSettings, render_band
 from splitknit.simulator.light.skin import (
     CHANNELS,
     REFRACTIVE_INDEX,
+    Medium,
     SkinSettings,
     diffuse_transmittance,
     fresnel,
-    load_walks,
 )
 from splitknit.simulator.surface import Surface
 
@@ -107,7 +107,7 @@ def main() -> None:
     for channel in CHANNELS:
         optics = SkinSettings().channel(channel)
         settings = RenderSettings(reach_mm=20.0)
-        image = render_band(surface, leds, [optics], roughness=0.25, glare=0.0, walks=load_walks(), settings=settings)
+        image = render_band(surface, leds, Medium([optics], 0.25, 0.0), settings)
         x = (np.arange(*image.window[1].indices(221)[:2]) - 110.0) / 10.0
         volume = np.stack(
             [volume_radiance(float(v), optics.scattering_per_mm, optics.absorption_per_mm, rng) for v in places]

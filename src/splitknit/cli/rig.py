@@ -290,8 +290,13 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
         values = ", ".join(f"{role} {r['ohm']:g} ohm {r['rating_w']:g} W" for role, r in stage["resistors"].items())
         lines.append(f"  {band:5s} {middle:.0f} mA ({low:.0f} to {high:.0f} over all tolerances): {values}")
     lines.append(f"  fuse {facts['fuse_ma']} mA, for one LED at a time")
-    width, height = facts["board"]["size_mm"]
-    lines.append(f"  laid out on {width:g} x {height:g} mm with two layers; not yet made")
+    board = facts["board"]
+    if "misfit" in board:
+        lines.append(
+            f"  the LED board is left out: {board['misfit']}; lay out your own with the values of circuit.json"
+        )
+    else:
+        lines.append("  laid out on {:g} x {:g} mm with two layers; not yet made".format(*board["size_mm"]))
     lines.append(
         "Light on eye and skin, all LEDs on, against the exempt group of IEC 62471 (calculated, no certificate):"
     )

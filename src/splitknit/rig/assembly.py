@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,9 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import importing, read_bytes, require
-from splitknit.io.atomic import atomic_file
-from splitknit.io.mesh import HEADER_BYTES, RECORD
+from splitknit.errors import importing
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import RigDimensions
 
@@ -121,68 +118,6 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
 
 Triangles = NDArray[np.float32]
 """(N, 3, 3): corners of each triangle, counter-clockwise seen from outside; x, y, z in mm."""
-_MAX_BYTES = 700_000_000
-"""A mesh of fourteen million triangles."""
-_MAX_TEXT_BYTES = 50_000_000
-"""Read line by line, at ten times the memory."""
-
-
-def write_stl(path: str | os.PathLike[str], triangles: Triangles, title: str = "") -> None:
-    """Write a binary STL file; equal triangles give equal bytes."""
-    corners = np.asarray(triangles, dtype=np.float32)
-    require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
-    records = np.zeros(len(corners), dtype=RECORD)
-    records["corners"] = corners
-    records["normal"] = unit_normals(corners)
-    header = f"splitknit {title}".encode("ascii", "replace")[:HEADER_BYTES].ljust(HEADER_BYTES, b" ")
-    with atomic_file(path) as stream:
-        stream.write(header)
-        stream.write(np.uint32(len(corners)).astype("<u4").tobytes())
-        stream.write(records.tobytes())
-
-
-def read_stl(path: str | os.PathLike[str]) -> Triangles:
-    """Read an STL file, binary or text.
-
-    Raises
-    ------
-    BadInput
-        If the file cannot be read or is not STL.
-    """
-    data = read_bytes(path, _MAX_BYTES)
-    if len(data) >= HEADER_BYTES + 4:
-        count = int(np.frombuffer(data, dtype="<u4", count=1, offset=HEADER_BYTES)[0])
-        if len(data) == HEADER_BYTES + 4 + count * RECORD.itemsize:
-            records = np.frombuffer(data, dtype=RECORD, offset=HEADER_BYTES + 4)
-            corners = np.array(records["corners"], dtype=np.float32)
-            require(bool(np.isfinite(corners).all()), f"'{path}' holds corners that are not numbers.")
-            return corners
-    require(data.lstrip().startswith(b"solid"), f"'{path}' is not an STL file, or it is cut short.")
-    require(len(data) <= _MAX_TEXT_BYTES, f"'{path}' is a long text file; save it as binary STL.")
-    return _text(data, str(path))
-
-
-def _text(data: bytes, name: str) -> Triangles:
-    rows: list[Any] = [line.split()[1:] for line in data.splitlines() if line.strip().startswith(b"vertex")]
-    try:
-        corners = np.array(rows, dtype=np.float32)
-    except ValueError:
-        corners = np.empty((0, 0), dtype=np.float32)
-    sound = (
-        len(rows) > 0 and corners.shape == (len(rows), 3) and len(rows) % 3 == 0 and bool(np.isfinite(corners).all())
-    )
-    require(sound, f"'{name}' is not a sound STL file: its vertices do not make triangles.")
-    return corners.reshape(-1, 3, 3)
-
-
-def unit_normals(triangles: Triangles) -> NDArray[np.float64]:
-    """Return (N, 3) unit normals of triangles; zero where a triangle has no area."""
-    corners = np.asarray(triangles, dtype=np.float64)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
-
-
 TOLERANCE_MM = 0.01
 """Between a curved face and its triangles: far below what a printer holds."""
 TOLERANCE_RAD = 0.2
@@ -253,11 +188,9 @@ def _relabelled(shape: Any, source: Any) -> Any:
     return shape
 
 
-def half_of(part: RigPart) -> Triangles:
-    """Return the part without its half at x > 0, to look into it, (N, 3, 3) float32."""
+def half_of(part: RigPart) -> Any:
+    """Return the solid without its half at x > 0, to look into it."""
     from build123d import Pos, Solid  # large, and only parts need it
 
     size = 2000.0
-    rest = part.solid.cut(Pos(0.0, -size / 2, -size / 2) * Solid.make_box(size, size, size))
-    pieces = [triangles_of(RigPart(part.kind, solid)) for solid in rest.solids()]
-    return np.concatenate(pieces)
+    return part.solid.cut(Pos(0.0, -size / 2, -size / 2) * Solid.make_box(size, size, size))

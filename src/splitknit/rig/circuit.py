@@ -8,7 +8,6 @@ series with the LED sets the current, so that supply and forward voltage show in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Annotated, Literal
@@ -21,31 +20,9 @@ from splitknit.settings import Checked, Limits, check_fields
 # Data of the circuit's parts, as their data sheets give it, and the values that resistors are sold in.
 
 E24 = (
-    1.0,
-    1.1,
-    1.2,
-    1.3,
-    1.5,
-    1.6,
-    1.8,
-    2.0,
-    2.2,
-    2.4,
-    2.7,
-    3.0,
-    3.3,
-    3.6,
-    3.9,
-    4.3,
-    4.7,
-    5.1,
-    5.6,
-    6.2,
-    6.8,
-    7.5,
-    8.2,
-    9.1,
-)
+    1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0,
+    3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2, 9.1,
+)  # fmt: skip
 """Preferred numbers of IEC 60063 for 5 %; every maker has them at 1 % too."""
 RATINGS_W = (0.25, 0.6, 1.0, 2.0, 3.0)
 """Powers that leaded resistors are sold for."""
@@ -179,7 +156,7 @@ class CircuitSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class _Resistor:
+class Resistor:
     """One resistor of a stage."""
 
     role: str
@@ -196,7 +173,7 @@ class Stage:
 
     band: str
     led: LedPart
-    resistors: tuple[_Resistor, ...]
+    resistors: tuple[Resistor, ...]
     current_a: tuple[float, float, float]
     """Of the LED: smallest, typical, largest."""
     gpio_a: float
@@ -214,26 +191,6 @@ class Stage:
 
 
 @dataclass(frozen=True, slots=True)
-class Component:
-    """One part on the board."""
-
-    ref: str
-    value: str
-    library: str
-    symbol: str
-    footprint: str
-
-
-@dataclass(frozen=True, slots=True)
-class Node:
-    """One pin on a net."""
-
-    ref: str
-    pin: str
-    function: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class Channel:
     """One LED's stage on the board."""
 
@@ -247,14 +204,19 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Circuit:
-    """The whole board."""
+    """The stages of a rig's LEDs, and their fuse."""
 
     settings: CircuitSettings
     channels: tuple[Channel, ...]
-    components: tuple[Component, ...]
-    nets: Mapping[str, tuple[Node, ...]]
     fuse_a: float
     """Current that the resettable fuse carries for ever; at twice that, with a few LEDs on together, it opens."""
+    misfit: str
+    """Why the LED board cannot carry this circuit; empty where it can."""
+
+    @property
+    def parts(self) -> int:
+        """Number of parts on a board: six of the supply, and resistors, transistor and LED of each stage."""
+        return 6 + sum(len(channel.stage.resistors) + 2 for channel in self.channels)
 
 
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
@@ -350,8 +312,8 @@ def _switch(band: str, led: LedPart, s: CircuitSettings) -> Stage:
     return Stage(band, led, resistors, (min(corners), headroom / series, top), line, line, heat, shorted)
 
 
-def _resistor(role: str, ohm: float, heat_w: float) -> _Resistor:
-    return _Resistor(role, ohm, _rating_for(heat_w, _MAX_HEAT), heat_w)
+def _resistor(role: str, ohm: float, heat_w: float) -> Resistor:
+    return Resistor(role, ohm, _rating_for(heat_w, _MAX_HEAT), heat_w)
 
 
 def _check(stage: Stage, s: CircuitSettings) -> None:

@@ -29,7 +29,7 @@ from splitknit.rig.photography import LAMPS, Shot, intensity_w_sr, photograph
 from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, place
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.light.skin import SkinRanges, SkinSettings
 from splitknit.simulator.surface import Surface
 
 # The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
@@ -71,7 +71,7 @@ def _pose_of(seed: int, camera: Camera) -> Pose:
 def _view_of(seed: int, camera: Camera) -> Surface:
     """The finger on the pixels of `camera`."""
     finger, master = _person(seed)
-    return finger_surface(finger, _pose_of(seed, camera), camera, master=master, workers=1)
+    return finger_surface(replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1)
 
 
 def _phalange(seed: int, surface: Surface) -> BoolArray:
@@ -184,7 +184,6 @@ def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
         known_rig=known,
         mask=whole,
         skin=_skin(seed) if study.material == "skin" else None,
-        walks=_walks(),
         photons=study.photons,
         seed=np.random.SeedSequence([seed, 0x0D]),
         rendered=study.camera == "renderer",
@@ -269,11 +268,6 @@ def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -
 @functools.lru_cache(maxsize=64)
 def _skin(seed: int) -> SkinSettings:
     return SkinRanges().draw(np.random.default_rng(np.random.SeedSequence([seed, 0x51])))
-
-
-@functools.lru_cache(maxsize=1)
-def _walks() -> WalkTable:
-    return load_walks()
 
 
 # How far two surfaces lie apart, as sets of points.

@@ -13,7 +13,7 @@ from scipy import ndimage
 from splitknit.errors import require
 from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
-from splitknit.rig.assembly import PartKind, Triangles, unit_normals
+from splitknit.rig.assembly import PartKind, Triangles
 from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_view, shadow_tips
 from splitknit.rig.part_settings import PrinterSettings
 
@@ -97,7 +97,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     Parameters
     ----------
     kind : PartKind
-    triangles : (N, 3, 3), mm, as read from the STL file
+    triangles : (N, 3, 3), mm, as in the STL file
     printer : its limits
 
     Returns
@@ -203,7 +203,7 @@ def _overhang(
     """
     corners = np.asarray(triangles, dtype=np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    down = -unit_normals(triangles)[:, 2]
+    down = -_unit_normals(triangles)[:, 2]
     bed = float(corners[..., 2].min())
     on_bed = corners[..., 2].max(axis=1) < bed + 0.01
     steep = (down > np.sin(np.deg2rad(limit_deg + 1.0))) & ~on_bed
@@ -215,6 +215,14 @@ def _overhang(
         if width > best:
             best, height = width, layer * layer_mm
     return _Overhang(area, area / float(areas.sum()), best, height)
+
+
+def _unit_normals(triangles: Triangles) -> NDArray[np.float64]:
+    """(N, 3) unit normals of triangles; zero where a triangle has no area."""
+    corners = np.asarray(triangles, dtype=np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
 
 def _layers_over(heights: NDArray[np.float64], layer_mm: float) -> list[int]:
@@ -278,7 +286,7 @@ def _slice_mask(
 
 # Checks of a closed triangle mesh: watertight, volume, thinnest wall.
 #
-# They look at the triangles as they were written to the STL file, not at the solid they came from.
+# They look at the triangles that the STL file holds, not at the solid they came from.
 
 _REACH_MM = 8.0
 """Walls thicker than this are not looked at."""
@@ -346,7 +354,7 @@ def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> 
     the area; every triangle has one at least; `seed`: of the drawing.
     """
     corners = np.asarray(triangles, dtype=np.float64)
-    normals = unit_normals(triangles)
+    normals = _unit_normals(triangles)
     points, faces = _surface_points(corners, samples, seed)
     inwards = -normals[faces]
     distance, hit = _first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)

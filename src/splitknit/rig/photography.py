@@ -22,7 +22,7 @@ from splitknit.simulator.camera.lens import blur_sigma_px, defocus
 from splitknit.simulator.camera.sensor import SensorSettings, record
 from splitknit.simulator.light.lighting import render_opaque, white_card
 from splitknit.simulator.light.renderer import RenderSettings, render_band
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings
 from splitknit.simulator.scene import finger_depth
 from splitknit.simulator.surface import Surface
 
@@ -170,7 +170,6 @@ def photograph(
     known_rig: Rig,
     mask: BoolArray,
     skin: SkinSettings | None,
-    walks: WalkTable,
     photons: PhotonSettings,
     seed: np.random.SeedSequence,
     rendered: bool = False,
@@ -184,7 +183,6 @@ def photograph(
     known_rig : what the reconstruction is given
     mask : (H, W) what is to be reconstructed
     skin : its optics; None for an opaque Lambertian finger
-    walks : for the skin
     photons : lens, shutter, sensor
     seed : of the noise
     rendered : as a rendering program stores it: one fixed exposure (a radiance of 1 W/(m^2 sr) is white), pin-hole, no
@@ -206,7 +204,7 @@ def photograph(
     scale = rig.camera.px_per_mm / _FULL_PX_PER_MM
     for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
-        frames, brightest = _frames(surface, [rig.leds[k] for k in members], name, skin, walks)
+        frames, brightest = _frames(surface, [rig.leds[k] for k in members], name, skin)
         if rendered:
             exposure = Exposure(0.0, 1.0, brightest * W_PER_UNIT)
             sensor = SensorSettings(noise=False, raw_bits=16, encoding="srgb")
@@ -237,19 +235,13 @@ def photograph(
     return Shot(Capture(rig=known_rig, bands=bands, encoding=encoding, material=material, mask=mask), exposures)
 
 
-def _frames(
-    surface: Surface, leds: list[Led], name: str, skin: SkinSettings | None, walks: WalkTable
-) -> tuple[list[FloatArray], float]:
+def _frames(surface: Surface, leds: list[Led], name: str, skin: SkinSettings | None) -> tuple[list[FloatArray], float]:
     """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without specular light."""
     if skin is None:
         window, matt = render_opaque(surface, leds, OPAQUE_ALBEDO)
         diffuse, glare = matt[:, None], np.zeros_like(matt)
     else:
-        optics = [skin.channel(channel) for channel in BAND_CHANNELS[name]]
-        settings = RenderSettings(workers=1)
-        light = render_band(
-            surface, leds, optics, roughness=skin.roughness, glare=skin.glare, walks=walks, settings=settings
-        )
+        light = render_band(surface, leds, skin.medium(name), RenderSettings(workers=1))
         window, diffuse, glare = light.window, light.diffuse, light.glare
     frames = []
     for k, led in enumerate(leds):

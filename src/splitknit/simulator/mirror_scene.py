@@ -19,7 +19,7 @@ from splitknit.simulator.light.renderer import (
     render_ambient,
     render_lights,
 )
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.simulator.mirror_view import Coverage, Light, View, lights_of, outline_coverage
 from splitknit.simulator.rigs import HolderProfile, MirrorViews
 from splitknit.simulator.scene import (
@@ -32,7 +32,6 @@ from splitknit.simulator.scene import (
     background_albedo,
     brightest,
     finger_depth,
-    take_band,
 )
 from splitknit.simulator.surface import Surface
 
@@ -68,12 +67,11 @@ class MirrorScene:
         seen: Sequence[View],
         settings: TwinSettings,
         seed: np.random.SeedSequence,
-        walks: WalkTable,
     ) -> None:
         """Lay the background and the holders; `seed` draws the dust on them."""
         surface, rig, skin = subject
-        self.views, self.rig, self.skin, self.settings, self.walks = tuple(seen), rig, skin, settings, walks
-        self.front = Scene(subject, settings, np.random.default_rng(seed), walks)
+        self.views, self.rig, self.skin, self.settings = tuple(seen), rig, skin, settings
+        self.front = Scene(subject, settings, np.random.default_rng(seed))
         if settings.render.aperture_mm > 0.0:  # what a mirror shows lies as deep as its image behind the mirror
             depth, top = finger_depth(surface)
             for view in self.views:
@@ -114,10 +112,7 @@ class MirrorScene:
             glare[k] = self._glare(front, sides, k) * exposure
             return self.front.record((ambient + frame) * exposure, name, seed)
 
-        band = take_band(
-            (name, name), [(k,) for k in members], self.front, shoot, ambient * exposure, seed=seed,
-            workers=self.settings.render.workers,
-        )  # fmt: skip
+        band = self.front.take(name, [(k,) for k in members], shoot, ambient * exposure, seed)
         return band, glare, np.array(float(exposure))
 
     def _render(self, surface: Surface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
@@ -126,15 +121,13 @@ class MirrorScene:
         With one light without a gate in each group it is that of
         :func:`splitknit.simulator.light.renderer.render_band`.
         """
-        skin, settings, patch = self.skin, self.settings.render, cut_out(surface)
-        optics = [skin.channel(channel) for channel in BAND_CHANNELS[name]]
+        skin, patch = self.skin.medium(name), cut_out(surface)
 
         def shine(k: int) -> tuple[FloatArray, FloatArray, None]:
             entering, gloss = _light_through(patch, lights[k], skin.roughness, LED_RADIUS_MM)
             return entering, gloss * np.float32(skin.glare), None
 
-        blur = Diffusion(patch, optics, self.walks, settings, skin.roughness)
-        relief = Relief(surface, patch, optics)
+        blur, relief = Diffusion(patch, skin, self.settings.render), Relief(surface, patch, skin)
         return render_lights(patch, shine, len(lights), blur, lambda k: relief.gains(lights[k][0].led))
 
     def _frame(self, front: BandLight, sides: Sequence[BandLight], k: int, led: Led) -> FloatArray:
@@ -197,13 +190,9 @@ class MirrorScene:
         level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
         if level <= 0.0:
             return frame
-        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
         for view, plates in zip(self.views, self.frames, strict=True):
             up = view.reflection.vectors(np.array([0.0, 0.0, 1.0]))
-            light = render_ambient(
-                view.surface, level, optics, roughness=self.skin.roughness, walks=self.walks,
-                settings=self.settings.render, up=up,
-            )  # fmt: skip
+            light = render_ambient(view.surface, level, self.skin.medium(name), self.settings.render, up)
             albedo = np.float32(0.5 * level * _PLASTIC_ALBEDO)
             inside = np.full_like(frame, albedo)
             window = finger_window(view.surface)

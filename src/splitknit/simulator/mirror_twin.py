@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,10 @@ from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, Capture, Mirror, Rig
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, finger_surface, place
-from splitknit.simulator.finger.raycast import Placement
+from splitknit.simulator.finger.raycast import PlacedFinger, Placement
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
-from splitknit.simulator.light.skin import SkinSettings, load_walks
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.simulator.mirror_scene import MirrorScene
 from splitknit.simulator.mirror_view import View, as_built, mirror_view
 from splitknit.simulator.rigs import mirror_rig, stop_y_mm
@@ -64,23 +64,27 @@ def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator
     return ranges.draw(rng, camera)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """What a seed stands for."""
+
+    finger: Finger
+    pose: Pose
+    rig: Rig
+    skin: SkinSettings
+    photo_seed: np.random.SeedSequence
+    """Of background and noise."""
+
+
 def photograph_between_mirrors(
-    finger: Finger,
-    pose: Pose,
-    rig: Rig,
-    skin: SkinSettings,
-    *,
-    seeds: tuple[np.random.SeedSequence, int],
-    settings: TwinSettings,
+    drawn: Drawn, seed: int, settings: TwinSettings
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Photograph a finger between the mirrors of a rig under every LED.
 
     Parameters
     ----------
-    finger, pose : what lies there
-    rig : as drawn; the mirrors truly stand a little elsewhere
-    skin : optics
-    seeds : of background and noise, and of the mirrors' true poses
+    drawn : what lies there, and the rig as it is drawn; the mirrors truly stand a little elsewhere
+    seed : of the mirrors' true poses
     settings : of the twin
 
     Returns
@@ -93,23 +97,25 @@ def photograph_between_mirrors(
     BadInput
         If a mirror shows nothing of the finger, or the finger touches one.
     """
+    finger, pose, rig, skin = drawn.finger, drawn.pose, drawn.rig, drawn.skin
     camera, views = rig.camera, settings.mirrors
-    mirrors = as_built(rig.mirrors, views, seeds[1] if views.pose_seed is None else views.pose_seed)
+    mirrors = as_built(rig.mirrors, views, seed if views.pose_seed is None else views.pose_seed)
     body, master = FingerBody(finger.shape), finger.master()
     worn = _bare_behind(skin_map(master, finger.skin), body, views.ridges_to_deg)
     placement = place(body, pose, camera)
     for mirror in mirrors:
         _check_apart(body, placement, mirror)
     workers = settings.render.workers
-    surface = finger_surface(finger, pose, camera, master=master, workers=workers, skin=worn, keep_chart=True)
-    seen = [mirror_view(body, worn, placement, camera, mirror, workers=workers) for mirror in mirrors]
-    background_seed, noise_seed = seeds[0].spawn(2)
-    scene = MirrorScene((surface, rig, skin), seen, settings, background_seed, load_walks())
+    surface = finger_surface(replace(finger, printed=master), pose, camera, workers=workers, skin=worn)
+    placed = PlacedFinger(body, worn, placement)
+    seen = [mirror_view(placed, camera, mirror, workers=workers) for mirror in mirrors]
+    background_seed, noise_seed = drawn.photo_seed.spawn(2)
+    scene = MirrorScene((surface, rig, skin), seen, settings, background_seed)
     truth = surface_truth(surface)
     if surface.chart is not None:
         truth["chart_mm"] = surface.chart
     truth |= _view_truth(seen, scene.masks)
-    capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
+    capture = take_capture(scene.front, scene.photograph, noise_seed, truth)
     truth |= _body_truth(body, worn, placement, views.truth_pitch_mm)
     return capture, truth
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror
 from splitknit.simulator.camera.lens import pixels_of_points
-from splitknit.simulator.finger.raycast import Placement, cast_rays, fill_surface, meets, rays_of
+from splitknit.simulator.finger.raycast import PlacedFinger, Placement, cast_rays, fill_surface, meets, rays_of
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.finger.skin_map import SkinMap
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.surface import Surface
 
@@ -202,14 +201,12 @@ class View:
         return mask
 
 
-def mirror_view(
-    body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, mirror: Mirror, *, workers: int = 2
-) -> View:
+def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers: int = 2) -> View:
     """Show the finger's reflection to a camera.
 
     Parameters
     ----------
-    body, skin, placement : of the finger itself
+    finger : itself
     camera : of the rig
     mirror : as it truly is
     workers : threads; the result does not depend on them
@@ -220,7 +217,7 @@ def mirror_view(
         If the mirror lies outside the picture, or no part of the finger is seen in it.
     """
     reflection = Reflection.of(mirror)
-    behind = reflection.placement(placement)
+    behind = replace(finger, placement=reflection.placement(finger.placement))
     coverage = outline_coverage(camera, np.asarray(mirror.corners_mm))
     require(
         bool((coverage.fraction >= 0.5).any()),
@@ -228,7 +225,7 @@ def mirror_view(
     )
     margin = int(np.ceil(BEYOND_MM * camera.px_per_mm))
     box = _widened(coverage.window, margin, camera.image_size)
-    surface = _surface(body, skin, behind, (camera, box), workers)
+    surface = _surface(behind, camera, box, workers)
     view = View(mirror, reflection, surface, coverage)
     require(
         bool(view.mask.any()), f"the {mirror.name} mirror shows nothing of the finger; move the finger or the mirror."
@@ -265,11 +262,9 @@ def _widened(window: tuple[slice, slice], margin: int, size: tuple[int, int]) ->
     return rows, columns
 
 
-def _surface(
-    body: FingerBody, skin: SkinMap, placement: Placement, part: tuple[Camera, tuple[slice, slice]], workers: int
-) -> Surface:
+def _surface(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int) -> Surface:
     """The first points of a placed finger on the rays of a part of the camera's pixels."""
-    camera, box = part
+    body, placement = finger.body, finger.placement
     bottom, top = _reach_in_height(body, placement)
     near = _near(body, placement, camera, box, top)
     across = np.arange(box[1].start, box[1].stop)
@@ -279,7 +274,7 @@ def _surface(
         if wanted.size == 0:
             return wanted, []
         rays = rays_of(camera, down, across).some(wanted)
-        index, values = cast_rays(body, skin, placement, rays, np.full(wanted.size, top), bottom=bottom)
+        index, values = cast_rays(finger, rays, np.full(wanted.size, top), bottom=bottom)
         _, along, _ = placement.to_finger(*rays.some(index).at(np.asarray(values[0], dtype=np.float64)))
         bare = along > -PROXIMAL_MM
         return wanted[index[bare]], [value[bare] for value in values]

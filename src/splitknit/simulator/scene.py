@@ -22,7 +22,7 @@ from splitknit.simulator.finger.finger import Pose, PoseRanges
 from splitknit.simulator.finger.motion import HandMotion
 from splitknit.simulator.light.lighting import finger_window, white_card
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
-from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinRanges, SkinSettings, WalkTable
+from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinRanges, SkinSettings
 from splitknit.simulator.rigs import MirrorViews
 from splitknit.simulator.surface import Surface
 
@@ -216,11 +216,10 @@ class Scene:
         subject: tuple[Surface, Rig, SkinSettings],
         settings: TwinSettings,
         rng: np.random.Generator,
-        walks: WalkTable,
     ) -> None:
         """Lay the background, whose dust `rng` draws, and find how far each pixel is out of focus."""
         surface, rig, skin = subject
-        self.surface, self.rig, self.skin, self.settings, self.walks = surface, rig, skin, settings, walks
+        self.surface, self.rig, self.skin, self.settings = surface, rig, skin, settings
         albedos = _background_albedos(rig.camera, settings.background, rng)
         self.albedo = {channel: np.where(surface.mask, 0, albedo) for channel, albedo in albedos.items()}
         self.shade = _hand_shadow(rig.camera, settings.background)
@@ -244,7 +243,7 @@ class Scene:
         exposure = np.float32(self.settings.sensor.exposure / self.brightest(light, groups, leds))
         ambient = self.ambient(name, leds)
         glare = np.zeros((len(leds), *self.rig.camera.image_size), dtype=np.float16)
-        seen_by = "coloured" if any(led.colour for led in leds) else name
+        seen_by = response_to(name, leds)
 
         def shoot(e: int, seed: np.random.SeedSequence) -> PixelArray:
             for k in groups[e]:
@@ -252,18 +251,12 @@ class Scene:
             return self.record(self.exposed(light, groups[e], leds, ambient) * exposure, seen_by, seed)
 
         named = [tuple(numbers[k] for k in group) for group in groups]
-        band = take_band(
-            (name, seen_by), named, self, shoot, ambient * exposure, seed=seed, workers=self.settings.render.workers
-        )
+        band = self.take(name, named, shoot, ambient * exposure, seed)
         return band, glare, np.array(float(exposure))
 
     def render(self, name: str, leds: Sequence[Led]) -> BandLight:
         """Light of the finger under LEDs of one band."""
-        optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
-        light = render_band(
-            self.surface, leds, optics, roughness=self.skin.roughness, glare=self.skin.glare, walks=self.walks,
-            settings=self.settings.render, boundary=self.skin.boundary,
-        )  # fmt: skip
+        light = render_band(self.surface, leds, self.skin.medium(name), self.settings.render)
         if self.settings.background.colour is not None:
             self._add_reflected(light, name, leds)
         return light
@@ -271,10 +264,8 @@ class Scene:
     def _add_reflected(self, light: BandLight, name: str, leds: Sequence[Led]) -> None:
         """Add to the finger's light what comes by way of the background, in place: a hemisphere from below."""
         channels = BAND_CHANNELS[name]
-        below = render_ambient(
-            self.surface, 1.0, [self.skin.channel(channel) for channel in channels], roughness=self.skin.roughness,
-            walks=self.walks, settings=self.settings.render, up=np.array([0.0, 0.0, -1.0]),
-        )  # fmt: skip
+        up = np.array([0.0, 0.0, -1.0])
+        below = render_ambient(self.surface, 1.0, self.skin.medium(name), self.settings.render, up)
         colour = dict(zip(CHANNELS, self.settings.background.colour or (), strict=True))
         for k, led in enumerate(leds):
             card = float(white_card(self.rig.camera, led, -BACKGROUND_MM).mean())
@@ -349,15 +340,45 @@ class Scene:
         level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
         frame = self.background(np.float32(level), name)
         if level > 0.0:
-            optics = [self.skin.channel(channel) for channel in BAND_CHANNELS[name]]
-            skin = render_ambient(
-                self.surface, level, optics, roughness=self.skin.roughness, walks=self.walks,
-                settings=self.settings.render,
-            )  # fmt: skip
+            skin = render_ambient(self.surface, level, self.skin.medium(name), self.settings.render)
             window = frame[finger_window(self.surface)]
             for c in range(3):
                 window[..., c] += skin[min(c, skin.shape[0] - 1)]
         return np.asarray(frame, dtype=np.float32)
+
+    def take(
+        self,
+        name: str,
+        groups: Sequence[tuple[int, ...]],
+        shoot: Callable[[int, np.random.SeedSequence], PixelArray],
+        dark: FloatArray,
+        seed: np.random.SeedSequence,
+    ) -> Band:
+        """Take the images of one band and its ambient frame.
+
+        Parameters
+        ----------
+        name : of the band
+        groups : the rig's LEDs of every exposure
+        shoot : takes the image of an exposure with a seed of its noise
+        dark : (H, W, 3) light with all LEDs off
+        """
+        rig, seeds = self.rig, seed.spawn(len(groups) + 1)
+        seen_by = response_to(name, [rig.leds[k] for group in groups for k in group])
+        with ThreadPoolExecutor(self.settings.render.workers) as pool:
+            images = list(pool.map(shoot, range(len(groups)), seeds[:-1]))
+        colours = rig.colours_of(groups) if seen_by == "coloured" else ()
+        return Band(
+            name=name,
+            pixels=np.stack(images),  # type: ignore[arg-type]
+            leds=tuple(groups),
+            exposure=np.ones(len(groups)),
+            black_level=np.zeros(len(groups)),
+            ambient=self.record(dark, seen_by, seeds[-1]),
+            shading=rig.camera.shading,
+            colours=colours,
+            crosstalk=rig.camera.crosstalk if colours else None,
+        )
 
     def blur_by(self, depth: FloatArray, top_mm: float) -> FloatArray:
         """(H, W) defocus in pixels (standard deviation) of what lies at z = `depth`; `top_mm` is the finger's."""
@@ -385,63 +406,27 @@ Taken = tuple[Band, NDArray[np.float16], NDArray[Any]]
 """Images of one band, the glare (L, H, W) of each of its LEDs in the images' units, and the exposure (one number)."""
 
 
-def take_band(
-    name: tuple[str, str],
-    groups: Sequence[tuple[int, ...]],
-    scene: Scene,
-    shoot: Callable[[int, np.random.SeedSequence], PixelArray],
-    dark: FloatArray,
-    *,
-    seed: np.random.SeedSequence,
-    workers: int = 1,
-) -> Band:
-    """Take the images of one band and its ambient frame.
-
-    Parameters
-    ----------
-    name : of the band, and of how the sensor responds (:data:`splitknit.simulator.camera.sensor.RESPONSE`)
-    groups : the rig's LEDs of every exposure
-    scene : gives the rig, and records the ambient frame
-    shoot : takes the image of an exposure with a seed of its noise
-    dark : (H, W, 3) light with all LEDs off
-    """
-    band, seen_by = name
-    rig, seeds = scene.rig, seed.spawn(len(groups) + 1)
-    with ThreadPoolExecutor(workers) as pool:
-        images = list(pool.map(shoot, range(len(groups)), seeds[:-1]))
-    colours = rig.colours_of(groups) if seen_by == "coloured" else ()
-    return Band(
-        name=band,
-        pixels=np.stack(images),  # type: ignore[arg-type]
-        leds=tuple(groups),
-        exposure=np.ones(len(groups)),
-        black_level=np.zeros(len(groups)),
-        ambient=scene.record(dark, seen_by, seeds[-1]),
-        shading=rig.camera.shading,
-        colours=colours,
-        crosstalk=rig.camera.crosstalk if colours else None,
-    )
+def response_to(band: str, leds: Sequence[Led]) -> str:
+    """How the sensor responds to LEDs of a band: a name of :data:`splitknit.simulator.camera.sensor.RESPONSE`."""
+    return "coloured" if any(led.colour for led in leds) else band
 
 
 def take_capture(
-    rig: Rig,
-    skin: SkinSettings,
-    settings: TwinSettings,
+    scene: Scene,
     photograph: Callable[[str, np.random.SeedSequence], Taken],
-    *,
     seed: np.random.SeedSequence,
     truth: dict[str, NDArray[Any]],
 ) -> Capture:
-    """Photograph every band of a rig; glare, exposures, optics and LEDs are added to `truth`."""
+    """Photograph every band of a scene's rig; glare, exposures, optics and LEDs are added to `truth`."""
+    rig = scene.rig
     names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
     bands = {}
     for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
         bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = photograph(name, band_seed)
-    truth |= optics_truth(skin)
+    truth |= optics_truth(scene.skin)
     truth["led_intensity"] = np.array([led.intensity for led in rig.leds])
-    return Capture(
-        rig=rig, bands=bands, encoding=settings.sensor.encoding, material="skin", subject={"id": "anonymous"}
-    )
+    encoding = scene.settings.sensor.encoding
+    return Capture(rig=rig, bands=bands, encoding=encoding, material="skin", subject={"id": "anonymous"})
 
 
 def finger_depth(surface: Surface) -> tuple[FloatArray, float]:

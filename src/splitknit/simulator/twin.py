@@ -23,11 +23,11 @@ from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
-from splitknit.simulator.finger.motion import EXPOSURE_S, moving_finger
+from splitknit.simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
-from splitknit.simulator.mirror_twin import mirror_pose, photograph_between_mirrors, rig_with_mirrors
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.mirror_twin import Drawn, mirror_pose, photograph_between_mirrors, rig_with_mirrors
 from splitknit.simulator.rigs import coloured_rig
 from splitknit.simulator.scene import (
     BACKGROUND_MM,
@@ -36,8 +36,8 @@ from splitknit.simulator.scene import (
     TwinSettings,
     exposures_of,
     optics_truth,
+    response_to,
     surface_truth,
-    take_band,
     take_capture,
 )
 from splitknit.simulator.surface import Surface
@@ -167,10 +167,8 @@ def simulate_capture(
     if settings.motion.amplitude_mm > 0:
         capture, truth = _photograph_moving(seed, pattern, settings, impression, finger)
     elif settings.between_mirrors:
-        finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-        capture, truth = photograph_between_mirrors(
-            finger, pose, rig, skin, seeds=(photo_seed, seed), settings=settings
-        )
+        drawn = _drawn(seed, pattern, settings, impression, finger)
+        capture, truth = photograph_between_mirrors(drawn, seed, settings)
     else:
         laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
@@ -199,20 +197,19 @@ def lay_down(
 ) -> LaidDown:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
-    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-    workers, camera = settings.render.workers, rig.camera
+    drawn = _drawn(seed, pattern, settings, impression, finger)
+    finger, pose, skin = drawn.finger, drawn.pose, drawn.skin
+    workers, camera = settings.render.workers, drawn.rig.camera
     if settings.condition.active:
         condition_seed = np.random.SeedSequence([seed, impression, 0x54])
         surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
     else:
         surface = finger_surface(finger, pose, camera, workers=workers)
-    return LaidDown(surface, rig, skin, photo_seed)
+    return LaidDown(surface, drawn.rig, skin, drawn.photo_seed)
 
 
-def _drawn(
-    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
-) -> tuple[Finger, Pose, Rig, SkinSettings, np.random.SeedSequence]:
-    """Draw what a seed stands for: finger, pose, rig, skin, and the seed of background and noise."""
+def _drawn(seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None) -> Drawn:
+    """Draw what a seed stands for."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
     between = settings.between_mirrors
     if between:
@@ -228,7 +225,7 @@ def _drawn(
         pose = settings.pose
     else:
         pose = mirror_pose(settings, rig.camera, pose_rng) if between else settings.pose.draw(pose_rng, rig.camera)
-    return finger, pose, rig, skin, photo_seed
+    return Drawn(finger, pose, rig, skin, photo_seed)
 
 
 def photograph(
@@ -238,7 +235,6 @@ def photograph(
     seed: np.random.SeedSequence,
     *,
     settings: TwinSettings | None = None,
-    walks: WalkTable | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Photograph `surface` under every LED of `rig`.
 
@@ -249,7 +245,6 @@ def photograph(
     skin : optics of the finger
     seed : of background and noise
     settings : only `render`, `background`, `sensor` and `sensor_scale` are used here
-    walks : table of random walks; None loads the shipped one
 
     Returns
     -------
@@ -266,12 +261,10 @@ def photograph(
         surface.mask.shape == rig.camera.image_size,
         f"the surface has {surface.mask.shape} pixels, but the rig's camera has {rig.camera.image_size}.",
     )
-    walks = walks or load_walks()
     background_seed, noise_seed = seed.spawn(2)
-    scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
+    scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed))
     truth = surface_truth(surface)
-    capture = take_capture(rig, skin, settings, scene.photograph, seed=noise_seed, truth=truth)
-    return capture, truth
+    return take_capture(scene, scene.photograph, noise_seed, truth), truth
 
 
 # A moving finger: every shot shows a surface of its own.
@@ -287,20 +280,19 @@ def _photograph_moving(
     the finger. The ambient frame of a band shows the finger where its first shot does. Coloured LEDs of one exposure
     show the finger at one place.
     """
-    finger, pose, rig, skin, photo_seed = _drawn(seed, pattern, settings, impression, finger)
-    shots = _shots_of(rig)
-    moving = moving_finger(
-        finger, pose, rig.camera, np.random.SeedSequence([seed, impression, 0x53]), settings.motion, len(shots),
-        settings.render.workers, sum(name == shots[0][0] for name, _ in shots) // 2,
-    )  # fmt: skip
-    walks = load_walks()
-    background_seed, noise_seed = photo_seed.spawn(2)
+    drawn = _drawn(seed, pattern, settings, impression, finger)
+    rig, shots = drawn.rig, _shots_of(drawn.rig)
+    path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
+    reference = sum(name == shots[0][0] for name, _ in shots) // 2
+    path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
+    moving = moving_finger(drawn.finger, drawn.pose, rig.camera, path, slip_seed)
+    background_seed, noise_seed = drawn.photo_seed.spawn(2)
     lit: dict[str, list[_Shot]] = {}
     truth: dict[str, NDArray[Any]] = {}
     exposed_px = EXPOSURE_S * rig.camera.px_per_mm
-    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(), strict=True)):
+    for number, ((name, leds), surface) in enumerate(zip(shots, moving.surfaces(settings.render.workers), strict=True)):
         # the same dust in every shot
-        scene = Scene((surface, rig, skin), settings, np.random.default_rng(background_seed), walks)
+        scene = Scene((surface, rig, drawn.skin), settings, np.random.default_rng(background_seed))
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
@@ -310,8 +302,8 @@ def _photograph_moving(
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
         return _moving_band(name, lit[name], seed)
 
-    capture = take_capture(rig, skin, settings, photograph_band, seed=noise_seed, truth=truth)
-    return capture, truth
+    scene = next(iter(lit.values()))[0].scene
+    return take_capture(scene, photograph_band, noise_seed, truth), truth
 
 
 def _shots_of(rig: Rig) -> list[tuple[str, tuple[int, ...]]]:
@@ -351,7 +343,7 @@ def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence
     exposure = np.float32(first.settings.sensor.exposure / bright)
     ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
     glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
-    seen_by = "coloured" if any(rig.leds[k].colour for k in used) else name
+    seen_by = response_to(name, [rig.leds[k] for k in used])
 
     def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
         shot = shots[number]
@@ -362,7 +354,7 @@ def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence
         smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
         return scene.record(np.asarray(smeared, dtype=np.float32), seen_by, seed)
 
-    band = take_band((name, seen_by), [shot.leds for shot in shots], first, shoot, ambient * exposure, seed=seed)
+    band = first.take(name, [shot.leds for shot in shots], shoot, ambient * exposure, seed)
     return band, glare, np.array(float(exposure))
 
 
@@ -431,7 +423,7 @@ class FingerScene:
         self.skin: SkinSettings = laid.skin
         self.surface: Surface = laid.surface
         rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
-        self._scene = Scene((self.surface, self.rig, self.skin), settings, rng, load_walks())
+        self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, _Rendered] = {}
         self._room: FloatArray | None = None
 

@@ -27,7 +27,7 @@ from splitknit.settings import Limits
 from splitknit.simulator.camera.sensor import record
 from splitknit.simulator.finger.finger import PoseRanges, finger_surface
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_band
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.light.skin import SkinSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.skin.grid import BandImages, Grid, coarsen
@@ -224,7 +224,6 @@ def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
         f"or are not larger than twice their rim of {TRIM_PX}.",
     )
     surface = finger_surface(finger, PoseRanges().draw(rng, camera), camera, workers=1)
-    walks = load_walks()
     rows, columns = np.nonzero(surface.mask)
     found = []
     for piece in range(data.crops):
@@ -238,7 +237,7 @@ def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
             continue
         skin = data.skin(draw_base(rng, data)).draw(rng)
         rig = _white_rig(rng, scale, data)
-        sample = _piece(textured(surface, rng, data), window, (skin, rig, scale), data, (number, piece), rng, walks)
+        sample = _piece(textured(surface, rng, data), window, (skin, rig, scale), data, (number, piece), rng)
         if sample[WEIGHT].mean(dtype=np.float32) >= _MIN_WEIGHT:
             found.append(sample)
     require(len(found) > 0, f"not one piece of {side} pixels of finger {number} holds enough skin.")
@@ -259,23 +258,12 @@ def _piece(  # noqa: PLR0917
     data: ReliefData,
     name: tuple[int, int],
     rng: np.random.Generator,
-    walks: WalkTable,
 ) -> NDArray[np.float16]:
     """Photograph one piece and describe it."""
     skin, rig, scale = scene
     mask = np.zeros_like(surface.mask)
     mask[window] = surface.mask[window]
-    optics = [skin.channel(channel) for channel in BAND_CHANNELS["white"]]
-    light = render_band(
-        replace(surface, mask=mask),
-        rig.leds,
-        optics,
-        roughness=skin.roughness,
-        glare=skin.glare,
-        walks=walks,
-        settings=RenderSettings(workers=1),
-        boundary=skin.boundary,
-    )
+    light = render_band(replace(surface, mask=mask), rig.leds, skin.medium("white"), RenderSettings(workers=1))
     diffuse, glare = (_placed(part, light, window) for part in (light.diffuse, light.glare))
     inside = mask[window]
     brightest = max(float(np.percentile(diffuse[:, :, inside], 99.5)), 1e-12)

@@ -30,7 +30,7 @@ from splitknit.simulator.light.coat import (
     stamp,
 )
 from splitknit.simulator.light.renderer import RenderSettings, render_band
-from splitknit.simulator.light.skin import SkinSettings, fresnel, load_walks
+from splitknit.simulator.light.skin import Medium, SkinSettings, fresnel
 from splitknit.simulator.surface import WATER, Coat, Film, Grains
 from surfaces import ridged_egg
 
@@ -57,9 +57,8 @@ def finger():
 
 def _render(surface, leds=None, **skin):
     leds = leds or [led for led in default_rig(0.25, seed=3).leds if led.band == "white"][:2]
-    optics = [SKIN.channel(name) for name in ("red", "green", "blue")]
-    skin = {"roughness": 0.25, "glare": 0.8, **skin}
-    return render_band(surface, leds, optics, walks=load_walks(), settings=RenderSettings(workers=1), **skin)
+    medium = replace(SKIN.medium("white"), **{"roughness": 0.25, "glare": 0.8, **skin})
+    return render_band(surface, leds, medium, RenderSettings(workers=1))
 
 
 def _coated(egg, **parts):
@@ -77,7 +76,7 @@ def test_a_renderer_takes_the_coat_by_itself(egg):
     wet = _coated(egg, roughness=np.full(egg.mask.shape, 0.6, dtype=np.float32))
     leds = [default_rig(0.25).leds[0]]
     optics = [SKIN.channel("blue")] * 3
-    found = render_band(wet, leds, optics, roughness=0.25, glare=1.0, walks=load_walks())
+    found = render_band(wet, leds, Medium(optics, 0.25, 1.0))
     assert found.glare.max() < 0.5 * _render(egg, leds, glare=1.0).glare.max()
 
 

@@ -32,7 +32,7 @@ def master(finger: Finger) -> MasterPrint:
 
 @pytest.fixture(scope="module")
 def seen(finger: Finger, master: MasterPrint) -> Surface:
-    return finger_surface(finger, POSE, CAMERA, master=master)
+    return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
 def window(camera: Camera, row: int, column: int, factor: int, size: int) -> tuple[Camera, float, float]:
@@ -130,7 +130,7 @@ def test_normals_are_those_of_the_heights(seen: Surface, finger: Finger, master:
             near, x, y = window(CAMERA, row, column, 100, 7)
             border = POSE.insertion_mm + (-0.5 * CAMERA.image_size[0] / CAMERA.px_per_mm) - y
             pose = replace(POSE, x_mm=POSE.x_mm - x, insertion_mm=border + 0.5 * 7 / near.px_per_mm)
-            spot = finger_surface(finger, pose, near, master=master)
+            spot = finger_surface(replace(finger, printed=master), pose, near)
             z = spot.height_mm.astype(np.float64)
             assert z[3, 3] == pytest.approx(seen.height_mm[row, column], abs=2e-5)
             slope_x = (z[3, 6] - z[3, 0]) / (6 * near.pitch_mm)
@@ -164,14 +164,14 @@ def test_smooth_shape_has_no_staircase(seen: Surface) -> None:
 def test_the_same_finger_at_half_the_scale(finger: Finger, master: MasterPrint) -> None:
     """2 x 2 pixel centres surround each coarse one; the height there is their mean up to curvature."""
     flat = replace(finger, skin=replace(finger.skin, ridge_depth_um=0.0, pore_depth_um=0.0, creases=()))
-    fine = finger_surface(flat, POSE, Camera(20.0, (840, 580)), master=master)
-    coarse = finger_surface(flat, POSE, Camera(10.0, (420, 290)), master=master)
+    fine = finger_surface(replace(flat, printed=master), POSE, Camera(20.0, (840, 580)))
+    coarse = finger_surface(replace(flat, printed=master), POSE, Camera(10.0, (420, 290)))
     mean = fine.height_mm.reshape(420, 2, 290, 2).mean(axis=(1, 3))
     inside = np.isfinite(mean) & (coarse.normals[..., 2] > 0.7)
     assert np.abs(mean - coarse.height_mm)[inside].max() < 6e-4
     # Odd multiples share pixel centres: the surface is the same there, ridges included.
     wide, narrow = Camera(18.0, (756, 540)), Camera(6.0, (252, 180))
-    a, b = (finger_surface(finger, POSE, camera, master=master) for camera in (wide, narrow))
+    a, b = (finger_surface(replace(finger, printed=master), POSE, camera) for camera in (wide, narrow))
     both = a.mask[1::3, 1::3] & b.mask & (b.normals[..., 2] > 0.2)
     assert both.sum() > 0.95 * b.mask.sum() * 0.9
     assert np.nanmax(np.abs(a.height_mm[1::3, 1::3] - b.height_mm)[both]) < 2e-4
@@ -180,7 +180,7 @@ def test_the_same_finger_at_half_the_scale(finger: Finger, master: MasterPrint) 
 
 def test_the_pose_is_where_it_says(finger: Finger, master: MasterPrint) -> None:
     for pose in (Pose(), Pose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
-        surface = finger_surface(finger, pose, CAMERA, master=master)
+        surface = finger_surface(replace(finger, printed=master), pose, CAMERA)
         tip = CAMERA.image_size[0] - pose.insertion_mm * CAMERA.px_per_mm
         assert surface.landmarks["tip_px"][1] == pytest.approx(tip, abs=3)
         pad = surface.shape_mm[: int(tip + (finger.shape.length_mm - 1) * CAMERA.px_per_mm)]
@@ -194,14 +194,14 @@ def test_the_pose_is_where_it_says(finger: Finger, master: MasterPrint) -> None:
         middles = [columns[surface.mask[row]].mean() for row in rows]
         return float(np.arctan(np.polyfit(rows, middles, 1)[0]))
 
-    straight = lean(finger_surface(finger, Pose(), CAMERA, master=master))
-    turned = lean(finger_surface(finger, Pose(yaw_rad=0.2), CAMERA, master=master))
+    straight = lean(finger_surface(replace(finger, printed=master), Pose(), CAMERA))
+    turned = lean(finger_surface(replace(finger, printed=master), Pose(yaw_rad=0.2), CAMERA))
     assert turned - straight == pytest.approx(0.2, abs=0.02)  # the tip turns left: columns grow with the row
 
 
 def test_roll_turns_the_pad_to_the_right(finger: Finger, master: MasterPrint) -> None:
     cores = [
-        finger_surface(finger, Pose(roll_rad=r), SMALL, master=master).landmarks["cores_px"][0, 0]
+        finger_surface(replace(finger, printed=master), Pose(roll_rad=r), SMALL).landmarks["cores_px"][0, 0]
         for r in (-0.2, 0.0, 0.2)
     ]
     assert cores[0] < cores[1] < cores[2]
@@ -211,7 +211,7 @@ def test_the_creases_are_grooves_where_the_landmarks_say(finger: Finger, master:
     pose = Pose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
     settings = SkinSettings(creases=(Crease(side_lines=0), Crease(v_mm=-11.5, depth_mm=0.5, side_lines=0)))
-    surface = finger_surface(replace(finger, skin=settings), pose, camera, master=master)
+    surface = finger_surface(replace(finger, skin=settings, printed=master), pose, camera)
     for line, crease in zip(surface.landmarks["crease_px"], settings.creases, strict=True):
         near = line[np.abs(line[:, 0] - 180) < 40]
         columns, rows = np.rint(near).astype(int).T
@@ -235,13 +235,13 @@ def test_landmarks_show_the_chart_points_they_name(seen: Surface, finger: Finger
 
 
 def test_without_a_crease_in_view_there_is_no_landmark(finger: Finger, master: MasterPrint) -> None:
-    surface = finger_surface(finger, Pose(insertion_mm=20.0), SMALL, master=master)
+    surface = finger_surface(replace(finger, printed=master), Pose(insertion_mm=20.0), SMALL)
     assert all(len(line) == 0 for line in surface.landmarks["crease_px"])
     assert np.isfinite(surface.landmarks["tip_px"]).all()
 
 
 def test_workers_do_not_change_the_result(finger: Finger, master: MasterPrint, seen: Surface) -> None:
-    again = finger_surface(finger, POSE, CAMERA, master=master, workers=1)
+    again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     assert again.height_mm.tobytes() == seen.height_mm.tobytes()
     assert again.normals.tobytes() == seen.normals.tobytes()
     assert again.pigment.tobytes() == seen.pigment.tobytes()
@@ -264,11 +264,11 @@ def test_the_population_stays_in_its_ranges() -> None:
 def test_bad_input_is_refused(finger: Finger, master: MasterPrint) -> None:
     wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
     with pytest.raises(BadInput, match="sees nothing"):
-        finger_surface(finger, Pose(), wild, master=master)
+        finger_surface(replace(finger, printed=master), Pose(), wild)
     with pytest.raises(BadInput, match="height_mm"):
-        finger_surface(finger, Pose(), replace(wild, height_mm=4.0), master=master)
+        finger_surface(replace(finger, printed=master), Pose(), replace(wild, height_mm=4.0))
     with pytest.raises(BadInput, match="sees nothing"):
-        finger_surface(finger, Pose(x_mm=200.0), CAMERA, master=master)
+        finger_surface(replace(finger, printed=master), Pose(x_mm=200.0), CAMERA)
     with pytest.raises(BadInput, match="insertion_mm"):
         Pose(insertion_mm=-1.0)
     with pytest.raises(BadInput, match="width_mm"):

@@ -38,7 +38,7 @@ def impressions(people):
     camera = default_rig(0.1).camera
     return [
         [
-            draw_impression(p.fingers[name], SessionRanges(), camera, seed=5, number=p.number, session=2)
+            draw_impression(p.fingers[name], SessionRanges(), camera, (5, p.number, 2))
             for name in ("right_index", "left_ring")
         ]
         for p in people
@@ -150,11 +150,11 @@ def test_impressions_keep_to_their_ranges(impressions):
 def test_sessions_and_fingers_differ(people):
     camera = default_rig(0.1).camera
     own = people[0].fingers["right_index"]
-    drawn = [draw_impression(own, SessionRanges(), camera, seed=5, number=1, session=k) for k in (1, 1, 2)]
+    drawn = [draw_impression(own, SessionRanges(), camera, (5, 1, k)) for k in (1, 1, 2)]
     assert drawn[0] == drawn[1]
     assert all(value != asdict(drawn[2])[key] for key, value in asdict(drawn[0]).items() if key != "partial")
     with pytest.raises(BadInput, match="sessions are numbered"):
-        draw_impression(own, SessionRanges(), camera, seed=5, number=1, session=0)
+        draw_impression(own, SessionRanges(), camera, (5, 1, 0))
 
 
 def test_the_finger_of_today_is_swollen_flat_and_moist(people, impressions):
@@ -180,8 +180,8 @@ def test_a_roll_changes_the_outline_and_turns_the_print_with_it(people):
     own = people[3].fingers["right_index"].finger
     camera = default_rig(0.15).camera
     master = own.master()
-    still = finger_surface(own, Pose(insertion_mm=26.0), camera, master=master)
-    rolled = finger_surface(own, Pose(insertion_mm=26.0, roll_rad=np.deg2rad(15)), camera, master=master)
+    still = finger_surface(replace(own, printed=master), Pose(insertion_mm=26.0), camera)
+    rolled = finger_surface(replace(own, printed=master), Pose(insertion_mm=26.0, roll_rad=np.deg2rad(15)), camera)
     overlaps = []
     for shift in range(-20, 21):
         moved = np.roll(rolled.mask, shift, axis=1)

@@ -19,7 +19,7 @@ from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
 from splitknit.simulator.light.coat import draw_grains, stamp
-from splitknit.simulator.light.skin import CHANNELS, SkinSettings, diffusion_profile, load_walks
+from splitknit.simulator.light.skin import CHANNELS, SkinSettings, diffusion_profile
 from splitknit.simulator.surface import Coat, Film, Surface
 
 Array = NDArray[np.float64]
@@ -236,7 +236,6 @@ def _parabolic(values: Array, pitch_mm: float, radius_mm: float, reach: int, sig
 
 def _on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
     """(H, W) values of the skin's map at the points of the picture, zero beside the finger."""
-    require(surface.chart is not None, "the surface must have its chart (keep_chart).")
     assert surface.chart is not None
     chart = np.nan_to_num(surface.chart).astype(np.float64)
     rows, columns = (laid.v0_mm - chart[..., 1]) / laid.pitch_mm, (chart[..., 0] - laid.u0_mm) / laid.pitch_mm
@@ -250,7 +249,6 @@ def _ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) ->
     A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes the ridges' direction
     to the picture, and z follows from the normal.
     """
-    require(surface.chart is not None, "the surface must have its chart (keep_chart).")
     assert surface.chart is not None
     pitch = float(master.u_mm[1] - master.u_mm[0])
     u, v = surface.chart[..., 0].astype(np.float64), surface.chart[..., 1].astype(np.float64)
@@ -353,6 +351,7 @@ def conditioned_surface(  # noqa: PLR0917
     """
     require(condition.active, "there is no condition to show; use finger_surface.")
     master = finger.master()
+    finger = replace(finger, printed=master)
     plain = skin_map(master, finger.skin)
     relief = _grid_values(plain)
     rng = np.random.default_rng(seed)
@@ -370,11 +369,9 @@ def conditioned_surface(  # noqa: PLR0917
     top = max(float(skin_relief.max()), float(-np.inf if level is None else level.max()))
     lower = max(0.0, top - _TOP_MM)
     laid = plain if weathered is None and lower == 0.0 else _with_relief(plain, skin_relief - lower, weathered)
-    surface = finger_surface(finger, pose, camera, master=master, workers=workers, skin=laid, keep_chart=True)
+    surface = finger_surface(finger, pose, camera, workers=workers, skin=laid)
     if level is not None:
-        water = finger_surface(
-            finger, pose, camera, master=master, workers=workers, skin=_with_relief(plain, level - lower, None)
-        )
+        water = finger_surface(finger, pose, camera, workers=workers, skin=_with_relief(plain, level - lower, None))
         coat = _wet(surface, water, skin, severity)
     elif weathered is not None:
         coat = _weathered(surface, laid, weathered, skin, condition)
@@ -439,11 +436,10 @@ def _bounded(skin: SkinSettings, name: str, factor: float) -> float:
 
 def _tint(skin: SkinSettings, other: SkinSettings) -> dict[str, float]:
     """Diffuse reflectance of another medium over that of the skin, for every channel."""
-    walks = load_walks()
 
     def albedo(settings: SkinSettings, name: str) -> float:
         optics = settings.channel(name)  # type: ignore[arg-type]
-        return float(diffusion_profile(walks, optics.scattering_per_mm, optics.absorption_per_mm).albedo)
+        return float(diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm).albedo)
 
     return {name: albedo(other, name) / albedo(skin, name) for name in CHANNELS}
 

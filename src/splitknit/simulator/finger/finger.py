@@ -15,7 +15,7 @@ from splitknit.model import BoolArray, Camera
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulator.finger.raycast import Placement, above, finger_in_view
+from splitknit.simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 from splitknit.simulator.finger.skin_map import Crease, SkinMap, SkinSettings, skin_map
 from splitknit.simulator.surface import Surface
@@ -226,10 +226,8 @@ def finger_surface(
     pose: Pose,
     camera: Camera,
     *,
-    master: MasterPrint | None = None,
     workers: int = 2,
     skin: SkinMap | None = None,
-    keep_chart: bool = False,
 ) -> Surface:
     """Show one posed finger to a camera.
 
@@ -243,14 +241,10 @@ def finger_surface(
 
     Parameters
     ----------
-    master
-        The finger's master print where it was drawn already, else it is drawn.
     workers
         Threads; the result does not depend on them.
     skin
         Laid over the body instead of the finger's own.
-    keep_chart
-        Whether the surface records where on the skin's map its points lie.
 
     Raises
     ------
@@ -258,8 +252,8 @@ def finger_surface(
         If the camera sees nothing of the finger, or a perspective camera does not stand above it.
     """
     body = FingerBody(finger.shape)
-    master = master or finger.master()
-    skin = skin_map(master, finger.skin) if skin is None else skin
+    finger = replace(finger, printed=finger.master())
+    skin = skin_map(finger.master(), finger.skin) if skin is None else skin
     placement = place(body, pose, camera)
     top = above(body, placement)
     require(
@@ -267,12 +261,8 @@ def finger_surface(
         f"the camera stands {camera.height_mm:.1f} mm above the finger plane, but the finger needs {top + 5.0:.1f} mm; "
         "raise camera.height_mm.",
     )
-    surface = finger_in_view(body, skin, placement, camera, workers)
-    assert surface.chart is not None
-    landmarks = _find_landmarks(
-        finger, pose, mask=surface.mask, chart=surface.chart, skin=skin, master=master, camera=camera
-    )
-    return replace(surface, landmarks=landmarks, chart=surface.chart if keep_chart else None)
+    surface = finger_in_view(PlacedFinger(body, skin, placement), camera, workers)
+    return replace(surface, landmarks=_find_landmarks(finger, pose, surface, skin))
 
 
 def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
@@ -298,20 +288,10 @@ def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
 # What the simulated finger knows about itself, in pixels.
 
 
-def _find_landmarks(
-    finger: Finger,
-    pose: Pose,
-    *,
-    mask: BoolArray,
-    chart: NDArray[np.float32],
-    skin: SkinMap,
-    master: MasterPrint,
-    camera: Camera,
-) -> dict[str, Any]:
-    """Collect landmarks; pixel positions are (column, row), NaN or absent where not in view.
-
-    `chart` (H, W, 2) holds (u, v) of every visible pixel.
-    """
+def _find_landmarks(finger: Finger, pose: Pose, surface: Surface, skin: SkinMap) -> dict[str, Any]:
+    """Collect landmarks; pixel positions are (column, row), NaN or absent where not in view."""
+    mask, chart, master, camera = surface.mask, surface.chart, finger.master(), surface.camera
+    assert chart is not None
     lattice = _Lattice(mask, chart, max(1, int(0.35 * camera.px_per_mm)))
 
     def pixels(points: Any) -> Array:

@@ -36,17 +36,18 @@ Array32 = NDArray[np.float32]
 
 
 def scatter_pores(
-    rng: np.random.Generator, wave: Array32, *, pitch_mm: float, period_mm: float, spacing_mm: float, diameter_mm: float
+    rng: np.random.Generator, wave: Array32, pitch_mm: float, period_mm: float, pores_mm: tuple[float, float]
 ) -> Array32:
-    """Return (H, W) pore depth in [0, 1] on the grid of `wave`.
+    """Return (H, W) pore depth in [0, 1] on the grid of `wave`; `pores_mm`: their spacing and their diameter.
 
     Candidates lie on a jittered grid, climb onto the nearest crest of `wave`, and are thinned so that neighbours keep
-    more than half of `spacing_mm`. Sizes vary by a quarter.
+    more than half of the spacing. Sizes vary by a quarter.
 
     References
     ----------
     Roddy and Stosz 1997, Fingerprint features: 9 to 18 pores per centimetre of ridge, 60 to 250 um across.
     """
+    spacing_mm, diameter_mm = pores_mm
     rows, columns = wave.shape
     cell = float(np.sqrt(0.4 * spacing_mm * period_mm)) / pitch_mm
     grid_x, grid_y = np.meshgrid(np.arange(0.5 * cell, columns, cell), np.arange(0.5 * cell, rows, cell))
@@ -212,14 +213,7 @@ def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None =
         pattern,
         seed,
         ridge_profile(draws[3], fine, settings),
-        scatter_pores(
-            draws[4],
-            fine,
-            pitch_mm=settings.pitch_mm,
-            period_mm=mean_period,
-            spacing_mm=_PORE_SPACING_MM,
-            diameter_mm=_PORE_DIAMETER_MM,
-        ),
+        scatter_pores(draws[4], fine, settings.pitch_mm, mean_period, (_PORE_SPACING_MM, _PORE_DIAMETER_MM)),
         fine_u,
         fine_v,
         mean_period,

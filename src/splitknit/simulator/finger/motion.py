@@ -56,7 +56,7 @@ class HandMotion(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _MotionPath:
+class MotionPath:
     """Where the finger is in each of N shots, against the reference shot, whose values are zero."""
 
     time_s: Array
@@ -74,7 +74,7 @@ class _MotionPath:
     reference: int
 
 
-def _draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> _MotionPath:
+def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> MotionPath:
     """Draw a path.
 
     `rng`: of the path; `shots`: N, in the order in which they are taken; `settings`: of the motion; `reference`: shot
@@ -100,7 +100,7 @@ def _draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refer
         return np.asarray(values - values[reference])
 
     turned = np.deg2rad(settings.amplitude_mm)
-    return _MotionPath(
+    return MotionPath(
         time_s=time,
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
@@ -136,10 +136,9 @@ class MovingFinger:
     pose: Pose
     camera: Camera
     master: MasterPrint
-    path: _MotionPath
+    path: MotionPath
     slips: tuple[Deformation, Deformation]
     """Fields of slip whose weights are in `path.slip`; their largest shift is 1 mm."""
-    workers: int = 2
 
     def pose_of(self, shot: int) -> Pose:
         """How the finger lies in a shot."""
@@ -158,13 +157,14 @@ class MovingFinger:
         shift = self.path.slip[shot, 0] * first.shift_mm + self.path.slip[shot, 1] * second.shift_mm
         return Deformation(first.u_mm, first.v_mm, shift)
 
-    def surfaces(self) -> Iterator[Surface]:
-        """Yield the surface of every shot, in the order in which they are taken."""
+    def surfaces(self, workers: int = 2) -> Iterator[Surface]:
+        """Yield the surface of every shot, in the order in which they are taken; the threads do not change them."""
         for shot in range(len(self.path.time_s)):
             master = self.master
             if self.path.slip[shot].any():
                 master = deformed(master, self.slip_of(shot))
-            yield finger_surface(self.finger, self.pose_of(shot), self.camera, master=master, workers=self.workers)
+            worn = replace(self.finger, printed=master)
+            yield finger_surface(worn, self.pose_of(shot), self.camera, workers=workers)
 
     def truth(self, reference: Surface) -> dict[str, NDArray[Any]]:
         """Arrays by name: the path, and where the skin of the reference shot lies in every other picture.
@@ -199,34 +199,22 @@ class MovingFinger:
         }
 
 
-def moving_finger(  # noqa: PLR0917
-    finger: Finger,
-    pose: Pose,
-    camera: Camera,
-    seed: np.random.SeedSequence,
-    motion: HandMotion,
-    shots: int,
-    workers: int,
-    reference: int | None = None,
+def moving_finger(
+    finger: Finger, pose: Pose, camera: Camera, path: MotionPath, seed: np.random.SeedSequence
 ) -> MovingFinger:
     """Draw the motion of a finger that lies in `pose` in its reference shot.
 
     Parameters
     ----------
     finger, pose, camera : as for :func:`splitknit.simulator.finger.finger.finger_surface`
-    seed : of path and slip
-    motion : how far and how it moves
-    shots : taken one after the other
-    workers : threads; the result does not depend on them
-    reference : see :func:`splitknit.simulator.finger.motion`
+    path : where it is in each shot, see :func:`draw_path`
+    seed : of the slip
     """
     master = finger.master()
-    path_seed, slip_seed = seed.spawn(2)
-    path = _draw_path(np.random.default_rng(path_seed), shots, motion, reference)
-    rng = np.random.default_rng(slip_seed)
+    rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
     first, second = (_scaled(draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM), 1 / unit_mm) for _ in "12")
-    return MovingFinger(finger, pose, camera, master, path, (first, second), workers)
+    return MovingFinger(finger, pose, camera, master, path, (first, second))
 
 
 def _scaled(deformation: Deformation, factor: float) -> Deformation:

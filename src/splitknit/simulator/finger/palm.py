@@ -296,9 +296,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
     fine_y = y_mm[0] - settings.pitch_mm * np.arange(wave.shape[0])
     skin = MasterPrintSettings(period_mm=period, pitch_mm=settings.pitch_mm)
     ridge = ridge_profile(draws[3], wave, skin)
-    pores = scatter_pores(
-        draws[3], wave, pitch_mm=settings.pitch_mm, period_mm=period, spacing_mm=0.8, diameter_mm=0.13
-    )
+    pores = scatter_pores(draws[3], wave, settings.pitch_mm, period, (0.8, 0.13))
     half = (0.5 * settings.size_mm[0], 0.5 * settings.size_mm[1])
     lines = _draw_lines(
         draws[4],

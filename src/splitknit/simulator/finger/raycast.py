@@ -186,6 +186,15 @@ class Placement:
         return np.stack([(r[i, 0] * x + r[i, 1] * y + r[i, 2] * z) * scale for i in range(3)], -1)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedFinger:
+    """A finger's smooth body, the skin that it wears, and where it lies."""
+
+    body: FingerBody
+    skin: SkinMap
+    placement: Placement
+
+
 def _hits(body: FingerBody, placement: Placement, camera: Camera) -> tuple[slice, slice]:
     """Rows and columns of the image that can show the finger."""
     rows, columns = camera.image_size
@@ -245,7 +254,7 @@ def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: 
     )  # fmt: skip
 
 
-def finger_in_view(body: FingerBody, skin: SkinMap, placement: Placement, camera: Camera, workers: int) -> Surface:
+def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> Surface:
     """The first points of a placed finger on the rays of all pixels.
 
     Raises
@@ -253,12 +262,13 @@ def finger_in_view(body: FingerBody, skin: SkinMap, placement: Placement, camera
     BadInput
         If the camera sees nothing of the finger.
     """
+    body, placement = finger.body, finger.placement
     box = _hits(body, placement, camera)
 
     def cast(down: NDArray[np.intp]) -> tuple[NDArray[np.intp], Sequence[Array | Array32]]:
         rays = rays_of(camera, down, _range(box[1]))
         part = slice(int(down[0]), int(down[-1]) + 1)
-        return cast_rays(body, skin, placement, rays, _first_guess(body, placement, camera, (part, box[1])))
+        return cast_rays(finger, rays, _first_guess(body, placement, camera, (part, box[1])))
 
     surface = fill_surface(camera, box, cast, workers)
     require(bool(surface.mask.any()), _NOTHING_SEEN)
@@ -266,7 +276,7 @@ def finger_in_view(body: FingerBody, skin: SkinMap, placement: Placement, camera
 
 
 def cast_rays(
-    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, start: Array, *, bottom: float | None = None
+    finger: PlacedFinger, rays: Rays, start: Array, *, bottom: float | None = None
 ) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
     """Which of the rays meet the skin, and for those height, shape height, normals, shape normals, relief (um), pigment
     and chart; of a perspective camera also x and y of the skin (mm), which do not follow from the grid.
@@ -275,6 +285,7 @@ def cast_rays(
     a finger behind a mirror. Rays that run along the finger, where it is not convex, are followed down to `bottom`
     where it is given.
     """
+    body, placement = finger.body, finger.placement
     z_shape, hit = _meet_body(body, placement, rays, start)
     if bottom is not None and not hit.all():
         _meet_along(body, placement, rays, (start, bottom), (z_shape, hit))
@@ -283,15 +294,15 @@ def cast_rays(
     rays, z_shape = rays.some(index), z_shape[index]
     _, gx, gy, gz = body.value_and_gradient(*placement.to_finger(*rays.at(z_shape)))
     shape_normals = placement.normal_to_camera(gx, gy, gz)
-    z, valid = _meet_skin(body, skin, placement, rays, z_shape, rays.along(shape_normals))
+    z, valid = _meet_skin(finger, rays, z_shape, rays.along(shape_normals))
     index, rays, z = index[valid], rays.some(valid), z[valid]
     x, y, z = rays.at(z)
-    normals, relief, u, v = _skin_normals(body, skin, placement, (x, y, z))
+    normals, relief, u, v = _skin_normals(finger, (x, y, z))
     rays.turn_to_view(normals)  # a few rays that only touch a ridge: no visible skin faces away
     places = () if rays.slopes is None else (x, y)
     return index, (
-        z, z_shape[valid], normals, shape_normals[valid], 1e3 * relief, skin.pigment_at(u, v), np.stack([u, v], -1),
-        *places,
+        z, z_shape[valid], normals, shape_normals[valid], 1e3 * relief,
+        finger.skin.pigment_at(u, v), np.stack([u, v], -1), *places,
     )  # fmt: skip
 
 
@@ -377,15 +388,14 @@ def _meet_along(
         which, here = which[going], here[going]
 
 
-def _meet_skin(  # noqa: PLR0917
-    body: FingerBody, skin: SkinMap, placement: Placement, rays: Rays, z0: Array, facing: Array
-) -> tuple[Array, NDArray[np.bool_]]:
+def _meet_skin(finger: PlacedFinger, rays: Rays, z0: Array, facing: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met it.
 
     The search for the first intersection runs on a quadratic model of distance and chart along the ray; a last
     iteration uses the exact ones. Where the skin is steep, the first steps are too short to pass an intersection.
     `z0` are the heights of the smooth skin; `facing` is how fast the distance from it grows per mm of height.
     """
+    body, skin, placement = finger.body, finger.skin, finger.placement
     model = _ray_model(body, placement, rays, z0, facing)
     length = rays.length()
     cosine = np.minimum(facing / length, 1.0)
@@ -424,10 +434,9 @@ def _ray_model(
     return model
 
 
-def _skin_normals(
-    body: FingerBody, skin: SkinMap, placement: Placement, points: Triple
-) -> tuple[Array, Array, Array, Array]:
+def _skin_normals(finger: PlacedFinger, points: Triple) -> tuple[Array, Array, Array, Array]:
     """Unit normals (N, 3) in the camera's frame, displacement (mm) and chart at points of the displaced skin."""
+    body, skin, placement = finger.body, finger.skin, finger.placement
     x, y, z = placement.to_finger(*points)
     distance, u, v = body.distance_and_chart(x, y, z)
     relief = skin.displacement(u, v)

@@ -236,14 +236,18 @@ def _difference_matrices(rows: int, columns: int, h: float) -> tuple[sparse.csr_
 # Ridges grown from noise: repeated filtering along a field of directions and periods.
 
 
+_BANDWIDTH = 0.2
+"""Standard deviation of a ring filter over its frequency."""
+_REACH = 1.1
+"""Standard deviation of the smoothing along ridges, in periods."""
+
+
 def grow_ridges(
     noise: Array32,
     angle_rad: NDArray[np.float64],
     period_px: NDArray[np.float64],
     *,
     iterations: int = 5,
-    bandwidth: float = 0.2,
-    reach: float = 1.1,
 ) -> Array32:
     """Grow a ridge pattern from `noise` by an iterated, spatially varying Gabor-like filter.
 
@@ -260,10 +264,6 @@ def grow_ridges(
         (H, W) ridge period.
     iterations
         Number of passes; fewer leave more defects (minutiae).
-    bandwidth
-        Standard deviation of a ring filter over its frequency.
-    reach
-        Standard deviation of the smoothing along ridges, in periods.
 
     Returns
     -------
@@ -276,9 +276,9 @@ def grow_ridges(
     """
     mean_period = float(np.median(period_px))
     # Passes of (3, 4, 3) / 10 at distances d, 2 d and 4 d make a bell along the streamline; d is too short to alias.
-    distances = [factor * reach * mean_period for factor in (0.26, 0.52, 1.04)]
+    distances = [factor * _REACH * mean_period for factor in (0.26, 0.52, 1.04)]
     maps = [_streamline_maps(angle_rad, distance, 2 + k) for k, distance in enumerate(distances)]
-    bank, weights = _ring_bank(noise.shape, period_px, bandwidth)
+    bank, weights = _ring_bank(noise.shape, period_px, _BANDWIDTH)
     ridges = wave = noise.astype(np.float32)
     for _ in range(iterations):
         for pair in maps:

@@ -22,12 +22,9 @@ from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on, towards
 from splitknit.simulator.light.skin import (
-    BAND_CHANNELS,
     CHANNELS,
-    Boundary,
     Channel,
-    ChannelOptics,
-    WalkTable,
+    Medium,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
@@ -75,13 +72,8 @@ class BandLight:
 def render_band(
     surface: Surface,
     leds: Sequence[Led],
-    optics: Sequence[ChannelOptics],
-    *,
-    roughness: float,
-    glare: float,
-    walks: WalkTable,
+    skin: Medium,
     settings: RenderSettings | None = None,
-    boundary: Boundary | None = None,
 ) -> BandLight:
     """Render the finger under each of `leds`, one image a light.
 
@@ -89,12 +81,8 @@ def render_band(
     ----------
     surface : the finger on the camera's pixels
     leds : L lights
-    optics : C media, one a channel
-    roughness : GGX alpha
-    glare : weight of the surface reflection, 1 = Fresnel
-    walks : table of random walks
+    skin : as the band's light meets it
     settings : what of the light is modelled
-    boundary : how light enters the skin, where nothing lies on it; None: the default
 
     References
     ----------
@@ -104,46 +92,36 @@ def render_band(
     settings = settings or RenderSettings()
     if any(led.also for led in leds):
         groups = [(replace(led, also=()), *led.also) for led in leds]
-        each = render_band(
-            surface, [led for group in groups for led in group], optics,
-            roughness=roughness, glare=glare, walks=walks, settings=settings, boundary=boundary,
-        )  # fmt: skip
+        each = render_band(surface, [led for group in groups for led in group], skin, settings)
         starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
         return replace(each, diffuse=np.add.reduceat(each.diffuse, starts), glare=np.add.reduceat(each.glare, starts))
     patch = cut_out(surface)
-    relief = Relief(surface, patch, optics)
-    boundary = boundary or Boundary()
-    blur = Diffusion(patch, optics, walks, settings, roughness, blurred=boundary.blurred)
+    relief, blur = Relief(surface, patch, skin), Diffusion(patch, skin, settings, blurred=skin.boundary.blurred)
     if surface.texture is not None:
         blood, grain = surface.texture.blood[patch.window], surface.texture.grain
         relief.colour(lambda pigment, name: pigment * np.exp(-BLOOD[name] * blood))
         if grain is not None:
             relief.colour(lambda pigment, name: pigment * grain[(CHANNELS.index(name), *patch.window)])
     if surface.coat is not None:
-        coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], roughness)
+        coat = CoatedPatch(surface.coat, patch, surface.shape_normals[patch.window], skin.roughness)
         relief.colour(coat.over)
 
         def shine(k: int) -> Shine:
-            return coat.light_on(leds[k], glare, LED_RADIUS_MM)
+            return coat.light_on(leds[k], skin.glare, LED_RADIUS_MM)
 
     else:
-        patches: Any = np.float32(glare)
+        patches: Any = np.float32(skin.glare)
         if surface.texture is not None:
             patches = patches * surface.texture.gloss[patch.window]
 
         def shine(k: int) -> Shine:
-            entering, gloss = light_on(patch, leds[k], roughness, LED_RADIUS_MM)
+            entering, gloss = light_on(patch, leds[k], skin.roughness, LED_RADIUS_MM)
             return entering, gloss * patches, None
 
-        if boundary.refraction > 0 or boundary.entry_power != 1:
-            blur.enter_by(boundary, surface.shape_normals[patch.window], leds, _channels(optics))
+        if skin.boundary.refraction > 0 or skin.boundary.entry_power != 1:
+            blur.enter_by(skin, surface.shape_normals[patch.window], leds)
 
     return render_lights(patch, shine, len(leds), blur, lambda k: relief.gains(leds[k]))
-
-
-def _channels(optics: Sequence[ChannelOptics]) -> tuple[Channel, ...]:
-    """Names of a band's media, which their number tells."""
-    return next(names for names in BAND_CHANNELS.values() if len(names) == len(optics))
 
 
 Shine = tuple[FloatArray, FloatArray, FloatArray | None]
@@ -176,10 +154,7 @@ def render_lights(
 def render_ambient(
     surface: Surface,
     level: float,
-    optics: Sequence[ChannelOptics],
-    *,
-    roughness: float,
-    walks: WalkTable,
+    skin: Medium,
     settings: RenderSettings | None = None,
     up: NDArray[np.float64] | None = None,
 ) -> FloatArray:
@@ -194,8 +169,7 @@ def render_ambient(
     if up is not None:
         facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
-    blur = Diffusion(patch, optics, walks, settings, roughness)
-    gains = Relief(surface, patch, optics).gains()
+    blur, gains = Diffusion(patch, skin, settings), Relief(surface, patch, skin).gains()
     return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
 
 
@@ -206,23 +180,14 @@ class Diffusion:
     does not fall below about half the roughness.
     """
 
-    def __init__(
-        self,
-        patch: Patch,
-        optics: Sequence[ChannelOptics],
-        walks: WalkTable,
-        settings: RenderSettings,
-        roughness: float,
-        *,
-        blurred: bool = False,
-    ) -> None:
+    def __init__(self, patch: Patch, skin: Medium, settings: RenderSettings, *, blurred: bool = False) -> None:
         """Prepare the transfer of every medium, and what of the light leaves towards the viewer.
 
         `blurred`: light spreads across the picture, see :class:`splitknit.simulator.light.skin.Boundary`.
         """
         self.settings, self.patch, pitch_mm = settings, patch, patch.pitch_mm
         self._entering: Callable[[int], Iterator[FloatArray]] | None = None
-        profiles = [diffusion_profile(walks, o.scattering_per_mm, o.absorption_per_mm) for o in optics]
+        profiles = [diffusion_profile(o.scattering_per_mm, o.absorption_per_mm) for o in skin.optics]
         reach = int(np.ceil(min(settings.reach_mm, max(p.radius_mm(0.99) for p in profiles)) / pitch_mm))
         mask = patch.mask
         # where the finger runs out of the picture, its skin goes on: repeat the border's light over the reach
@@ -235,7 +200,7 @@ class Diffusion:
         spread_over = self._continued(mask).shape if self._sheet is None else self._sheet.shape
         self.fft_shape = tuple(scipy.fft.next_fast_len(length + reach, True) for length in spread_over)
         self.transfers = [p.transfer_grid((self.fft_shape[0], self.fft_shape[1]), pitch_mm) for p in profiles]
-        emergence = np.sqrt(patch.nv**2 + (0.5 * roughness) ** 2 * (1.0 - patch.nv**2))
+        emergence = np.sqrt(patch.nv**2 + (0.5 * skin.roughness) ** 2 * (1.0 - patch.nv**2))
         out = (1.0 - fresnel(emergence)) / (np.pi * diffuse_transmittance())
         inside = mask.astype(np.float32)
         # as much area as lets light in lets it out again: evenly lit skin is evenly bright, whatever its ridges
@@ -246,11 +211,10 @@ class Diffusion:
             lost = seen ** np.float32(settings.rim_exponent) * np.clip(area / np.maximum(cover, 1e-6), 0.5, 8.0)
             self.out.append(np.where(mask, out / lost, 0.0).astype(np.float32))
 
-    def enter_by(
-        self, boundary: Boundary, shape_normals: FloatArray, leds: Sequence[Led], channels: Sequence[Channel]
-    ) -> None:
-        """Let light enter as a boundary lets it, instead of as given: each of `leds`, by the number of its image."""
-        signals = [boundary.slope_signal(name) for name in channels]
+    def enter_by(self, skin: Medium, shape_normals: FloatArray, leds: Sequence[Led]) -> None:
+        """Let light enter as the skin's boundary lets it, not as given: each of `leds`, by its image's number."""
+        boundary = skin.boundary
+        signals = [boundary.slope_signal(name) for name in skin.channels]
         facets = np.stack([self.patch.nx, self.patch.ny, self.patch.nz], axis=-1)
 
         def entering(k: int) -> Iterator[FloatArray]:
@@ -348,9 +312,9 @@ def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -
 class Relief:
     """Brightness of the relief: pigment times 1 + k h, h the band-passed relief in um."""
 
-    def __init__(self, surface: Surface, patch: Patch, optics: Sequence[ChannelOptics]) -> None:
-        """Filter the relief of a patch of skin with these media."""
-        self._patch, self._optics = patch, optics
+    def __init__(self, surface: Surface, patch: Patch, skin: Medium) -> None:
+        """Filter the relief of a patch of skin."""
+        self._patch, self._skin = patch, skin
         self._normals = surface.shape_normals[patch.window]
         inside = patch.mask.astype(np.float32)
         relief = np.where(patch.mask, surface.relief_um[patch.window], 0).astype(np.float32)
@@ -365,16 +329,16 @@ class Relief:
 
         self._band = smooth(_RELIEF_LOW_MM) - smooth(_RELIEF_HIGH_MM)
         pigment = np.where(patch.mask, surface.pigment[patch.window], 0).astype(np.float32)
-        self._pigments = [pigment] * len(optics)
+        self._pigments = [pigment] * len(skin.optics)
 
     def colour(self, change: Callable[[FloatArray, Channel], FloatArray]) -> None:
         """Change the pigment (h, w) of each channel."""
-        self._pigments = [change(one, name) for one, name in zip(self._pigments, _channels(self._optics), strict=True)]
+        self._pigments = [change(one, name) for one, name in zip(self._pigments, self._skin.channels, strict=True)]
 
     def gains(self, led: Led | None = None) -> Iterator[FloatArray]:
         """(h, w) for each channel, under one LED or (None) under light from everywhere."""
         slanted = None if led is None else _obliquity(self._patch, self._normals, led)
-        for one, pigment in zip(self._optics, self._pigments, strict=True):
+        for one, pigment in zip(self._skin.optics, self._pigments, strict=True):
             gain: Any = np.float32(one.relief_gain_per_um)
             if slanted is not None and one.oblique_gain_per_um > 0.0:
                 gain = gain + np.float32(one.oblique_gain_per_um) * slanted

@@ -10,7 +10,7 @@ below that plane they are displaced along the projector's rays, so that they lie
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -23,7 +23,7 @@ from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on
 from splitknit.simulator.light.renderer import LED_RADIUS_MM, Diffusion, Relief, RenderSettings
-from splitknit.simulator.light.skin import BAND_CHANNELS, ChannelOptics, SkinSettings, WalkTable, load_walks
+from splitknit.simulator.light.skin import Medium, SkinSettings
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
@@ -186,13 +186,11 @@ class Separated:
 def separate_truth(
     surface: Surface,
     led: Led,
-    skin: SkinSettings,
+    skin: SkinSettings | Medium,
     *,
     check_mm: float,
-    walks: WalkTable | None = None,
     settings: RenderSettings | None = None,
     phases: Phases = "all",
-    optics: Sequence[ChannelOptics] | None = None,
 ) -> Separated:
     """Direct and global light of `surface` under a projector at `led`, at a stated check size.
 
@@ -200,16 +198,14 @@ def separate_truth(
     ----------
     surface : on the camera's pixels
     led : where the projector stands
-    skin : optics, roughness and specular reflection
+    skin : the finger's, or a medium of the light's band
     check_mm : side of the checks on the finger plane, at least two pixels
-    walks : table of random walks; None loads the shipped one
     settings : what of the light is modelled (defocus is not)
     phases : ``all`` takes maximum minus minimum over all phases in steps of at most a pixel, each rendered: c^2 images
         for checks of c pixels, because shifts by a check only exchange lit and dark. ``centred`` takes, for each pixel,
         the difference between the checks centred on it and their complement: one convolution with the diffusion
         profile times a checkerboard, c^2 times faster; it neglects that checks lie askew on slanted skin, and that a
         light gradient can make another phase the brightest one.
-    optics : media instead of those of `skin` in the light's band; C of them
 
     References
     ----------
@@ -218,7 +214,7 @@ def separate_truth(
     """
     _check_size(check_mm, surface)
     require(phases in ("all", "centred"), f"phases must be 'all' or 'centred', but it is '{phases}'.")
-    scene = _Scene(surface, led, skin, walks=walks, settings=settings, optics=optics)
+    scene = _Scene(surface, led, skin, settings)
     white = scene.image(None)
     direct = scene.largest_difference(check_mm) if phases == "all" else scene.centred_difference(check_mm)
     np.minimum(direct, white, out=direct)
@@ -228,19 +224,16 @@ def separate_truth(
 def checkerboard_images(
     surface: Surface,
     led: Led,
-    skin: SkinSettings,
+    skin: SkinSettings | Medium,
     pattern: Checkerboard,
-    *,
-    walks: WalkTable | None = None,
     settings: RenderSettings | None = None,
-    optics: Sequence[ChannelOptics] | None = None,
 ) -> Iterator[FloatArray]:
     """Yield the (C, h, w) noise-free radiance under each shift of `pattern`, one at a time.
 
     Parameters are those of :func:`separate_truth`; the window is that of the truth.
     """
     _check_size(pattern.check_mm, surface)
-    scene = _Scene(surface, led, skin, walks=walks, settings=settings, optics=optics)
+    scene = _Scene(surface, led, skin, settings)
     for shift in pattern.shifts_mm():
         yield scene.image((pattern, shift))
 
@@ -248,15 +241,12 @@ def checkerboard_images(
 def checkerboard_stack(
     surface: Surface,
     led: Led,
-    skin: SkinSettings,
+    skin: SkinSettings | Medium,
     pattern: Checkerboard,
-    *,
-    walks: WalkTable | None = None,
     settings: RenderSettings | None = None,
-    optics: Sequence[ChannelOptics] | None = None,
 ) -> FloatArray:
     """(N, C, h, w) noise-free radiance under all shifts of `pattern`: :func:`checkerboard_images` in one array."""
-    images = checkerboard_images(surface, led, skin, pattern, walks=walks, settings=settings, optics=optics)
+    images = checkerboard_images(surface, led, skin, pattern, settings)
     first = next(images)
     stack = np.empty((pattern.steps**2, *first.shape), dtype=np.float32)
     stack[0] = first
@@ -278,25 +268,17 @@ class _Scene:
     """One surface in one light: everything that does not depend on the pattern."""
 
     def __init__(
-        self,
-        surface: Surface,
-        led: Led,
-        skin: SkinSettings,
-        *,
-        walks: WalkTable | None,
-        settings: RenderSettings | None,
-        optics: Sequence[ChannelOptics] | None,
+        self, surface: Surface, led: Led, skin: SkinSettings | Medium, settings: RenderSettings | None
     ) -> None:
-        settings = settings or RenderSettings()
-        media = optics or [skin.channel(name) for name in BAND_CHANNELS[led.band]]
+        medium = skin if isinstance(skin, Medium) else skin.medium(led.band)
         self.pitch_mm = surface.camera.pitch_mm
         self.patch = cut_out(surface)
         # a pattern's edges are sharper than what can be laid out along the skin and back: it spreads in the picture
-        self.diffusion = Diffusion(self.patch, media, walks or load_walks(), settings, skin.roughness, blurred=True)
-        gains = Relief(surface, self.patch, media).gains(led)
+        self.diffusion = Diffusion(self.patch, medium, settings or RenderSettings(), blurred=True)
+        gains = Relief(surface, self.patch, medium).gains(led)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
-        entering, gloss = light_on(self.patch, led, skin.roughness, LED_RADIUS_MM)
-        self.glare = np.asarray(gloss * np.float32(skin.glare), dtype=np.float32)
+        entering, gloss = light_on(self.patch, led, medium.roughness, LED_RADIUS_MM)
+        self.glare = np.asarray(gloss * np.float32(medium.glare), dtype=np.float32)
         self.entering = self.diffusion.pad(entering)
         self.x, self.y = (self._beyond(c, k) for k, c in enumerate(_projected(self.patch, led)))
         self.inner = self.diffusion.inner

@@ -13,8 +13,9 @@ pair of coefficients. The histogram is shipped (``data/walks.npz``, made by ``to
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from importlib import resources
 from typing import Annotated, Any, Literal
 
@@ -164,6 +165,11 @@ class SkinSettings(Checked):
     above and blood below act as other absorptions than a mixture would."""
     boundary: Boundary = field(default_factory=Boundary)
 
+    def medium(self, band: str) -> Medium:
+        """Return the skin as the light of ``white`` or ``nir`` meets it."""
+        optics = tuple(self.channel(name) for name in BAND_CHANNELS[band])
+        return Medium(optics, self.roughness, self.glare, self.boundary)
+
     def channel(self, name: Channel) -> ChannelOptics:
         """Return the coefficients of the channel `name`: ``red``, ``green``, ``blue`` or ``nir``."""
         band = EFFECTIVE[name]
@@ -184,6 +190,25 @@ class SkinSettings(Checked):
             relief_gain_per_um=1e-3 * self.relief_gain * self.boundary.height_signal(scattering) * attenuation,
             oblique_gain_per_um=1e-3 * self.relief_gain / 0.78 * self.boundary.oblique_signal(attenuation),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Medium:
+    """A finger's skin as the light of one band meets it."""
+
+    optics: Sequence[ChannelOptics]
+    """C media, one a channel: red, green and blue, or near infrared."""
+    roughness: float
+    """GGX alpha of the surface."""
+    glare: float = 1.0
+    """Weight of the surface reflection, 1 = Fresnel."""
+    boundary: Boundary = field(default_factory=Boundary)
+    """How light enters, where nothing lies on the skin."""
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Names of the media, which follow from their number."""
+        return next(names for names in BAND_CHANNELS.values() if len(names) == len(self.optics))
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,6 +309,7 @@ class WalkTable:
         return np.asarray(np.sum(self.counts * kept, axis=1))
 
 
+@lru_cache(maxsize=1)
 def load_walks() -> WalkTable:
     """Return the shipped table of walks."""
     with (
@@ -337,8 +363,9 @@ class Profile:
         return np.interp(index, np.arange(601), values).astype(np.float32)
 
 
-def diffusion_profile(walks: WalkTable, scattering_per_mm: float, absorption_per_mm: float) -> Profile:
-    """Return the profile of a medium with reduced scattering and absorption in 1/mm.
+def diffusion_profile(scattering_per_mm: float, absorption_per_mm: float, walks: WalkTable | None = None) -> Profile:
+    """Return the profile of a medium with reduced scattering and absorption in 1/mm, by the shipped table of walks or
+    by another one.
 
     Raises
     ------
@@ -353,7 +380,7 @@ def diffusion_profile(walks: WalkTable, scattering_per_mm: float, absorption_per
     require(scattering_per_mm > 0, f"scattering must be positive, but it is {scattering_per_mm} per mm.")
     ratio = absorption_per_mm / scattering_per_mm
     require(ratio >= 0.002, f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.")
-    return Profile(radii_mm=RADIUS_EDGES / scattering_per_mm, weights=walks.ring_weights(ratio))
+    return Profile(radii_mm=RADIUS_EDGES / scattering_per_mm, weights=(walks or load_walks()).ring_weights(ratio))
 
 
 def walk(walks: int, seed: int, batch: int = 200_000) -> WalkTable:

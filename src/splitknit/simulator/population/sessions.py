@@ -128,17 +128,16 @@ class Impression:
         return Pose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
 
 
-def draw_impression(
-    own: OwnFinger, ranges: SessionRanges, camera: Camera, *, seed: int, number: int, session: int
-) -> Impression:
-    """Draw how the finger `own` of person `number` in the population `seed` is laid down in a session, from 1.
+def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]) -> Impression:
+    """Draw how a finger is laid down; `place`: seed of the population, number of the person, session from 1.
 
     What a person's fingers share in a session (swelling, moisture, gain of the camera) is drawn for the person.
     """
+    seed, number, session = place
     require(session >= 1, f"sessions are numbered from 1, but this is {session}.")
     day = np.random.default_rng(np.random.SeedSequence([seed, 0x5E51, number, session]))
-    place = FINGERS.index(own.name)
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E52, number, place, session]))
+    which = FINGERS.index(own.name)
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 0x5E52, number, which, session]))
 
     def normal() -> float:
         return float(np.clip(rng.standard_normal(), -2.0, 2.0))
@@ -249,9 +248,7 @@ def population_capture(
     require(finger in person.fingers, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
     own = person.fingers[finger]
     rig = settings.rig()
-    impression = draw_impression(
-        own, settings.sessions, rig.camera, seed=settings.seed, number=person.number, session=session
-    )
+    impression = draw_impression(own, settings.sessions, rig.camera, (settings.seed, person.number, session))
     place = [settings.seed, 0x5E53, person.number, FINGERS.index(finger), session]
     skin_seed, drift_seed, photo_seed = np.random.SeedSequence(place).spawn(3)
     master = master or own.finger.master()
@@ -263,9 +260,8 @@ def population_capture(
         impression.swelling,
     )
     today = finger_of_today(own.finger, impression)
-    surface = finger_surface(
-        today, impression.pose(), rig.camera, master=deformed(master, deformation), workers=settings.render.workers
-    )
+    worn = replace(today, printed=deformed(master, deformation))
+    surface = finger_surface(worn, impression.pose(), rig.camera, workers=settings.render.workers)
     lit = _drifted(rig, np.random.default_rng(drift_seed), settings.sessions.led_drift_sd)
     capture, truth = photograph(
         surface, lit, _skin_of_today(own, impression), photo_seed, settings=_twin_settings(settings, impression)
