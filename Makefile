@@ -9,8 +9,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# two processes; PYTEST_ARGS="-n 0 -k name" for one
-PYTEST_ARGS ?= -n 2
+# two processes, each of which keeps to its own files while it has any; PYTEST_ARGS="-n 0 -k name" for one
+PYTEST_ARGS ?= -n 2 --dist worksteal
 
 EXTRAS ?= batch,minutiae
 LOCK_ARGS ?=
@@ -21,7 +21,7 @@ pinned = sed -n '/^$(1)==/,/[^\\]$$/p' constraints.txt
 export PIP_BUILD_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test examples docs install lock clean
+.PHONY: demo test types tests examples docs install lock clean
 
 demo: $(VENV)/.ready
 	$(BIN)/splitknit demo --out demo
@@ -29,9 +29,16 @@ demo: $(VENV)/.ready
 test: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(MAKE) --no-print-directory --jobs 2 types tests
+
+# mypy takes one core for most of a minute, so the tests run beside it
+types:
+	$(BIN)/mypy
+
+# one thread of OpenBLAS, as the command line has it: processes times threads would wait for each other
+tests:
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
 
 examples: $(VENV)/.ready
 	$(BIN)/python tools/build_examples.py

@@ -5,12 +5,15 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
 from splitknit.io.capture import write_capture
+from splitknit.simulator.finger import finger
 from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -18,6 +21,18 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # started in the background by a shell: what tests interrupt would inherit the deafness
     with contextlib.suppress(ValueError):  # not the main thread
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@lru_cache(maxsize=12)
+def drawn_once(pattern: str, seed: int, settings: MasterPrintSettings) -> MasterPrint:
+    """Ridges of a finger: the same at every call (test_master_print.py), so one drawing serves all tests."""
+    master = master_print(pattern, seed, settings)
+    for name in ("ridge", "pores", "u_mm", "v_mm", "minutiae"):
+        getattr(master, name).setflags(write=False)
+    return master
+
+
+finger.master_print = drawn_once  # type: ignore[assignment]
 
 
 @pytest.fixture(scope="session")

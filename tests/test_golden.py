@@ -1,4 +1,4 @@
-"""The comparison of ``tools/golden.py``; its cases take two minutes and are run by hand when the structure changes."""
+"""The comparison of ``tools/golden.py``; its cases take a minute and are run by ``.ci/run``."""
 
 from __future__ import annotations
 
