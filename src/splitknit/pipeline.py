@@ -9,7 +9,6 @@ progress and results that several cases share wrap the steps from outside (:mod:
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import steps
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, Note, require
 from splitknit.finger.contrast import clahe
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.mask import MaskSettings
@@ -275,8 +274,7 @@ def _in_pixels(result: Reconstruction) -> Reconstruction:
     px = 1.0 / result.pitch_mm
 
     def words(text: str) -> str:
-        units = {"mm": px, "um": px / 1000.0}
-        return re.sub(r"(\d+(?:\.\d+)?) (mm|um)\b", lambda m: f"{float(m[1]) * units[m[2]]:.3g} px", text)
+        return text.in_px(px) if isinstance(text, Note) else text
 
     def facts(value: Any, factor: float = 1.0) -> Any:
         if isinstance(value, Mapping):
@@ -774,9 +772,10 @@ def _doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
     if facts["relief_by"] != "network":
         return ()
     error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]
-    notes = []
+    notes: list[str] = []
     if error > DOUBTFUL * relief:
-        notes.append(f"the ridges are hardly measured: {relief:.0f} um rms with an expected error of {error:.0f} um.")
+        hardly = "the ridges are hardly measured: {:.0f um} rms with an expected error of {:.0f um}."
+        notes.append(Note(hardly, relief / 1000.0, error / 1000.0))
     if facts["gloss"] < LITTLE_GLOSS:
         notes.append(
             "the skin shows hardly any specular reflection: its brightness tells the ridges' heights, which may all be "

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, Note, require
 from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.finger.mask import NO_FINGER, MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
@@ -256,7 +256,8 @@ def _quality(  # noqa: PLR0917
             drift, said = _drift(capture, band, stack, lights, inside)
             found["light_drift"] = drift
             words += said
-        return found, [f"{name} band: {text}" for text in words]
+        begin = f"{name} band: "
+        return found, [text.after(begin) if isinstance(text, Note) else begin + text for text in words]
 
     with ThreadPoolExecutor(2) as pool:
         found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))

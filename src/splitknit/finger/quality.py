@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, check_mask, check_stack, require
+from splitknit.errors import Note, check_image, check_mask, check_stack, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.regions import (
     blur,
@@ -287,7 +287,10 @@ def quality_warnings(
         return tuple(words)
     if quality["length_mm"] < _MIN_LENGTH_MM:
         words.append(
-            f"only {quality['length_mm']:.0f} mm of the finger are in view: push it further in, or check px_per_mm."
+            Note(
+                "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm.",
+                quality["length_mm"],
+            )
         )
     opposite = {"top", "bottom"} <= set(quality["borders"]) or {"left", "right"} <= set(quality["borders"])
     if opposite:
