@@ -45,7 +45,7 @@ _SMOOTH_MM = 0.04
 _LEVEL_MM = 0.3
 """Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma."""
 _EDGE_MM = 1.5
-"""What is nearer to the outline is not looked at: skin is seen at a slant there."""
+"""Pixels nearer to the outline are left out: skin is slanted there."""
 
 
 _SPECK_PX_PER_MM = 12.0
