@@ -9,7 +9,6 @@ progress and results that several cases share wrap the steps from outside (:mod:
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit import steps
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, Note, require
 from splitknit.finger.contrast import clahe
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.mask import MaskSettings
@@ -160,27 +159,27 @@ def reconstruct(
         mirrors = None
         if chosen.shape.source == "mirror":
             require(not chosen.visible_alone, NO_PLACE_FOR_MIRRORS)
-            mirrors = views_in_mirrors(capture, chosen.mask, chosen.shape.mirror)
-        bands, no_nir = bands_of(capture, chosen.shape.source == "nir" and not chosen.visible_alone)
+            mirrors = _views_in_mirrors(capture, chosen.mask, chosen.shape.mirror)
+        bands, no_nir = _bands_of(capture, chosen.shape.source == "nir" and not chosen.visible_alone)
         if chosen.method == "metric" and undoes_blur(capture.material, chosen.skin):
-            images = linear_images(capture, bands, finger, chosen.metric)
+            images = _linear_images(capture, bands, finger, chosen.metric)
             capture, bands = replace(capture, bands={}), ()  # the photographs go here, where nobody else holds them
             steps.images_are_read()
-            surface = skin_surface(images, chosen.skin, chosen.metric)
+            surface = _skin_surface(images, chosen.skin, chosen.metric)
         else:
             white, nir = (Photographs(capture, band, finger, chosen.metric.plane_mm) for band in (bands[0], bands[-1]))
             p = chosen.parameters(bool(white.band.colours), capture.material)
             method = metric_opaque if chosen.method == "metric" else THESIS[chosen.knit.method]
             surface = smoothed_surface(method(white, nir, p), white, chosen.smooth.sigma_mm)
-            separated = OPAQUE if chosen.method == "metric" else separation_of(chosen.direct, capture.material)
+            separated = OPAQUE if chosen.method == "metric" else _separation_of(chosen.direct, capture.material)
             surface = replace(
                 surface, facts={"shape_source": "white" if nir == white else "nir", "separation": separated}
             )
         if mirrors is not None:
             detail = None if chosen.method == "thesis" else surface.shape_mm
-            finger, surface = with_mirror_shape(finger, surface, mirrors, chosen.shape.mirror, detail)
-        result = finished(capture, finger, surface, chosen.top_mm)
-    warnings = (*notes, *doubt, *finger.warnings, *no_nir, *surface.warnings, *doubt_of_scale(capture, result))
+            finger, surface = _with_mirror_shape(finger, surface, mirrors, chosen.shape.mirror, detail)
+        result = _finished(capture, finger, surface, chosen.top_mm)
+    warnings = (*notes, *doubt, *finger.warnings, *no_nir, *surface.warnings, *_doubt_of_scale(capture, result))
     result = replace(
         result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds)
     )
@@ -230,7 +229,7 @@ def with_scale(
     return replace(capture, rig=replace(capture.rig, camera=camera, provenance=origin)), note
 
 
-def doubt_of_scale(capture: Capture, result: Reconstruction) -> tuple[str, ...]:
+def _doubt_of_scale(capture: Capture, result: Reconstruction) -> tuple[str, ...]:
     """A note where the ridges of skin lie oddly far apart by a scale that a person stated, without a calibrated rig."""
     camera = capture.rig.camera
     stated = camera.scale_known and all(led.position_mm is None for led in capture.rig.leds)
@@ -250,7 +249,7 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
     plain = PRESETS["ea"]
     capture, thing = locate_finger(replace(capture, material="opaque"), plain.finding())
     white = Photographs(capture, capture.bands["white"], thing)
-    result = finished(capture, thing, ea(white, white, plain.parameters(False, "opaque")), plain.top_mm)
+    result = _finished(capture, thing, ea(white, white, plain.parameters(False, "opaque")), plain.top_mm)
     return result.normals, result.mask
 
 
@@ -275,8 +274,7 @@ def _in_pixels(result: Reconstruction) -> Reconstruction:
     px = 1.0 / result.pitch_mm
 
     def words(text: str) -> str:
-        units = {"mm": px, "um": px / 1000.0}
-        return re.sub(r"(\d+(?:\.\d+)?) (mm|um)\b", lambda m: f"{float(m[1]) * units[m[2]]:.3g} px", text)
+        return text.in_px(px) if isinstance(text, Note) else text
 
     def facts(value: Any, factor: float = 1.0) -> Any:
         if isinstance(value, Mapping):
@@ -519,11 +517,11 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
     lit, notes = prepared_capture(capture, settings)
     steady, finger = find_steady_finger(lit, settings)
-    facts, doubts = doubt_of_lights(steady, finger)
+    facts, doubts = _doubt_of_lights(steady, finger)
     return steady, replace(finger, facts={**finger.facts, **facts}, warnings=(*notes, *finger.warnings, *doubts))
 
 
-def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], tuple[str, ...]]:
+def _doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], tuple[str, ...]]:
     """How well the white photographs fit their lights, and a warning where another order or frame fits better."""
     band = capture.bands["white"]
     if band.colours:
@@ -539,7 +537,7 @@ def doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], t
     return facts, doubts_of_lights(fit, [Path(file).name for file in band.files])
 
 
-def bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple[str, ...]]:
+def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple[str, ...]]:
     """The white band, the near-infrared one if the shape is to come from it, and a warning where skin lacks it."""
     white = capture.bands["white"]
     if not from_nir:
@@ -556,22 +554,22 @@ def visible_normals(white: Photographs, p: Photometry) -> tuple[FloatArray, Floa
         lights, inside = white.rig.light_vectors(), white.inside
 
         def solve(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
-            return distant_normals(np.maximum(images, np.float32(0.0)), lights, inside[rows], p.normals)
+            return _distant_normals(np.maximum(images, np.float32(0.0)), lights, inside[rows], p.normals)
 
-        return by_rows(white, solve)
-    images = grey_images(white)
+        return _by_rows(white, solve)
+    images = _grey_images(white)
     if p.balance:
         images = balanced(images, white.capture.rig, white.band, white.finger.mask[white.finger.window])
     if p.enhance.clahe:
-        images = equalised(images, white, p.enhance)
+        images = _equalised(images, white, p.enhance)
     if p.direct.method == "network":
-        images = direct_images(images, white, p.direct)
-    return distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
+        images = _direct_images(images, white, p.direct)
+    return _distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
 
 
 def shape_slopes(nir: Photographs, p: Photometry) -> Slopes:
     """Slopes from the band of the shape (thesis, section 3.3.2)."""
-    normals, _ = distant_normals(grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
+    normals, _ = _distant_normals(_grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
     return slopes_of(normals, nir, p.normals.max_slope)
 
 
@@ -582,21 +580,21 @@ def _lights(photographs: Photographs, enhance: EnhanceSettings) -> NDArray[np.fl
 
 
 @step("light")
-def grey_images(photographs: Photographs) -> FloatArray:
+def _grey_images(photographs: Photographs) -> FloatArray:
     """(L, h, w) linear grey images."""
     encoding, window = photographs.capture.encoding, photographs.finger.window
     return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
 
 
 @step("light")
-def equalised(images: FloatArray, photographs: Photographs, enhance: EnhanceSettings) -> FloatArray:
+def _equalised(images: FloatArray, photographs: Photographs, enhance: EnhanceSettings) -> FloatArray:
     """Contrast-limited adaptive histogram equalisation of every image."""
     scale, inside = photographs.px_per_mm, photographs.inside
     return np.stack([clahe(image, scale, enhance.cells, mask=inside) for image in images])
 
 
 @step("light")
-def direct_images(images: FloatArray, white: Photographs, direct: DirectSettings) -> FloatArray:
+def _direct_images(images: FloatArray, white: Photographs, direct: DirectSettings) -> FloatArray:
     """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
     inside = images * white.inside
     if not (direct.from_colours and has_colour(white.band)):
@@ -606,7 +604,7 @@ def direct_images(images: FloatArray, white: Photographs, direct: DirectSettings
     return direct_of_enhanced(inside, colours * (inside > 0)[:, None], direct.network)
 
 
-def by_rows(
+def _by_rows(
     photographs: Photographs, solve: Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo by a method that works pixel by pixel on the linear images of some rows.
@@ -618,19 +616,19 @@ def by_rows(
     height, width = inside.shape
     step = max(1, IN_MEMORY // (4 * len(band.lights) * width))
     if step >= height:
-        return solve(linear_grey(band, encoding, "grey", (rows, columns)), slice(None))
+        return solve(_linear_grey(band, encoding, "grey", (rows, columns)), slice(None))
     normals = np.zeros((height, width, 3), dtype=np.float32)
     albedo = np.full((height, width), np.nan, dtype=np.float32)
     for top in range(0, height, step):
         part = slice(top, min(top + step, height))
         if inside[part].any():
             here = slice(rows.start + part.start, rows.start + part.stop)
-            normals[part], albedo[part] = solve(linear_grey(band, encoding, "grey", (here, columns)), part)
+            normals[part], albedo[part] = solve(_linear_grey(band, encoding, "grey", (here, columns)), part)
     return normals, albedo
 
 
 @step("normals")
-def distant_normals(
+def _distant_normals(
     images: FloatArray, lights: NDArray[np.float64], inside: BoolArray, p: NormalsSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo by photometric stereo under distant lights (L, 3)."""
@@ -658,18 +656,18 @@ def near_slopes(
     rig, inside = photographs.rig, photographs.inside
     if p.method != "near_light":
         lights = rig.light_vectors()
-        normals, albedo = by_rows(photographs, lambda images, rows: distant_normals(images, lights, inside[rows], p))
+        normals, albedo = _by_rows(photographs, lambda images, rows: _distant_normals(images, lights, inside[rows], p))
         return slopes_of(normals, photographs, p.max_slope), albedo, normals
     view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
     near = NearLightSettings(robust=p.robust)
     surface = np.full(inside.shape, photographs.plane_mm, dtype=np.float32)
 
     def lit(images: FloatArray, rows: slice) -> tuple[FloatArray, FloatArray]:
-        return near_normals(images, rig, surface[rows], inside[rows], settings=near, view=view.of_rows(rows))
+        return _near_normals(images, rig, surface[rows], inside[rows], settings=near, view=view.of_rows(rows))
 
     distant = all(led.position_mm is None for led in rig.leds)
     for turn in range(rounds := 1 if distant else p.rounds):
-        normals, albedo = by_rows(photographs, lit)
+        normals, albedo = _by_rows(photographs, lit)
         slopes = gradients_from_normals(normals, inside, p.max_slope)
         if turn < rounds - 1:
             surface = integrated(slopes, photographs, height) + np.float32(photographs.plane_mm)
@@ -713,8 +711,8 @@ def _bank(photographs: Photographs, p: ShapeletSettings) -> ShapeletSettings:
     return replace(p, sigma_px=p.sigma_px * (photographs.px_per_mm / REFERENCE_PX_PER_MM))
 
 
-linear_grey = step("light")(linear_stack)
-near_normals = step("normals")(near_light)
+_linear_grey = step("light")(linear_stack)
+_near_normals = step("normals")(near_light)
 
 
 def undoes_blur(material: str, skin: SkinSettings) -> bool:
@@ -723,7 +721,7 @@ def undoes_blur(material: str, skin: SkinSettings) -> bool:
 
 
 @step("light")
-def linear_images(capture: Capture, bands: tuple[Band, ...], finger: Finger, p: MetricSettings) -> SkinImages:
+def _linear_images(capture: Capture, bands: tuple[Band, ...], finger: Finger, p: MetricSettings) -> SkinImages:
     """Linear images of the bands on the working grid."""
     require(
         not bands[0].colours,
@@ -734,7 +732,7 @@ def linear_images(capture: Capture, bands: tuple[Band, ...], finger: Finger, p: 
 
 
 @step("surface")
-def skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> Surface:
+def _skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> Surface:
     """The surface of skin by :func:`metric_skin`, on the window's pixels."""
     found = metric_skin(images.bands, images.grid, skin, p, _reporting(images.networks, p.rounds))
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
@@ -774,9 +772,10 @@ def _doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
     if facts["relief_by"] != "network":
         return ()
     error, relief, gain = facts["relief_error_um"], facts["relief_rms_um"], facts["gain_uncertainty"]
-    notes = []
+    notes: list[str] = []
     if error > DOUBTFUL * relief:
-        notes.append(f"the ridges are hardly measured: {relief:.0f} um rms with an expected error of {error:.0f} um.")
+        hardly = "the ridges are hardly measured: {:.0f um} rms with an expected error of {:.0f um}."
+        notes.append(Note(hardly, relief / 1000.0, error / 1000.0))
     if facts["gloss"] < LITTLE_GLOSS:
         notes.append(
             "the skin shows hardly any specular reflection: its brightness tells the ridges' heights, which may all be "
@@ -785,7 +784,7 @@ def _doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def separation_of(direct: DirectSettings, material: str) -> str:
+def _separation_of(direct: DirectSettings, material: str) -> str:
     """How direct light was separated in the thesis's cases."""
     if direct.method != "network":
         return "none"
@@ -795,14 +794,14 @@ def separation_of(direct: DirectSettings, material: str) -> str:
 
 
 @step("finger")
-def views_in_mirrors(capture: Capture, mask: MaskSettings, mirror: MirrorShapeSettings) -> SeenInMirrors:
+def _views_in_mirrors(capture: Capture, mask: MaskSettings, mirror: MirrorShapeSettings) -> SeenInMirrors:
     """The finger in mirrors beside it."""
     from splitknit.mirrors.captured import seen_in_mirrors  # large, and needed where there are mirrors
 
     return seen_in_mirrors(capture, mask, mirror)
 
 
-def with_mirror_shape(
+def _with_mirror_shape(
     finger: Finger, surface: Surface, mirrors: SeenInMirrors, p: MirrorShapeSettings, detail_mm: FloatArray | None
 ) -> tuple[Finger, Surface]:
     """The finger as far as the mirrors show it, and the surface on their shape with the detail of another."""
@@ -815,7 +814,7 @@ def with_mirror_shape(
 
 
 @step("result")
-def finished(capture: Capture, finger: Finger, surface: Surface, top_mm: float) -> Reconstruction:
+def _finished(capture: Capture, finger: Finger, surface: Surface, top_mm: float) -> Reconstruction:
     """The window's surface in the full image, cut to the mask, with the normals of the knitted height."""
     mask, window, camera = finger.mask, finger.window, capture.rig.camera
     inside = mask[window]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from splitknit.errors import require
+from splitknit.errors import Note, require
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,15 @@ class Plausible:
         >>> CAMERA_HEIGHT.notes(500.0, "check --square-mm")[0]
         "the camera's height above the finger plane is 500 mm, where 40 to 400 mm is usual: check --square-mm."
         """
-        (low, high), (least, most) = self.usual, self.possible
-        found = f"{self.what} is {value:.3g} {self.unit}" if value < 1e3 else f"{self.what} is {value:.0f} {self.unit}"
-        require(least <= value <= most, f"{found}, where only {least:g} to {most:g} {self.unit} is possible: {remedy}.")
-        return () if low <= value <= high else (f"{found}, where {low:g} to {high:g} {self.unit} is usual: {remedy}.",)
+        unit, number = self.unit, ".3g" if value < 1e3 else ".0f"
+        (low, high), possible = self.usual, self.possible[0] <= value <= self.possible[1]
+        only, word, (lowest, highest) = ("", "usual", self.usual) if possible else ("only ", "possible", self.possible)
+        note = Note(
+            f"{self.what} is {{:{number} {unit}}}, where {only}{{:g {unit}-}} to {{:g {unit}}} is {word}: {remedy}.",
+            *(each / (1000.0 if unit == "um" else 1.0) for each in (value, lowest, highest)),
+        )
+        require(possible, note)
+        return () if low <= value <= high else (note,)
 
 
 ANY = float("inf")

@@ -27,7 +27,7 @@ from splitknit.errors import check_mask, check_stack, require
 _LIMIT_PERCENT = 3.0
 """An LED has drifted if it departs by more."""
 _MAX_PIXELS = 5_000
-"""Pixels that are looked at, on a regular grid."""
+"""Pixels that are used, on a regular grid."""
 _DARK = 0.15
 """An image shadows a pixel if it is darker than this fraction of the pixel's median image."""
 _ROBUST_SIGMAS = 2.0
@@ -45,7 +45,7 @@ _ROUNDS = 15
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """Pixels that are looked at."""
+    """Number of pixels that were used."""
 
     light: Array
     """(L, P), mean one a pixel."""

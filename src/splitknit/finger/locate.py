@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, Note, require
 from splitknit.finger.led_drift import drift_words, led_drift
 from splitknit.finger.mask import NO_FINGER, MaskSettings, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
@@ -143,7 +143,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     direction = None if searched else capture.tip_direction_deg or 0.0
     limits = saturation_levels(white, capture.encoding)
     with ThreadPoolExecutor(1) as aside:
-        looking = aside.submit(_quality, capture, settings, stack, outline, small_px, limits, binning)
+        looking = aside.submit(_quality, capture, settings, stack, outline, binning)
         upright = find_upright(outline, direction) if finger else as_it_lies(outline)
         crease = find_crease(grey, outline, upright, small_px) if skin else NO_CREASE
         cut = settings.cut_at_crease and not given and skin
@@ -220,26 +220,21 @@ def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, .
     return FINGER_WIDTH.notes(width_mm, f"check px_per_mm ({px_per_mm:.4g} in the reduced picture), or the mask")
 
 
-def _quality(  # noqa: PLR0917
-    capture: Capture,
-    settings: FingerSettings,
-    white: FloatArray,
-    outline: BoolArray,
-    px_per_mm: float,
-    limits: np.ndarray[Any, np.dtype[np.float64]],
-    binning: int,
+def _quality(
+    capture: Capture, settings: FingerSettings, white: FloatArray, outline: BoolArray, binning: int
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Quality figures and warnings of every band."""
+    """Quality figures and warnings of every band, on images reduced by `binning`."""
+    px_per_mm = capture.rig.camera.px_per_mm / binning
     rows, columns = bounding_box(outline, round(_BESIDE_MM * px_per_mm))
     window = (slice(rows.start * binning, rows.stop * binning), slice(columns.start * binning, columns.stop * binning))
     inside = outline[rows, columns]
     skin = capture.material == "skin"
 
     def of_band(name: str) -> tuple[dict[str, Any], list[str]]:
-        band, stack, saturation = capture.bands[name], white[:, rows, columns], limits
+        band, stack = capture.bands[name], white[:, rows, columns]
+        saturation = saturation_levels(band, capture.encoding)
         if name != "white":
             stack = linear_stack(band, capture.encoding, "grey", window, binning)
-            saturation = saturation_levels(band, capture.encoding)
         lights = capture.rig.select(band.lights).light_vectors()
         if band.colours:  # skin is brighter in red than in blue, whatever the LEDs are
             lights = lights * colour_factors_of(stack, capture.rig, band, inside)[:, None]
@@ -256,7 +251,8 @@ def _quality(  # noqa: PLR0917
             drift, said = _drift(capture, band, stack, lights, inside)
             found["light_drift"] = drift
             words += said
-        return found, [f"{name} band: {text}" for text in words]
+        begin = f"{name} band: "
+        return found, [text.after(begin) if isinstance(text, Note) else begin + text for text in words]
 
     with ThreadPoolExecutor(2) as pool:
         found = dict(zip(capture.bands, pool.map(of_band, capture.bands), strict=True))

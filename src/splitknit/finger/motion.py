@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_mask, check_stack
+from splitknit.errors import Note, check_mask, check_stack
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
 from splitknit.finger.registration import RegistrationSettings
 from splitknit.imaging.geometry import bounding_box
@@ -123,10 +123,13 @@ def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))
     if len(moved) == 0:
         return ()
-    which = ", ".join(f"{k} by {length[k]:.2f} mm" for k in moved)
+    which = ", ".join(f"{k} by {{:.2f mm}}" for k in moved)
     return (
-        f"the finger moved between the shots (image {which}): the relief is blurred there; rest the finger on its "
-        "support and capture again.",
+        Note(
+            f"the finger moved between the shots (image {which}): the relief is blurred there; rest the finger on its "
+            "support and capture again.",
+            *(float(length[k]) for k in moved),
+        ),
     )
 
 

@@ -85,7 +85,7 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
     mask : (H, W) bool
     tip_direction_deg : float, optional
         Direction of the tip within 75 deg, 0 = up, counter-clockwise. None: any direction, found by the outline
-        (:func:`tip_directions`).
+        (:func:`_tip_directions`).
 
     Returns
     -------
@@ -145,7 +145,7 @@ def _between(angle: float, other: float) -> float:
 
 def _found(mask: BoolArray) -> tuple[float, bool]:
     """Direction of the tip by the outline, and whether it is clear; of several that fit, that nearest to up."""
-    directions = tip_directions(mask)
+    directions = _tip_directions(mask)
     best, differs = min(directions, key=itemgetter(1))
     close = [angle for angle, more in directions if more < differs + _CLEAR]
     if differs < _UNLIKE and all(abs(_between(angle, best)) <= np.deg2rad(60.0) for angle in close):
@@ -153,7 +153,7 @@ def _found(mask: BoolArray) -> tuple[float, bool]:
     return min(close, key=lambda angle: (abs(angle), angle)), False
 
 
-def tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
+def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
     """How well a finger that points in each direction covers the mask, for directions all around.
 
     The finger is a strip of the mask's own width with one round end, which may lie beyond the border of the image; the

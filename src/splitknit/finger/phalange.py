@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, check_mask
+from splitknit.errors import Note, check_image, check_mask
 from splitknit.finger.orientation import Upright
 from splitknit.finger.regions import depth_inside, largest_component, reduce_image, reduce_mask
 from splitknit.imaging.geometry import warp
@@ -135,7 +135,7 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
     """Thesis step 4: choose among the candidates by clearness and by where a first crease usually lies."""
     keep = "the whole visible finger is kept."
     if not candidates:
-        return None, f"no flexion crease is fully in view ({length_mm:.0f} mm of the finger are); {keep}"
+        return None, Note(f"no flexion crease is fully in view ({{:.0f mm}} of the finger are); {keep}", length_mm)
     low, high = _RATIO_RANGE
     near, far = _DISTANCE_RANGE_MM
     plausible = [
@@ -144,10 +144,12 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
         if low <= valley.distance_mm / width_mm <= high and near <= valley.distance_mm <= far
     ]
     if not plausible:
-        places = ", ".join(f"{valley.distance_mm:.1f}" for valley in candidates)
-        return None, (
-            f"dark lines lie {places} mm below the tip, none where the first flexion crease of a finger "
-            f"{width_mm:.1f} mm wide can be; {keep}"
+        places = "{:.1f mm-}, " * (len(candidates) - 1) + "{:.1f mm}"
+        return None, Note(
+            f"dark lines lie {places} below the tip, none where the first flexion crease of a finger {{:.1f mm}} wide "
+            f"can be; {keep}",
+            *(valley.distance_mm for valley in candidates),
+            width_mm,
         )
 
     def weight(valley: _Valley) -> float:
@@ -164,7 +166,7 @@ def _judge(candidates: tuple[_Valley, ...], width_mm: float, length_mm: float) -
             break
     others = len(candidates) - 1
     extra = "" if others == 0 else f" ({others} further dark line{'s' if others > 1 else ''} weighed against it)"
-    return best, f"cut at the first flexion crease, {best.distance_mm:.1f} mm below the tip{extra}."
+    return best, Note(f"cut at the first flexion crease, {{:.1f mm}} below the tip{extra}.", best.distance_mm)
 
 
 def _ends(valley: _Valley, upright: Upright) -> tuple[tuple[float, float], tuple[float, float]]:

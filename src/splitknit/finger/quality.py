@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, check_mask, check_stack, require
+from splitknit.errors import Note, check_image, check_mask, check_stack, require
 from splitknit.finger.mask import touched_borders
 from splitknit.finger.regions import (
     blur,
@@ -45,7 +45,7 @@ _SMOOTH_MM = 0.04
 _LEVEL_MM = 0.3
 """Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma."""
 _EDGE_MM = 1.5
-"""What is nearer to the outline is not looked at: skin is seen at a slant there."""
+"""Pixels nearer to the outline are left out: skin is slanted there."""
 
 
 _SPECK_PX_PER_MM = 12.0
@@ -287,7 +287,10 @@ def quality_warnings(
         return tuple(words)
     if quality["length_mm"] < _MIN_LENGTH_MM:
         words.append(
-            f"only {quality['length_mm']:.0f} mm of the finger are in view: push it further in, or check px_per_mm."
+            Note(
+                "only {:.0f mm} of the finger are in view: push it further in, or check px_per_mm.",
+                quality["length_mm"],
+            )
         )
     opposite = {"top", "bottom"} <= set(quality["borders"]) or {"left", "right"} <= set(quality["borders"])
     if opposite:

@@ -55,7 +55,7 @@ SURROUND_MM = 0.7
 RIM_MM = 0.8
 """Width of the finger's edge that is left out of the fine bands."""
 BLOCK_MM = 0.6
-"""Pitch at which the light of near LEDs is looked at."""
+"""Pitch at which the light of near LEDs is computed."""
 
 
 @dataclass(frozen=True, slots=True)

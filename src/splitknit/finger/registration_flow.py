@@ -165,7 +165,7 @@ def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
 
 
 SAMPLES = 16_000
-"""Of the pixels of a level, at least so many are looked at, evenly spread; where it has fewer, all."""
+"""Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
 SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
 STEPS = np.float32(32.0)
@@ -183,7 +183,7 @@ class Level:
     images: tuple[FloatArray, ...]
     """L of (h, w, 3): details, and their derivatives to the right and down the rows, a mm."""
     columns: FloatArray
-    """(N,) of the pixels that are looked at."""
+    """(N,) of the pixels that are used."""
     rows: FloatArray
     """(N,)"""
     weight: FloatArray

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_mask, check_stack, require
+from splitknit.errors import BadInput, Note, check_mask, check_stack, require
 from splitknit.finger.locate import Finger, FingerSettings, find_finger, reduced
 from splitknit.finger.motion import MIN_RELIABILITY, WARN_MM
 from splitknit.finger.regions import dilate, erode
@@ -212,8 +212,9 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     steadied = resampled(capture, finger, registered)
     again = find_finger(steadied, settings)
     facts = {**again.facts, **registered.facts}
-    note = (
-        f"the finger moved by {registered.most_mm:.2f} mm between the shots; that was undone, and the images resampled."
+    note = Note(
+        "the finger moved by {:.2f mm} between the shots; that was undone, and the images resampled.",
+        registered.most_mm,
     )
     return steadied, replace(again, facts=facts, warnings=(note, *again.warnings))
 

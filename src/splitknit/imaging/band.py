@@ -43,13 +43,13 @@ def decode_table(dtype: np.dtype[Any], encoding: str) -> FloatArray:
     full_scale = int(np.iinfo(dtype).max)
     values = np.arange(full_scale + 1, dtype=np.float64) / full_scale
     if encoding == "srgb":
-        values = np.asarray(srgb_light(values), dtype=np.float64)
+        values = np.asarray(_srgb_light(values), dtype=np.float64)
     table = values.astype(np.float32)
     table.setflags(write=False)
     return table
 
 
-def srgb_light(code: NDArray[np.floating]) -> NDArray[np.floating]:
+def _srgb_light(code: NDArray[np.floating]) -> NDArray[np.floating]:
     """Stored sRGB values in [0, 1] as linear light in [0, 1] (IEC 61966-2-1)."""
     return np.asarray(np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4))
 
@@ -79,7 +79,7 @@ def shading_is_srgb(codes: NDArray[np.floating], vectors: NDArray[np.float64]) -
     moments = np.einsum("ln,li,lj->nij", lit, unit, unit)
     moments += 1e-9 * np.eye(3)
     residuals = []
-    for light, code in ((codes, np.asarray), (srgb_light(codes), srgb_code)):
+    for light, code in ((codes, np.asarray), (_srgb_light(codes), srgb_code)):
         g = np.linalg.solve(moments, np.einsum("ln,ln,li->ni", lit, light, unit)[..., None])[..., 0]
         rest = (codes - code(np.clip(unit @ g.T, 0.0, 1.0))) * lit
         residuals.append(np.sqrt((rest**2).sum(axis=0) / np.maximum(lit.sum(axis=0) - 3.0, 1.0)))

@@ -11,7 +11,7 @@ import numpy as np
 from splitknit.model import BoolArray, FloatArray
 
 
-def row_chunks(rows: int, columns: int, lights: int) -> Iterator[slice]:
+def _row_chunks(rows: int, columns: int, lights: int) -> Iterator[slice]:
     """Slices of whole rows, a few thousand pixels each; they depend on the sizes alone."""
     step = max(1, _pixels_per_chunk(lights) // columns)
     for start in range(0, rows, step):
@@ -27,7 +27,7 @@ def for_each_chunk(work: Callable[[slice], None], rows: int, columns: int, light
     """Call `work` on every chunk; each call writes its own rows of the result and nothing else."""
     threads = min(8, os.cpu_count() or 1)
     with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(work, row_chunks(rows, columns, lights)):
+        for _ in pool.map(work, _row_chunks(rows, columns, lights)):
             pass
 
 

@@ -19,8 +19,7 @@ from splitknit.model import FloatArray
 # 1988, eq. 21). A filter of the height is one more factor, T(|w|). Two rectangles are offered:
 #
 # * ``zero``: the gradient field continued by zeros, periodic beyond that;
-# * ``mirror``: the height mirrored about the rectangle's borders, where dz/dx changes sign at the left and right
-# border
+# * ``mirror``: the height mirrored about the rectangle's borders, where dz/dx changes sign at the left and right border
 #   and dz/dy at the top and bottom. Nothing is enlarged: sines and cosines of the rectangle itself are the basis.
 
 

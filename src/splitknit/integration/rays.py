@@ -91,12 +91,12 @@ def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tu
     coarse = np.where(inside, small(np.where(mask, shape_mm, 0)), np.float32(np.nan)).astype(np.float32)
     right, up = height_gradients(coarse, pitch)
     x_x, x_y, y_x, y_y = view.stretch(pitch, (rows, columns))
-    lacking_x, lacking_y = (x_x - 1) * right + y_x * up, x_y * right + (y_y - 1) * up
-    lacking = poisson(
-        np.where(inside, lacking_x, 0).astype(np.float32), np.where(inside, lacking_y, 0).astype(np.float32), inside
+    residual_x, residual_y = (x_x - 1) * right + y_x * up, x_y * right + (y_y - 1) * up
+    residual = poisson(
+        np.where(inside, residual_x, 0).astype(np.float32), np.where(inside, residual_y, 0).astype(np.float32), inside
     ) * np.float32(pitch)
-    lacking = np.nan_to_num(lacking, nan=0.0).astype(np.float32)
-    return _enlarged(lacking, inside, binning, mask.shape)
+    residual = np.nan_to_num(residual, nan=0.0).astype(np.float32)
+    return _enlarged(residual, inside, binning, mask.shape)
 
 
 def _enlarged(field: FloatArray, known: BoolArray, factor: int, shape: tuple[int, ...]) -> FloatArray:

@@ -368,9 +368,9 @@ def _better_order(gram: NDArray[np.float64], lights: NDArray[np.float64]) -> NDA
     # a start says which photograph belongs to every light: the given one, shifts and reversals of it, and any
     starts = [np.roll(line, step) for line in (own, own[::-1]) for step in range(count)]
     explaining = _explaining(lights)
-    worth = [float(np.sum(explaining * gram[np.ix_(start, start)])) for start in starts]
+    score = [float(np.sum(explaining * gram[np.ix_(start, start)])) for start in starts]
     few = count <= _LARGEST_SEARCH
-    starts = [own, *(starts[k] for k in np.argsort(worth)[::-1][:8] if few or worth[k] > worth[0])]
+    starts = [own, *(starts[k] for k in np.argsort(score)[::-1][:8] if few or score[k] > score[0])]
     if few and (_climbed(explaining, gram, own)[0] != own).any():
         random = np.random.default_rng(0)
         starts += [random.permutation(count) for _ in range(_SEEDS)]

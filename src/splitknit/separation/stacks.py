@@ -27,7 +27,7 @@ from splitknit.settings import Checked, Limits
 _MAX_CLIPPED = 0.02
 """More clipped pixels than this and the stack is refused: the maximum, and with it the direct light, is wrong."""
 LIT_LEVEL = 0.1
-"""Pixels brighter than this part of the brightest ones are looked at; the black background is not, nor what 8 bits
+"""Only pixels brighter than this part of the brightest ones are checked: no black background, and nothing that 8 bits
 cannot resolve."""
 MIN_CONTRAST = 0.005
 """A pixel that changes by less than this part of its maximum was never lit, or never dark."""

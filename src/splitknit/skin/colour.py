@@ -1,4 +1,4 @@
-"""Telling relief from glare by colour, frequency by frequency.
+"""Relief and specular reflection separated by colour, frequency by frequency.
 
 In the slopes that photometric stereo finds in channel c, the true slope d of the relief arrives through the skin's
 transfer function M_c, and the glare's apparent slope s with a weight g_c, the same light divided by the channel's
@@ -7,7 +7,7 @@ diffuse brightness:
     p_c(w) = M_c(w) d(w) + g_c s(w) + noise.
 
 M falls with the frequency in a way of its own in every channel while g does not depend on the frequency, so that two
-channels or more tell d from s. The estimate of least mean-square error given the powers of d, s and the noise is
+channels or more separate d from s. The estimate of least mean-square error given the powers of d, s and the noise is
 linear; with a generous power for s it is blind to the glare and shrinks d by little.
 """
 
@@ -125,7 +125,7 @@ def fit_spectra(
     """Split measured cross-spectra into relief, glare (correlated with it or not) and noise.
 
     Per band, along = S M M^T + T g g^T + X (M g^T + g M^T) + noise in least squares over S, T and X; the noise is white
-    and taken from the finest bands of `across`. A single channel cannot tell glare from relief: all is relief.
+    and taken from the finest bands of `across`. In a single channel they are indistinguishable: all is relief.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def fit_spectra(
     m = np.asarray(transfer, dtype=np.float64)
     g = np.asarray(glare, dtype=np.float64)
     channels = len(g)
-    signal, mirrored = np.zeros(len(omega_per_mm)), np.zeros(len(omega_per_mm))
+    signal, specular = np.zeros(len(omega_per_mm)), np.zeros(len(omega_per_mm))
     first, second = np.triu_indices(channels)
     for n in range(len(omega_per_mm)):
         excess = along[n] - np.diag(noise)
@@ -150,5 +150,5 @@ def fit_spectra(
         columns = [a[first] * a[second], b[first] * b[second], a[first] * b[second] + b[first] * a[second]]
         design = np.stack(columns, axis=1)[:, : 3 if channels > 2 else 2] * scale[:, None]
         solution = np.linalg.lstsq(design, excess[first, second] * scale, rcond=None)[0]
-        signal[n], mirrored[n] = max(solution[0], 0.0), max(solution[1], 0.0)
-    return SpectralFit(omega_per_mm, signal, mirrored, np.maximum(noise, 1e-12))
+        signal[n], specular[n] = max(solution[0], 0.0), max(solution[1], 0.0)
+    return SpectralFit(omega_per_mm, signal, specular, np.maximum(noise, 1e-12))

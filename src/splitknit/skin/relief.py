@@ -25,7 +25,7 @@ from splitknit.skin.light import Lighting, slant_of, trust_of
 #
 # Ridges are a local wave: in a small window nearly all their power lies in a few frequencies, while noise fills all of
 # them. Each window's own spectrum, less the noise's, says what to keep (an empirical Wiener filter); the gain never
-# exceeds one, so that nothing is drawn that was not measured.
+# exceeds one, so that nothing is added that was not measured.
 
 
 _OVERLAP = 4
@@ -181,7 +181,7 @@ def measure(  # noqa: PLR0917
     brightness: Mapping[str, float],
 ) -> Measured:
     """Photometric stereo of every channel with shared weights on the smooth surface."""
-    # light that is mirrored at the boundary does not enter
+    # light that is reflected at the boundary does not enter
     g = pseudo_normals(
         band.stack, band.rig, surface_mm, grid.mask, light.trust, view=grid.view, entering=light.entering
     )
