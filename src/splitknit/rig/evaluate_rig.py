@@ -227,13 +227,10 @@ def _compare_surfaces(
     lift = float(np.mean(result.height_mm[flat], dtype=np.float64) - np.mean(surface.height_mm[flat], dtype=np.float64))
     points = np.stack([x, y, result.height_mm - lift], axis=-1).astype(np.float64)
     there, back = _both_ways(true.phalange, points[kept])
-    near = _surface_distances(there[true.print], back[flat[kept]])
     cosine = np.sum(result.normals[flat].astype(np.float64) * surface.normals[flat], axis=1)
     return {
-        "hausdorff_mm": near.hausdorff_mm,
-        "hausdorff95_mm": near.hausdorff95_mm,
-        "rms_mm": near.rms_mm,
-        "whole_mm": _surface_distances(there, back).hausdorff_mm,
+        **_surface_distances(there[true.print], back[flat[kept]]),
+        "whole_mm": _surface_distances(there, back)["hausdorff_mm"],
         "normals_deg": float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))),
         "ridge_correlation": _ridge_correlation(
             result.ridge_mm, surface.height_mm - surface.shape_mm, kept, flat, BAND_SIGMA_MM / result.pitch_mm
@@ -275,23 +272,6 @@ def _skin(seed: int) -> SkinSettings:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class _SurfaceDistances:
-    """Distances between two surfaces, mm. Each is the larger (`rms_mm`: the root mean square) of both directions."""
-
-    hausdorff_mm: float
-    """The largest distance of a point of one set to the nearest point of the other."""
-    hausdorff95_mm: float
-    """The 95th percentile in the place of the largest."""
-    rms_mm: float
-    """Root mean square of all nearest distances, both directions weighing the same."""
-
-
-def _nearest_distances(points: Array, others: Array) -> Array:
-    """(N,) distance from each of (N, 3) `points` to the nearest of (M, 3) `others`."""
-    return np.asarray(cKDTree(others).query(points)[0], dtype=np.float64)
-
-
 def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
     """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,). Raises BadInput if a set is
     empty, not (N, 3) or not finite.
@@ -302,11 +282,12 @@ def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
             f"{name} must hold points (N, 3), but it has the shape {points.shape}.",
         )
         require(bool(np.isfinite(points).all()), f"{name} holds points that are not finite.")
-    return _nearest_distances(first, second), _nearest_distances(second, first)
+    return np.asarray(cKDTree(second).query(first)[0]), np.asarray(cKDTree(first).query(second)[0])
 
 
-def _surface_distances(there: Array, back: Array) -> _SurfaceDistances:
-    """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`_both_ways`, or a part of them.
+def _surface_distances(there: Array, back: Array) -> dict[str, float]:
+    """Hausdorff distance, its 95 % variant and root mean square (mm) of nearest distances, (N,) and (M,), in both
+    directions: those of :func:`_both_ways`, or a part of them.
 
     Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
     distances are found on the whole surfaces and those of the middle are kept. Source: F. Hausdorff, Grundzuege der
@@ -315,8 +296,8 @@ def _surface_distances(there: Array, back: Array) -> _SurfaceDistances:
     (8).
     """
     require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
-    return _SurfaceDistances(
-        hausdorff_mm=float(max(there.max(), back.max())),
-        hausdorff95_mm=float(max(np.percentile(there, 95), np.percentile(back, 95))),
-        rms_mm=float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2)))),
-    )
+    return {
+        "hausdorff_mm": float(max(there.max(), back.max())),
+        "hausdorff95_mm": float(max(np.percentile(there, 95), np.percentile(back, 95))),
+        "rms_mm": float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2)))),
+    }

@@ -213,12 +213,9 @@ def moving_finger(
     master = finger.master()
     rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
-    first, second = (_scaled(draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM), 1 / unit_mm) for _ in "12")
+    fields = [draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM) for _ in "12"]
+    first, second = (Deformation(one.u_mm, one.v_mm, one.shift_mm * (1 / unit_mm)) for one in fields)
     return _MovingFinger(finger, pose, camera, master, path, (first, second))
-
-
-def _scaled(deformation: Deformation, factor: float) -> Deformation:
-    return Deformation(deformation.u_mm, deformation.v_mm, deformation.shift_mm * factor)
 
 
 def _points(surface: Surface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
