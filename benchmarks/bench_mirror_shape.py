@@ -23,12 +23,12 @@ from splitknit.mirrors.captured import views_in
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.views import view_binning
 from splitknit.presets import preset_settings
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.raycast import PlacedFinger
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.mirror_view import mirror_view
-from splitknit.simulator.rigs import MirrorViews, mirror_rig
+from splitknit.simulator.rigs import MirrorSettings, mirror_rig
 from timing import machine
 
 SIZE = (2000, 3000)
@@ -38,12 +38,12 @@ PX_PER_MM = 40.0
 def drawn() -> tuple[dict[str, np.ndarray], Any]:
     """Masks (H, W) of all views, and the rig."""
     rig = mirror_rig(
-        MirrorViews(names=("left", "right", "tip"), nir=False, px_per_mm=PX_PER_MM, image_size=SIZE), 1.0, 0, 0.0
+        MirrorSettings(names=("left", "right", "tip"), nir=False, px_per_mm=PX_PER_MM, image_size=SIZE), 1.0, 0, 0.0
     )
     finger = draw_finger(9002)
     body, master = FingerBody(finger.shape), finger.master()
     pose = Pose(yaw_rad=0.06, insertion_mm=24.0)
-    placement, skin = place(body, pose, rig.camera), skin_map(master, finger.skin)
+    placement, skin = placement_of(body, pose, rig.camera), skin_map(master, finger.skin)
     masks = {"front": finger_surface(replace(finger, printed=master), pose, rig.camera).mask}
     for mirror in rig.mirrors:
         masks[mirror.name] = mirror_view(PlacedFinger(body, skin, placement), rig.camera, mirror).mask

@@ -20,7 +20,7 @@ from splitknit.io.images import write_image
 from splitknit.io.pictures import upright_frame
 from splitknit.presets import PRESETS
 from splitknit.report.figures import render_views, small_fields
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -31,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--scale", type=float, default=0.35)
     parser.add_argument("--out", type=Path, help="folder for pictures; none are written without it")
     options = parser.parse_args(arguments)
-    twin = TwinSettings(scale=options.scale, mirrors=MirrorViews(names=("left", "right", "tip"), nir=False))
+    twin = TwinSettings(scale=options.scale, mirrors=MirrorSettings(names=("left", "right", "tip"), nir=False))
     capture, truth = simulate_capture(options.seed, "left_loop", twin)
     metric = PRESETS["metric"]
     mirrored = replace(metric, shape=replace(metric.shape, source="mirror"))

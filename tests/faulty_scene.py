@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from splitknit.model import Camera, FloatArray, Led
-from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.device import LitScene
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class Faults:
 class FaultyScene:
     """A scene with faults."""
 
-    def __init__(self, scene: Scene, faults: Faults) -> None:
+    def __init__(self, scene: LitScene, faults: Faults) -> None:
         """Spoil `scene`."""
         self.scene, self.faults = scene, faults
         self._number = -1

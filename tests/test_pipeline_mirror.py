@@ -17,7 +17,7 @@ from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.finger.finger import Pose
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -26,7 +26,7 @@ Photographed = tuple[Capture, dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def photographed() -> Photographed:
-    mirrors = MirrorViews(names=("left",), nir=False)
+    mirrors = MirrorSettings(names=("left",), nir=False)
     pose = Pose(yaw_rad=0.05, roll_rad=-0.06, insertion_mm=28.5)
     return simulate_capture(9002, settings=TwinSettings(scale=0.2, mirrors=mirrors, pose=pose))
 

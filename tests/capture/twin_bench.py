@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from splitknit.simulator.camera.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.camera.device import Clock, LitScene, TwinCamera, TwinDeviceSettings, TwinLightBank
 
 Devices = tuple[TwinCamera, TwinLightBank, Clock]
 
 
-def twin_devices(scene: Scene, settings: TwinDeviceSettings | None = None) -> Devices:
+def twin_devices(scene: LitScene, settings: TwinDeviceSettings | None = None) -> Devices:
     """Camera, LEDs and clock around a scene."""
     clock = Clock()
     lights = TwinLightBank(scene, clock, settings)

@@ -18,7 +18,7 @@ from splitknit.simulator.calibration_set import bench, flat
 from splitknit.simulator.rigs import built_rig
 
 SCALE, SEED, COUNT = 0.15, 2, 7
-PRINTED = flat.Board(columns=9, rows=6, square_mm=3.0)
+PRINTED = flat.PrintedBoard(columns=9, rows=6, square_mm=3.0)
 LIT = range(7)
 
 

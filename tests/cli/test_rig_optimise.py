@@ -61,7 +61,7 @@ def test_a_finished_sweep_is_not_done_again(swept: Path, monkeypatch: pytest.Mon
     def never(*unused: object) -> None:
         raise AssertionError("measured again")
 
-    monkeypatch.setattr(module, "evaluate", never)
+    monkeypatch.setattr(module, "evaluate_candidate", never)
     before = {path.name: path.read_bytes() for path in swept.iterdir() if path.is_file()}
     assert main(["rig", "optimise", "--out", str(swept), *SMALL]) == 0
     said = capsys.readouterr()

@@ -109,7 +109,7 @@ from splitknit.prints.from_file import (
     read_print_folder,
 )
 from splitknit.prints.sources import read_source
-from splitknit.rig.candidates import Candidate, Study
+from splitknit.rig.candidates import RigCandidate, Study
 from splitknit.rig.optimise import _SweepFolder
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
@@ -729,7 +729,7 @@ def _trained(folder: Path, files: Files) -> object:
     return _any(loaded, lambda: open_folder(folder, SeparationData(), SeparationSettings(), True))
 
 
-CANDIDATE = Candidate(150.0, 50.0, 1.0)
+CANDIDATE = RigCandidate(150.0, 50.0, 1.0)
 
 
 def _sweeps() -> list[Files]:

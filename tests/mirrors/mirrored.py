@@ -10,12 +10,12 @@ import numpy as np
 from splitknit.mirrors.mirror import MirrorShape
 from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, FloatArray, Mirror, Rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.raycast import PlacedFinger
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.mirror_view import mirror_view
-from splitknit.simulator.rigs import MirrorViews, mirror_rig
+from splitknit.simulator.rigs import MirrorSettings, mirror_rig
 
 SCALE = 0.2
 
@@ -55,11 +55,11 @@ def scene(
     model: str = "orthographic",
 ) -> Scene:
     """The masks of a drawn finger's views."""
-    rig = mirror_rig(MirrorViews(names=names, nir=False, model=model), SCALE, 0, 0.0)
+    rig = mirror_rig(MirrorSettings(names=names, nir=False, model=model), SCALE, 0, 0.0)
     finger = draw_finger(seed)
     body, master = FingerBody(finger.shape), finger.master()
     pose = pose or Pose(yaw_rad=0.06, pitch_rad=0.02, roll_rad=0.0, insertion_mm=28.5)
-    placement, skin = place(body, pose, rig.camera), skin_map(master, finger.skin)
+    placement, skin = placement_of(body, pose, rig.camera), skin_map(master, finger.skin)
     front = finger_surface(replace(finger, printed=master), pose, rig.camera)
     masks = {m.name: mirror_view(PlacedFinger(body, skin, placement), rig.camera, m).mask for m in rig.mirrors}
     return Scene(rig, Views(front.mask, masks, 1), front.shape_mm, front.mask)

@@ -11,7 +11,7 @@ from splitknit.mirrors.rolled.register import ridges_of
 from splitknit.mirrors.rolled.views import find_mirror_views
 from splitknit.mirrors.rolled.work import ReliefSettings, Work
 from splitknit.mirrors.settings import MirrorShapeSettings
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -19,7 +19,7 @@ from splitknit.simulator.twin import simulate_capture
 @pytest.mark.experiment
 def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() -> None:
     capture, truth = simulate_capture(
-        11, None, TwinSettings(scale=0.35, mirrors=MirrorViews(names=("left",), nir=False))
+        11, None, TwinSettings(scale=0.35, mirrors=MirrorSettings(names=("left",), nir=False))
     )
     px_per_mm = capture.rig.camera.px_per_mm
     assert px_per_mm < 17  # the network has learned 25 and more

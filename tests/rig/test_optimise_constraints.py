@@ -10,13 +10,13 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.rig.candidates import (
     BuildSettings,
-    Candidate,
-    Print,
+    PrintPoints,
+    RigCandidate,
     _glare_lobe_rad,
     _glaring,
+    candidate_rig,
     examine,
     grid,
-    rig_of,
 )
 from splitknit.rig.photography import (
     FULL_WELL_E,
@@ -29,13 +29,13 @@ from splitknit.rig.photography import (
     plan_exposure,
 )
 
-FLAT = Print(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
-DOME = Print(
+FLAT = PrintPoints(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+DOME = PrintPoints(
     np.array([[5.0 * x, 5.0 * y, 0.0] for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1))]),
     np.array([[np.sin(0.4) * x, np.sin(0.4) * y, np.cos(0.4)] for x, y in ((0, 0), (1, 0), (-1, 0), (0, 1))]),
 )
 ORTHOGRAPHIC = BuildSettings(view="orthographic")
-THESIS = Candidate(140.0, 52.5, 1.0)
+THESIS = RigCandidate(140.0, 52.5, 1.0)
 
 
 def _found(candidate, build=ORTHOGRAPHIC, photons=None, finger=DOME):
@@ -71,7 +71,7 @@ def test_leds_below_the_lens_shine_into_it():
     assert _found(THESIS)["direct_light"].value == 0.0
     assert _found(THESIS, replace(ORTHOGRAPHIC, led_drop_mm=-5.0))["direct_light"].ok
     bare = BuildSettings(led_drop_mm=20.0, half_angle_deg=60.0)
-    level = Candidate(140.0, 52.5, 1.0, tilt_deg=80.0)
+    level = RigCandidate(140.0, 52.5, 1.0, tilt_deg=80.0)
     found = _found(level, bare)["direct_light"]
     away = np.hypot(52.5, 20.0)
     # beam 80 deg from the vertical, lens at atan(20 / 52.5) above the horizontal
@@ -104,7 +104,7 @@ def test_glare_is_where_the_normal_halves_the_angle():
     radius = 140.0 * np.tan(2.0 * lobe)
     for factor, hit in ((0.98, True), (1.02, False)):
         candidate = replace(THESIS, radius_mm=radius * factor)
-        leds = list(rig_of(candidate, ORTHOGRAPHIC, {"white": 1.0}).leds)
+        leds = list(candidate_rig(candidate, ORTHOGRAPHIC, {"white": 1.0}).leds)
         assert bool(_glaring(leds, candidate, ORTHOGRAPHIC, 0.25, FLAT).all()) is hit
         assert bool(_glaring(leds, candidate, ORTHOGRAPHIC, 0.25, FLAT).any()) is hit
     found = _found(replace(THESIS, radius_mm=0.9 * radius), finger=FLAT)["glare"]
@@ -162,7 +162,7 @@ def test_depth_of_field_drops_the_height_and_follows_the_stop():
     assert photons.focal_mm(140.0) == pytest.approx(10.94, abs=0.01)  # the reading notes' 11 mm
     # reading notes: about 1.4 mm at f/2 for a circle of two pixels
     assert replace(photons, f_number=2.0).depth_of_field_mm(2.0 / 75.7) == pytest.approx(1.35, abs=0.02)
-    shallow = _found(THESIS, photons=replace(photons, f_number=1.0), finger=Print(np.eye(3) * 9, np.eye(3)))
+    shallow = _found(THESIS, photons=replace(photons, f_number=1.0), finger=PrintPoints(np.eye(3) * 9, np.eye(3)))
     assert not shallow["depth_of_field"].ok and not shallow["depth_of_field"].hard
 
 
@@ -190,14 +190,14 @@ def test_grid_names_and_bad_candidates():
 
 
 def test_beams_are_tilted_towards_the_axis():
-    rig = rig_of(replace(THESIS, tilt_deg=20.0), BuildSettings(), {"white": 0.3, "nir": 0.2})
+    rig = candidate_rig(replace(THESIS, tilt_deg=20.0), BuildSettings(), {"white": 0.3, "nir": 0.2})
     assert [led.band for led in rig.leds] == ["white"] * 7 + ["nir"] * 7
     for led in rig.leds:
         x, y, z = led.position_mm
         assert np.hypot(x, y) == pytest.approx(52.5) and z == 140.0
         assert np.rad2deg(np.arccos(-led.axis[2])) == pytest.approx(20.0)
         assert led.axis[0] * x + led.axis[1] * y < 0.0
-    aimed = rig_of(THESIS, BuildSettings(), {"white": 0.3})
+    aimed = candidate_rig(THESIS, BuildSettings(), {"white": 0.3})
     np.testing.assert_allclose(aimed.leds[0].axis, -np.array([52.5, 0, 140.0]) / np.hypot(52.5, 140.0), atol=1e-12)
     assert BuildSettings(half_angle_deg=60.0).lobe_exponent == pytest.approx(1.0)
     assert BuildSettings(half_angle_deg=90.0).lobe_exponent == 0.0

@@ -25,9 +25,9 @@ def test_distances_are_those_of_every_pair(seed):
     np.testing.assert_allclose(there, expected[0])
     np.testing.assert_allclose(back, expected[1])
     found = _surface_distances(there, back)
-    assert found.hausdorff_mm == pytest.approx(max(expected[0].max(), expected[1].max()))
-    assert found.hausdorff95_mm == pytest.approx(max(np.percentile(expected[0], 95), np.percentile(expected[1], 95)))
-    assert found.rms_mm == pytest.approx(np.sqrt(0.5 * np.mean(expected[0] ** 2) + 0.5 * np.mean(expected[1] ** 2)))
+    assert found["hausdorff_mm"] == pytest.approx(max(expected[0].max(), expected[1].max()))
+    assert found["hausdorff95_mm"] == pytest.approx(max(np.percentile(expected[0], 95), np.percentile(expected[1], 95)))
+    assert found["rms_mm"] == pytest.approx(np.sqrt(0.5 * np.mean(expected[0] ** 2) + 0.5 * np.mean(expected[1] ** 2)))
 
 
 def test_distance_looks_both_ways():
@@ -35,17 +35,17 @@ def test_distance_looks_both_ways():
     spike = np.concatenate([plane, [[2.0, 2.0, 3.0]]])
     there, back = _both_ways(plane, spike)
     assert there.max() == 0.0
-    assert _surface_distances(there, back).hausdorff_mm == 3.0
-    assert _surface_distances(back, there).hausdorff_mm == 3.0
-    assert _surface_distances(there, there).hausdorff_mm == 0.0
+    assert _surface_distances(there, back)["hausdorff_mm"] == 3.0
+    assert _surface_distances(back, there)["hausdorff_mm"] == 3.0
+    assert _surface_distances(there, there)["hausdorff_mm"] == 0.0
 
 
 def test_a_lifted_surface_is_as_far_as_it_was_lifted():
     rng = np.random.default_rng(3)
     surface = np.concatenate([rng.random((400, 2)) * 10, np.zeros((400, 1))], axis=1)
     found = _surface_distances(*_both_ways(surface, surface + np.array([0.0, 0.0, 0.01])))
-    assert found.hausdorff_mm == pytest.approx(0.01)
-    assert found.rms_mm == pytest.approx(0.01)
+    assert found["hausdorff_mm"] == pytest.approx(0.01)
+    assert found["rms_mm"] == pytest.approx(0.01)
 
 
 def test_points_that_are_none_are_refused():

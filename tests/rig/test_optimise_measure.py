@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.model import Reconstruction
-from splitknit.rig.candidates import FIRST_SEED, BuildSettings, Candidate, Study, rig_of
+from splitknit.rig.candidates import FIRST_SEED, BuildSettings, RigCandidate, Study, candidate_rig
 from splitknit.rig.evaluate_rig import (
     _compare_surfaces,
     _measure,
@@ -18,11 +18,11 @@ from splitknit.rig.evaluate_rig import (
     _rigs,
     _truth,
     _view_of,
-    evaluate,
+    evaluate_candidate,
 )
-from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph
+from splitknit.rig.photography import LAMPS, PhotonSettings, intensity_w_sr, photograph_candidate
 
-RIG = Candidate(140.0, 52.5, 1.0, None, 6.0)
+RIG = RigCandidate(140.0, 52.5, 1.0, None, 6.0)
 STUDY = Study(fingers=1)
 SEED = FIRST_SEED
 
@@ -40,8 +40,8 @@ def _shot(seen, candidate=RIG, seed=1, photons=None, rendered=False):
     build = BuildSettings(half_angle_deg=90.0) if rendered else BuildSettings()
     power = candidate.power_w / (4 * np.pi)
     intensity = power if rendered else intensity_w_sr(candidate.power_w, LAMPS["white"], build.lobe_exponent)
-    rig = rig_of(candidate, build, {"white": intensity})
-    return photograph(
+    rig = candidate_rig(candidate, build, {"white": intensity})
+    return photograph_candidate(
         surface,
         rig,
         known_rig=rig,
@@ -70,7 +70,7 @@ def _result(height, surface, mask, **changes):
 
 
 def test_the_finger_lies_in_the_same_place_under_every_camera(seen):
-    other = rig_of(replace(RIG, px_per_mm=9.3), BuildSettings(), {"white": 1.0}, "orthographic").camera
+    other = candidate_rig(replace(RIG, px_per_mm=9.3), BuildSettings(), {"white": 1.0}, "orthographic").camera
     edges = []
     for one in (seen[0], _view_of(SEED, other)):
         x, y = _places(one)
@@ -157,8 +157,8 @@ def test_a_broken_candidate_is_a_result(monkeypatch):
         raise ZeroDivisionError("somewhere deep")
 
     monkeypatch.setattr(module, "reconstruct", breaks)
-    record = evaluate(RIG, STUDY)
+    record = evaluate_candidate(RIG, STUDY)
     assert record["status"] == "failed" and record["reason"] == "ZeroDivisionError: somewhere deep"
     assert record["mean"] is None and record["constraints"]
-    refused = evaluate(replace(RIG, radius_mm=15.0), STUDY)
+    refused = evaluate_candidate(replace(RIG, radius_mm=15.0), STUDY)
     assert refused["status"] == "refused" and "free" in refused["reason"]

@@ -10,8 +10,8 @@ import pytest
 
 import splitknit.rig.optimise as module
 from splitknit.errors import BadInput
-from splitknit.rig.candidates import Candidate, Study, grid
-from splitknit.rig.optimise import summarise, sweep
+from splitknit.rig.candidates import RigCandidate, Study, grid
+from splitknit.rig.optimise import summarise, sweep_rigs
 
 STUDY = Study(fingers=2)
 RIGS = grid((100.0, 140.0), (52.5, 80.0), (1.0,), (None,), (6.0,))
@@ -23,14 +23,14 @@ class Counted:
     def __init__(self, stop_at=None, fail=()):
         self.asked, self.stop_at, self.fail = [], stop_at, fail
 
-    def __call__(self, candidate: Candidate, study: Study):
+    def __call__(self, candidate: RigCandidate, study: Study):
         self.asked.append(candidate.name)
         if self.stop_at is not None and len(self.asked) > self.stop_at:
             raise KeyboardInterrupt
         values = [{"seed": s, "hausdorff_mm": candidate.radius_mm / 50 + 0.001 * s} for s in study.seeds]
         record = {
             "candidate": {
-                **{name: getattr(candidate, name) for name in Candidate.__dataclass_fields__},
+                **{name: getattr(candidate, name) for name in RigCandidate.__dataclass_fields__},
                 "name": candidate.name,
             },
             "status": "done",
@@ -50,75 +50,75 @@ def _tree(folder):
 
 def test_a_sweep_that_was_stopped_goes_on(tmp_path, monkeypatch):
     whole = Counted()
-    monkeypatch.setattr(module, "evaluate", whole)
-    expected = sweep(tmp_path / "whole", RIGS, STUDY)
+    monkeypatch.setattr(module, "evaluate_candidate", whole)
+    expected = sweep_rigs(tmp_path / "whole", RIGS, STUDY)
     stopped = Counted(stop_at=2)
-    monkeypatch.setattr(module, "evaluate", stopped)
+    monkeypatch.setattr(module, "evaluate_candidate", stopped)
     with pytest.raises(KeyboardInterrupt):
-        sweep(tmp_path / "out", RIGS, STUDY)
+        sweep_rigs(tmp_path / "out", RIGS, STUDY)
     assert len(list((tmp_path / "out" / "candidates").iterdir())) == 2
     left = tmp_path / "out" / "candidates" / ".splitknit-0123456789ab.tmp"
     left.mkdir()
     (left / "new").write_text("{")  # a kill leaves this
     (tmp_path / "out" / "candidates" / f"{RIGS[1].name}.json").write_text("{half")  # a disk left this
     again = Counted()
-    monkeypatch.setattr(module, "evaluate", again)
+    monkeypatch.setattr(module, "evaluate_candidate", again)
     seen = []
-    found = sweep(tmp_path / "out", RIGS, STUDY, progress=lambda stage, fraction: seen.append((stage, fraction)))
+    found = sweep_rigs(tmp_path / "out", RIGS, STUDY, progress=lambda stage, fraction: seen.append((stage, fraction)))
     assert again.asked == [RIGS[1].name, RIGS[2].name, RIGS[3].name]
     assert seen[0] == ("resuming", 0.25) and seen[-1] == (RIGS[3].name, 1.0)
     assert found == expected
     shutil.rmtree(left)
     assert _tree(tmp_path / "out") == _tree(tmp_path / "whole")
-    sweep(tmp_path / "out", RIGS, STUDY)
+    sweep_rigs(tmp_path / "out", RIGS, STUDY)
     assert len(again.asked) == 3, "nothing is done twice"
     stray = tmp_path / "out" / "candidates" / f"{RIGS[2].name}.json"
     stray.write_text(stray.read_text().replace('"study_sha256": "', '"study_sha256": "of another study, '))
-    sweep(tmp_path / "out", RIGS, STUDY)
+    sweep_rigs(tmp_path / "out", RIGS, STUDY)
     assert again.asked[3:] == [RIGS[2].name], "a file that was copied here from another sweep"
 
 
 def test_failed_rigs_are_tried_again_and_more_may_be_asked(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "evaluate", Counted(fail=(RIGS[0].name,)))
-    found = sweep(tmp_path / "out", RIGS[:2], STUDY)
+    monkeypatch.setattr(module, "evaluate_candidate", Counted(fail=(RIGS[0].name,)))
+    found = sweep_rigs(tmp_path / "out", RIGS[:2], STUDY)
     assert [one["status"] for one in found] == ["failed", "done"]
     again = Counted()
-    monkeypatch.setattr(module, "evaluate", again)
-    found = sweep(tmp_path / "out", RIGS, STUDY)
+    monkeypatch.setattr(module, "evaluate_candidate", again)
+    found = sweep_rigs(tmp_path / "out", RIGS, STUDY)
     assert again.asked == [RIGS[0].name, RIGS[2].name, RIGS[3].name]
     assert [one["status"] for one in found] == ["done"] * 4
 
 
 def test_changed_settings_and_foreign_folders_are_noticed(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "evaluate", Counted())
-    sweep(tmp_path / "out", RIGS, STUDY)
+    monkeypatch.setattr(module, "evaluate_candidate", Counted())
+    sweep_rigs(tmp_path / "out", RIGS, STUDY)
     with pytest.raises(BadInput, match=r"other settings \(fingers, method\)"):
-        sweep(tmp_path / "out", RIGS, replace(STUDY, fingers=3, method="metric"))
+        sweep_rigs(tmp_path / "out", RIGS, replace(STUDY, fingers=3, method="metric"))
     (tmp_path / "out" / "thesis.pdf").write_text("mine")
     with pytest.raises(BadInput, match=r"'thesis\.pdf'"):
-        sweep(tmp_path / "out", RIGS, STUDY)
+        sweep_rigs(tmp_path / "out", RIGS, STUDY)
     other = tmp_path / "other"
     other.mkdir()
     (other / "notes.txt").write_text("mine")
     with pytest.raises(BadInput, match=r"notes\.txt"):
-        sweep(other, RIGS, STUDY)
+        sweep_rigs(other, RIGS, STUDY)
     assert _tree(other) == {"notes.txt": b"mine"}
     with pytest.raises(BadInput, match="is a file"):
-        sweep(other / "notes.txt", RIGS, STUDY)
+        sweep_rigs(other / "notes.txt", RIGS, STUDY)
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "sweep.json").write_text("{")
     with pytest.raises(BadInput, match="damaged"):
-        sweep(tmp_path / "broken", RIGS, STUDY)
+        sweep_rigs(tmp_path / "broken", RIGS, STUDY)
 
 
 def test_rigs_that_cannot_be_built_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(BadInput, match=r"not one of the 2 rigs can be built.*printer"):
-        sweep(tmp_path / "out", grid((300.0, 400.0), (52.5,), (1.0,)), STUDY)
+        sweep_rigs(tmp_path / "out", grid((300.0, 400.0), (52.5,), (1.0,)), STUDY)
     assert not (tmp_path / "out").exists()
     with pytest.raises(BadInput, match="no candidates"):
-        sweep(tmp_path / "out", (), STUDY)
+        sweep_rigs(tmp_path / "out", (), STUDY)
     with pytest.raises(BadInput, match="workers"):
-        sweep(tmp_path / "out", RIGS, STUDY, workers=0)
+        sweep_rigs(tmp_path / "out", RIGS, STUDY, workers=0)
 
 
 def test_summary_names_the_best_and_where_the_thesis_stands():
@@ -141,8 +141,8 @@ def test_summary_names_the_best_and_where_the_thesis_stands():
 def test_the_result_does_not_depend_on_the_processes(tmp_path):
     rigs = grid((140.0,), (20.0, 52.5, 80.0), (1.0,), (None,), (5.0,))
     study = Study(fingers=1)
-    sweep(tmp_path / "one", rigs, study, workers=1)
-    sweep(tmp_path / "two", rigs, study, workers=2)
+    sweep_rigs(tmp_path / "one", rigs, study, workers=1)
+    sweep_rigs(tmp_path / "two", rigs, study, workers=2)
     assert _tree(tmp_path / "one") == _tree(tmp_path / "two")
     statuses = [
         json.loads(data)["record"]["status"] for name, data in _tree(tmp_path / "one").items() if "cand" in name

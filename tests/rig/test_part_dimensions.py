@@ -19,7 +19,7 @@ from splitknit.rig.dimensions import (
     _nail_height,
     dimensions_of,
     mirror_profile,
-    mirror_view,
+    mirror_reach,
     shadow_tips,
 )
 from splitknit.rig.part_reports import dimension_table
@@ -164,12 +164,12 @@ def test_a_mirror_leans_by_45_deg_and_fits_its_holder():
 
 
 def test_mirrors_show_the_finger_and_need_a_wider_picture():
-    near = mirror_view(dimensions_of(default_rig()))
+    near = mirror_reach(dimensions_of(default_rig()))
     assert near["side"]["lowest_mm"] < -10
     assert near["side"]["highest_mm"] > 0
     assert near["side"]["share_in_picture"] < 0.3  # 757 px/cm is too near for mirrors
     wide = replace(default_rig(), camera=replace(default_rig().camera, px_per_mm=45.0))
-    far = mirror_view(dimensions_of(wide, settings(finger__tip_margin_mm=22.0)))
+    far = mirror_reach(dimensions_of(wide, settings(finger__tip_margin_mm=22.0)))
     assert far["side"]["share_in_picture"] == 1
     assert far["tip"]["share_in_picture"] == 1
 

@@ -9,9 +9,9 @@ from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import default_rig, lobe_exponent, nominal_rig
 from splitknit.simulator.calibration_set.bench import base_plane
-from splitknit.simulator.rigs import Tolerances, built_rig
+from splitknit.simulator.rigs import _Tolerances, built_rig
 
-EXACT = Tolerances(
+EXACT = _Tolerances(
     led_position_mm=0,
     led_beam_deg=0,
     led_half_angle=0,
@@ -78,7 +78,7 @@ def test_two_hundred_rigs_scatter_as_their_tolerances_say():
     drawn = nominal_rig(0.1)
     rigs = [built_rig(seed, scale=0.1) for seed in range(200)]
     only_leds = [
-        built_rig(seed, scale=0.1, tolerances=Tolerances(camera_tilt_deg=0, camera_shift_mm=0)) for seed in range(200)
+        built_rig(seed, scale=0.1, tolerances=_Tolerances(camera_tilt_deg=0, camera_shift_mm=0)) for seed in range(200)
     ]
     # deviates cut at 2.5 have a standard deviation of 0.99
     offset = np.array([positions(rig) for rig in only_leds]) - positions(drawn)
@@ -113,7 +113,7 @@ def test_lenses_bend_and_darken_the_corners_as_far_as_they_may():
 
 
 def test_an_oblique_camera_sees_the_leds_turned_and_the_base_with_them():
-    tolerances = Tolerances(led_position_mm=0, camera_shift_mm=0, camera_height_mm=0, camera_tilt_deg=2.0)
+    tolerances = _Tolerances(led_position_mm=0, camera_shift_mm=0, camera_height_mm=0, camera_tilt_deg=2.0)
     rig = built_rig(4, scale=0.1, tolerances=tolerances)
     tilt = rig.provenance["base_tilt_deg"]
     assert max(map(abs, tilt)) > 0.5
@@ -139,8 +139,8 @@ def test_a_built_rig_survives_its_file(tmp_path):
     [
         (lambda: built_rig(-1), "seed must not be negative"),
         (lambda: built_rig(0, scale=2.0), "scale must lie in"),
-        (lambda: Tolerances(led_position_mm=-0.1), "tolerances.led_position_mm must be from 0 to 10"),
-        (lambda: Tolerances(corner_vignetting=(0.3, 0.1)), "corner_vignetting must be"),
+        (lambda: _Tolerances(led_position_mm=-0.1), "tolerances.led_position_mm must be from 0 to 10"),
+        (lambda: _Tolerances(corner_vignetting=(0.3, 0.1)), "corner_vignetting must be"),
         (lambda: lobe_exponent(0.0), "half_angle_deg must lie between"),
     ],
 )

@@ -17,7 +17,7 @@ from splitknit.rig.dimensions import (
     holder_depth,
     holder_places,
     mirror_profile,
-    mirror_view,
+    mirror_reach,
 )
 from splitknit.rig.part_settings import MIRROR_GAP_MM, MIRROR_LIP_MM, MIRROR_LONG_MM, MIRROR_THICK_MM, PartSettings
 from splitknit.settings import override
@@ -32,8 +32,8 @@ from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.skin import SkinSettings, fresnel
 from splitknit.simulator.mirror_scene import _light_through
 from splitknit.simulator.mirror_twin import _bare_behind, _section_points
-from splitknit.simulator.mirror_view import Reflection, _Gate, as_built, lights_of, outline_coverage
-from splitknit.simulator.rigs import HolderProfile, MirrorViews, _MirrorParts, _nominal_mirrors, mirror_rig
+from splitknit.simulator.mirror_view import _Gate, _Reflection, as_built, lights_of, outline_coverage
+from splitknit.simulator.rigs import HolderProfile, MirrorSettings, _MirrorParts, _nominal_mirrors, mirror_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import Surface
 from splitknit.simulator.twin import simulate_capture
@@ -53,7 +53,7 @@ ENLARGED = {
 
 
 def settings(names=ALL, scale=0.12, **views):
-    chosen = MirrorViews(names=names, nir=False, truth_pitch_mm=0.3, ridges_to_deg=180.0, **views)
+    chosen = MirrorSettings(names=names, nir=False, truth_pitch_mm=0.3, ridges_to_deg=180.0, **views)
     return TwinSettings(scale=scale, mirrors=chosen, pose=POSE, skin=SkinSettings(), sensor=QUIET)
 
 
@@ -85,9 +85,9 @@ def taken_once(captures):
     ],
 )
 def test_the_mirrors_stand_where_rig_cad_draws_them(parts, changes):
-    rig = mirror_rig(MirrorViews(names=ALL, parts=parts), 0.5)
+    rig = mirror_rig(MirrorSettings(names=ALL, parts=parts), 0.5)
     drawn = dimensions_of(rig, override(PartSettings(), changes))
-    view, places = mirror_view(drawn), holder_places(drawn)
+    view, places = mirror_reach(drawn), holder_places(drawn)
     corners = {mirror.name: np.array(mirror.corners_mm) for mirror in rig.mirrors}
     for name, away, sign in (("right", 0, 1), ("left", 0, -1), ("tip", 1, 1)):
         kind = view["tip" if name == "tip" else "side"]
@@ -106,7 +106,7 @@ def test_the_mirrors_stand_where_rig_cad_draws_them(parts, changes):
 
 
 def test_the_default_mirrors_fit_the_picture_and_the_drawn_sizes_are_the_same():
-    rig = mirror_rig(MirrorViews(names=ALL), 0.3)
+    rig = mirror_rig(MirrorSettings(names=ALL), 0.3)
     rows, columns = rig.camera.image_size
     for mirror in rig.mirrors:
         column, row = pixels_of_points(rig.camera, *np.array(mirror.corners_mm).T)
@@ -117,8 +117,8 @@ def test_the_default_mirrors_fit_the_picture_and_the_drawn_sizes_are_the_same():
 
 
 def test_a_reflection_is_its_own_inverse_and_keeps_the_plane():
-    mirror = mirror_rig(MirrorViews(names=("right",)), 0.3).mirrors[0]
-    once = Reflection.of(mirror)
+    mirror = mirror_rig(MirrorSettings(names=("right",)), 0.3).mirrors[0]
+    once = _Reflection.of(mirror)
     points = np.random.default_rng(0).normal(size=(50, 3)) * 20
     np.testing.assert_allclose(once.points(once.points(points)), points, atol=1e-12)
     corners = np.array(mirror.corners_mm)
@@ -147,7 +147,7 @@ def test_light_passes_a_gate_where_the_led_is_seen_through_it():
 
 
 def test_true_mirrors_are_near_the_drawn_ones_and_seeded():
-    views = MirrorViews(names=ALL)
+    views = MirrorSettings(names=ALL)
     rig = mirror_rig(views, 0.3)
     turns, shifts = [], []
     for seed in range(200):
@@ -195,7 +195,7 @@ def test_a_pixel_in_a_mirror_shows_what_its_reflected_ray_meets(taken):
         for row, column, at_mirror, turned, distance in traced(truth, capture.rig.camera, name):
             met = at_mirror + turned * distance
             mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
-            behind = Reflection.of(mirror).points(met)
+            behind = _Reflection.of(mirror).points(met)
             apart.append(float(truth[f"view_{name}_shape_mm"][row, column]) - behind[2])
         assert np.median(np.abs(apart)) < 0.03
         assert np.quantile(np.abs(apart), 0.9) < 0.05
@@ -220,7 +220,7 @@ def test_what_a_mirror_shows_lies_on_the_finger(taken):
     for name in ALL:
         points, rows, columns = places_in_view(truth, capture.rig.camera, name)
         mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
-        back = Reflection.of(mirror)
+        back = _Reflection.of(mirror)
         real = back.points(points)
         distance, *_ = body.distance_and_chart(*placement.to_finger(*real.T))
         relief = 1e-3 * truth[f"view_{name}_relief_um"][rows, columns]
@@ -239,7 +239,7 @@ def test_silhouettes_of_views_and_of_the_body_agree(taken):
     for name in ("left", "right"):
         mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
         body = truth["body_shape_mm"].astype(float).reshape(-1, 3)
-        column, row = pixels_of_points(camera, *Reflection.of(mirror).points(body).T)
+        column, row = pixels_of_points(camera, *_Reflection.of(mirror).points(body).T)
         mask = truth[f"view_{name}_mask"]
         rows = np.flatnonzero(mask.sum(axis=1) > 40)[3::8]
         assert rows.size > 5
@@ -277,7 +277,7 @@ def test_sections_lie_on_the_body():
 
 def test_mirrors_that_reflect_nothing_leave_the_front_as_it_is(captures):
     faint, capture, truth = captures["faint"]
-    alone = replace(faint, rig=replace(capture.rig, mirrors=()), mirrors=MirrorViews())
+    alone = replace(faint, rig=replace(capture.rig, mirrors=()), mirrors=MirrorSettings())
     plain, plain_truth = simulate_capture(4, settings=alone, finger=FINGER)
     mask = truth["mask"]
     assert np.array_equal(mask, plain_truth["mask"])
@@ -323,7 +323,7 @@ def test_skin_that_is_seen_twice_is_as_bright_in_the_mirror_as_in_front(taken):
 def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way():
     mirror = Mirror("right", ((10.0, -50, -40), (10.0, 50, -40), (60.0, 50, 10), (60.0, -50, 10)), reflectance=0.8)
     led = Led("white", position_mm=(20.0, 0.0, 140.0))
-    camera = mirror_rig(MirrorViews(names=("right",)), 0.1).camera
+    camera = mirror_rig(MirrorSettings(names=("right",)), 0.1).camera
     size = camera.image_size
     i, j = size[0] // 2, size[1] // 2
     mask = np.zeros(size, dtype=bool)
@@ -351,7 +351,7 @@ def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way()
 def test_a_square_tip_has_no_second_body_beside_it():
     square = draw_finger(2, print_settings=MasterPrintSettings(proximal_mm=12.0))
     assert square.shape.tip_squareness > 0.2
-    camera = mirror_rig(MirrorViews(), 0.06).camera
+    camera = mirror_rig(MirrorSettings(), 0.06).camera
     surface = finger_surface(square, POSE, camera)
     rows, columns = np.nonzero(surface.mask)
     x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
@@ -389,7 +389,7 @@ def test_the_lip_hides_the_lowest_part_of_a_finger_that_lies_low():
     camera, profile = capture.rig.camera, HolderProfile(low.mirrors.parts)
     for name, inner, outer in (("left", "max", "min"), ("right", "min", "max")):
         mirror = Mirror(name, tuple(map(tuple, truth[f"mirror_{name}_corners_mm"])))
-        edge = Reflection.of(mirror).points(profile.quad(name, camera, profile.lip[1], profile.lip[1]))
+        edge = _Reflection.of(mirror).points(profile.quad(name, camera, profile.lip[1], profile.lip[1]))
         face, _ = pixels_of_points(camera, *np.array(mirror.corners_mm).T)
         image, rows = pixels_of_points(camera, *edge.T)
         seen = truth[f"view_{name}_mask"][int(rows.min()) + 3 : int(rows.max()) - 3]
@@ -424,7 +424,7 @@ def test_an_outline_covers_as_much_of_each_pixel_as_it_does():
 )
 def test_impossible_settings_are_refused(change, says):
     with pytest.raises(BadInput, match=says):
-        MirrorViews(**change)
+        MirrorSettings(**change)
 
 
 def test_scenes_that_cannot_be_are_refused():
@@ -434,7 +434,7 @@ def test_scenes_that_cannot_be_are_refused():
     far = settings(names=("right",), px_per_mm=130.0)
     with pytest.raises(BadInput, match="outside the picture"):
         simulate_capture(4, settings=replace(far, pose=Pose(insertion_mm=9.0)), finger=FINGER)
-    rig = mirror_rig(MirrorViews(names=("right",)), 0.1)
+    rig = mirror_rig(MirrorSettings(names=("right",)), 0.1)
     with pytest.raises(BadInput, match="no left mirror"):
         simulate_capture(4, settings=replace(settings(names=("left",)), rig=rig), finger=FINGER)
 

@@ -12,9 +12,9 @@ from scipy import ndimage
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit.simulator.camera.lens import pixels_of_points, slopes_of_pixels
-from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, place
+from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
-from splitknit.simulator.finger.raycast import Rays
+from splitknit.simulator.finger.raycast import _Rays
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.light.lighting import cut_out, light_on, white_card
 from splitknit.simulator.light.renderer import render_ambient, render_band
@@ -75,7 +75,7 @@ def test_every_point_appears_in_its_pixel(seen: Surface) -> None:
 
 def test_every_point_is_skin_and_nothing_stands_before_it(seen: Surface, finger: Finger) -> None:
     body = FingerBody(finger.shape)
-    placement = place(body, POSE, CAMERA)
+    placement = placement_of(body, POSE, CAMERA)
     pick = seen.mask & ((_view(seen) * seen.normals).sum(-1) > 0.25)
     distance, _, _ = body.distance_and_chart(*placement.to_finger(*_points(seen)[pick].T))
     np.testing.assert_allclose(1e3 * distance, seen.relief_um[pick], atol=0.03)
@@ -151,7 +151,7 @@ def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: Maste
     assert np.flatnonzero(surface.mask.any(axis=0))[0] > 270  # and nothing beside the finger
     assert (_view(surface) * surface.normals).sum(-1)[surface.mask].min() > 5e-4
     body = FingerBody(finger.shape)
-    placement = place(body, pose, camera)
+    placement = placement_of(body, pose, camera)
     distance, _, _ = body.distance_and_chart(*placement.to_finger(*_points(surface)[down].T))
     np.testing.assert_allclose(1e3 * distance, surface.relief_um[down], atol=0.03)
     # the outline is where the smooth body, seen from the camera's centre, turns away
@@ -162,7 +162,7 @@ def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: Maste
 
 def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
     slopes = (np.array([0.2, 0.2, 0.0]), np.array([0.0, 0.0, -0.3]))
-    rays = Rays(np.zeros(3), np.zeros(3), slopes)
+    rays = _Rays(np.zeros(3), np.zeros(3), slopes)
     normals = np.array([[0.0, 0.0, 1.0], [0.99, 0.0, np.sqrt(1 - 0.99**2)], [0.0, -0.96, 0.28]])
     given = normals.copy()
     rays.turn_to_view(normals)
@@ -170,14 +170,14 @@ def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
     view = np.array([-0.2, 0.0, 1.0]) / np.sqrt(1.04), np.array([0.0, 0.3, 1.0]) / np.sqrt(1.09)
     np.testing.assert_allclose([normals[1] @ view[0], normals[2] @ view[1]], 1e-3, rtol=0.01)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
-    parallel = Rays(np.zeros(3), np.zeros(3))
+    parallel = _Rays(np.zeros(3), np.zeros(3))
     parallel.turn_to_view(given)
     np.testing.assert_array_equal(given[2], [0.0, -0.96, 0.28])
 
 
 def test_landmarks_are_pixels_of_the_lens(seen: Surface, finger: Finger, master: MasterPrint) -> None:
     body = FingerBody(finger.shape)
-    placement = place(body, POSE, CAMERA)
+    placement = placement_of(body, POSE, CAMERA)
     named = np.concatenate([master.cores_mm, master.deltas_mm])
     pixels = np.concatenate([seen.landmarks["cores_px"], seen.landmarks["deltas_px"]])
     shown = np.isfinite(pixels).all(axis=1)
@@ -201,10 +201,12 @@ def test_workers_do_not_change_the_result(finger: Finger, master: MasterPrint, s
 def test_the_pose_is_where_it_says_in_the_picture(finger: Finger) -> None:
     """The finger keeps its place in the picture, wherever the camera's axis meets it."""
     body, pose = FingerBody(finger.shape), Pose(insertion_mm=25.0, x_mm=1.0)
-    plain = place(body, pose, Camera(15.0, (430, 560))).shift
-    np.testing.assert_allclose(place(body, pose, CENTRED).shift, plain, atol=1e-9)
+    plain = placement_of(body, pose, Camera(15.0, (430, 560))).shift
+    np.testing.assert_allclose(placement_of(body, pose, CENTRED).shift, plain, atol=1e-9)
     beside = perspective_camera((430, 560), 15.0, 110.0, off=(9.3, -7.8))
-    np.testing.assert_allclose(place(body, pose, beside).shift - plain, [-9.3 / 15.0, -7.8 / 15.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(
+        placement_of(body, pose, beside).shift - plain, [-9.3 / 15.0, -7.8 / 15.0, 0.0], atol=1e-9
+    )
     deep = PoseRanges(insertion_mm=(60.0, 60.0)).draw(np.random.default_rng(0), beside)
     assert deep.insertion_mm == pytest.approx(430 / 15.0 - 0.6)
 

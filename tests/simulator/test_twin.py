@@ -15,7 +15,7 @@ from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.finger import PoseRanges
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.skin import SkinRanges, SkinSettings
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings, background_albedo
 from splitknit.simulator.twin import photograph, simulate_capture
 from surfaces import ridged_egg
@@ -183,7 +183,7 @@ def test_a_coloured_background_lights_the_flanks(egg, rig):
     flank, top = truth["mask"] & (level > 0.3) & (level < 0.5), truth["mask"] & (level > 0.98)
     assert np.median(added[flank]) > 5 * abs(np.median(added[top]))
     with pytest.raises(BadInput, match="between mirrors is black"):
-        TwinSettings(background=green, mirrors=MirrorViews(names=("left",)))
+        TwinSettings(background=green, mirrors=MirrorSettings(names=("left",)))
 
 
 def _block_medians(image):

@@ -22,11 +22,11 @@ from splitknit.calibration.plane import PlanePose, mean_pose, plane_pose
 from splitknit.calibration.targets import Board, find_board, find_disc
 from splitknit.model import Rig
 from splitknit.simulator.calibration_set import bench, flat
-from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.device import LitScene
 from splitknit.simulator.rigs import built_rig
 
 BOARD = Board(9, 6, 3.0)
-PRINTED = flat.Board(columns=9, rows=6, square_mm=3.0)
+PRINTED = flat.PrintedBoard(columns=9, rows=6, square_mm=3.0)
 LIT = tuple(range(7))
 PRINT_ERROR_MM = 0.01
 
@@ -54,7 +54,7 @@ def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | N
         "bench": bench.BenchSettings(aperture_mm=opening),
     }
 
-    def photo(scene: Scene, number: int) -> np.ndarray:
+    def photo(scene: LitScene, number: int) -> np.ndarray:
         exposure = bench.well_exposed(scene, [LIT])
         return bench.photograph_bench(scene, LIT, 1000 * seed + number, exposure=exposure)
 

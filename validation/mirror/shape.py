@@ -30,7 +30,7 @@ from splitknit.mirrors.views import Views
 from splitknit.model import Capture, Mirror
 from splitknit.presets import preset_settings
 from splitknit.settings import override
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -107,7 +107,7 @@ def in_cases(capture: Capture, truth: Mapping[str, Any], seed: int) -> Iterator[
 
 def measured(seed: int, scale: float) -> dict[str, float | str]:
     """One finger in all cases."""
-    mirrors = MirrorViews(names=("left", "right", "tip"), nir=False)
+    mirrors = MirrorSettings(names=("left", "right", "tip"), nir=False)
     capture, truth = simulate_capture(seed, settings=TwinSettings(scale=scale, mirrors=mirrors))
     return dict(in_cases(capture, truth, seed))
 

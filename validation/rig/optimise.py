@@ -26,11 +26,11 @@ sys.path.insert(0, str(HERE))
 
 from splitknit.rig.candidates import (  # noqa: E402
     BuildSettings,
-    Candidate,
+    RigCandidate,
     Study,
     grid,
 )
-from splitknit.rig.optimise import summarise, sweep  # noqa: E402
+from splitknit.rig.optimise import summarise, sweep_rigs  # noqa: E402
 
 HEIGHTS = (100.0, 120.0, 140.0, 170.0, 200.0)
 RADII = (35.0, 45.0, 52.5, 65.0, 80.0, 100.0)
@@ -45,7 +45,7 @@ class Sweep:
 
     asks: str
     study: Study
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[RigCandidate, ...]
 
 
 def _plane(fingers: int, heights: Sequence[float] = HEIGHTS, radii: Sequence[float] = RADII, **study: Any) -> Sweep:
@@ -118,7 +118,7 @@ def _run(name: str, out: Path, workers: int) -> dict[str, Any]:
     def say(stage: str, fraction: float) -> None:
         print(f"\r{name} {100 * fraction:3.0f} % {stage:40s}", end="", file=sys.stderr, flush=True)
 
-    records = sweep(out, asked.candidates, asked.study, workers=workers, progress=say)
+    records = sweep_rigs(out, asked.candidates, asked.study, workers=workers, progress=say)
     print(file=sys.stderr)
     summaries = {objective: summarise(records, asked.study, objective) for objective in ("hausdorff", "whole", "rms")}
     rows = []

@@ -16,9 +16,9 @@ import numpy as np
 
 from splitknit.model import nominal_rig
 from splitknit.simulator.calibration_set.bench import BenchSettings, photograph_bench, well_exposed
-from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
+from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
-from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.device import LitScene
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.rigs import built_rig
 
@@ -41,7 +41,7 @@ def print_times() -> None:
     """Processor time of the first light of a scene and of a further one."""
     for scale in (0.2, 1.0):
         own = things(1, scale)
-        makers: dict[str, Callable[[], Scene]] = {
+        makers: dict[str, Callable[[], LitScene]] = {
             "card": lambda own=own: CardScene(**own),
             "board": lambda scale=scale: board_scene(1, scale),
             "disc": lambda own=own: DiscScene(**own),
@@ -64,7 +64,7 @@ def print_corners() -> None:
     for blur in (0.0, 0.02):
         squares, mean = [], []
         for seed in range(4):
-            scene = board_scene(seed, 0.3, board=Board(print_blur_mm=blur))
+            scene = board_scene(seed, 0.3, board=PrintedBoard(print_blur_mm=blur))
             light = scene.light([0, 2, 4])[..., 1]
             image = np.clip(light * (250 / light.max()), 0, 255).astype(np.uint8)
             truth = scene.truth_corners()
@@ -115,7 +115,7 @@ def picture() -> np.ndarray:
     scale, sensor = 0.2, SensorSettings(encoding="srgb")
     own = things(1, scale)
     tilt = tuple(built_rig(1).provenance["base_tilt_deg"])
-    scenes: list[tuple[Scene, list[int]]] = [
+    scenes: list[tuple[LitScene, list[int]]] = [
         (CardScene(**own, tilt_deg=tilt), [0]),
         (board_scene(1, scale), [3]),
         (DiscScene(**own, rotation_deg=7.0, shift_mm=(1.0, 2.0), tilt_deg=tilt), [0, 2, 4]),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from splitknit.model import Camera
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
-from splitknit.simulator.finger.skin_map import SkinSettings, skin_map
+from splitknit.simulator.finger.skin_map import SkinRelief, skin_map
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ def ridged_patch(
         slope = -x / np.sqrt(np.maximum(radius_mm**2 - x * x, 1e-3))
     slope = slope - np.tan(np.deg2rad(tilt_deg))
     shape = shape - np.tan(np.deg2rad(tilt_deg)) * x
-    settings = SkinSettings(ridge_depth_um=depth_um, depth_variation=0.0, pore_darkening=0.0, creases=())
+    settings = SkinRelief(ridge_depth_um=depth_um, depth_variation=0.0, pore_darkening=0.0, creases=())
     displacement = skin_map(_master(seed), settings).displacement(arc.ravel(), (y + 13.0).ravel()).reshape(x.shape)
     # to first order: along the shape's normal by d is up by d over the normal's z
     height = shape + displacement * np.hypot(1.0, slope)

@@ -61,10 +61,11 @@ def _run(options: argparse.Namespace) -> Outcome:
     """Capture one finger, or those that an enrolment waits for."""
     from splitknit.capture.folder import CaptureOptions  # so that --help is quick
     from splitknit.cli.options import read_changes
-    from splitknit.rig.devices import read_settings, rig_of
+    from splitknit.io.rig import read_rig
+    from splitknit.rig.devices import read_settings
 
     _check(options)
-    rig = rig_of(options.rig)
+    rig = None if options.rig is None else read_rig(options.rig)
     changes = read_changes(options.settings, options.assignments)
     if options.target is not None:
         changes["capture.find_finger"] = False

@@ -158,9 +158,9 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
     from splitknit.io.atomic import atomic_file
     from splitknit.io.provenance import json_text, plain_json
-    from splitknit.report.rig_study import describe, verdict, write_all
+    from splitknit.report.rig_study import describe_rig, verdict, write_all
     from splitknit.rig.candidates import grid
-    from splitknit.rig.optimise import summarise, sweep
+    from splitknit.rig.optimise import summarise, sweep_rigs
 
     started = time.perf_counter()
     budget = _BUDGETS[options.budget]
@@ -173,7 +173,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     )
     study = _study(options, budget)
     with Progress(options) as progress:
-        records = sweep(options.out, candidates, study, workers=options.workers, progress=progress.update)
+        records = sweep_rigs(options.out, candidates, study, workers=options.workers, progress=progress.update)
     summary = summarise(records, study, options.objective)
     files = write_all(options.out, records, summary, study)
     best = next(one for one in records if one["candidate"]["name"] == summary["best"])
@@ -196,7 +196,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     lines = [
         f"{len(records)} rigs in {seconds:.0f} s: {counts['done']} measured, {counts['refused']} refused by a "
         f"constraint, {counts['failed']} failed.",
-        f"Best: {describe(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
+        f"Best: {describe_rig(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
         verdict(summary),
     ]
     if study.fingers > 1:

@@ -17,7 +17,7 @@ from splitknit.io.csv_table import csv_text
 from splitknit.io.pictures import colour
 from splitknit.report import render
 from splitknit.report.charts import INK, SERIES_COLOURS
-from splitknit.rig.candidates import CAMERAS, MATERIALS, METHODS, Candidate, Study
+from splitknit.rig.candidates import CAMERAS, MATERIALS, METHODS, RigCandidate, Study
 from splitknit.rig.optimise import THESIS
 
 BLUE, ORANGE, GREEN, GREY = SERIES_COLOURS
@@ -265,7 +265,7 @@ SHORT = {
 Records = Sequence[Mapping[str, Any]]
 
 
-def table(records: Records, summary: Mapping[str, Any]) -> bytes:
+def _table(records: Records, summary: Mapping[str, Any]) -> bytes:
     """All candidates as CSV, one line each."""
     figures = list(dict.fromkeys(name for one in records for name in (one["mean"] or {})))
     compared = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")
@@ -285,7 +285,7 @@ def table(records: Records, summary: Mapping[str, Any]) -> bytes:
     return csv_text(rows).encode()
 
 
-def charts(records: Records, summary: Mapping[str, Any]) -> dict[str, Markup]:
+def _charts(records: Records, summary: Mapping[str, Any]) -> dict[str, Markup]:
     """Pictures by the name of their file: heat map, Pareto front, and a chart for every further axis."""
     what, unit = FIGURES[summary["figure"]]
     pictures = {
@@ -302,7 +302,7 @@ def charts(records: Records, summary: Mapping[str, Any]) -> dict[str, Markup]:
     return pictures
 
 
-def page(records: Records, summary: Mapping[str, Any], study: Study, pictures: Mapping[str, Markup]) -> bytes:
+def _page(records: Records, summary: Mapping[str, Any], study: Study, pictures: Mapping[str, Markup]) -> bytes:
     """One HTML file that needs nothing else."""
     what, unit = FIGURES[summary["figure"]]
     by_name = {one["candidate"]["name"]: one for one in records}
@@ -314,7 +314,7 @@ def page(records: Records, summary: Mapping[str, Any], study: Study, pictures: M
         summary=summary,
         fingers=study.fingers,
         asked=(METHODS[study.method], MATERIALS[study.material], CAMERAS[study.camera]),
-        best=describe(by_name[summary["best"]]),
+        best=describe_rig(by_name[summary["best"]]),
         verdict=verdict(summary),
         pictures=list(pictures.values()),
         rows=[_row(by_name[name], summary["compared"][name], name in summary["pareto"]) for name in listed],
@@ -328,10 +328,10 @@ def write_all(out: Path, records: Records, summary: Mapping[str, Any], study: St
     """Write table, pictures and page into `out`; return what each file is."""
     from splitknit.io.atomic import atomic_file
 
-    pictures = charts(records, summary)
+    pictures = _charts(records, summary)
     content = {f"{name}.svg": (standalone(picture), "picture") for name, picture in pictures.items()}
-    content["results.csv"] = (table(records, summary), "all rigs, one line each")
-    content["index.html"] = (page(records, summary, study, pictures), "the page to open")
+    content["results.csv"] = (_table(records, summary), "all rigs, one line each")
+    content["index.html"] = (_page(records, summary, study, pictures), "the page to open")
     for name, (data, _) in content.items():
         with atomic_file(out / name) as stream:
             stream.write(data)
@@ -355,7 +355,7 @@ def verdict(summary: Mapping[str, Any]) -> str:
     return f"{said}: {between} more at 95 %, so it is not the best."
 
 
-def describe(record: Mapping[str, Any]) -> str:
+def describe_rig(record: Mapping[str, Any]) -> str:
     """A rig as a sentence."""
     one = _candidate_of(record)
     tilt = "aimed at the middle" if one.tilt_deg is None else f"tilted by {one.tilt_deg:g} deg"
@@ -365,9 +365,9 @@ def describe(record: Mapping[str, Any]) -> str:
     )
 
 
-def _candidate_of(record: Mapping[str, Any]) -> Candidate:
+def _candidate_of(record: Mapping[str, Any]) -> RigCandidate:
     """The candidate of a record."""
-    return Candidate(**{name: value for name, value in record["candidate"].items() if name != "name"})
+    return RigCandidate(**{name: value for name, value in record["candidate"].items() if name != "name"})
 
 
 def _heat_map(records: Records, summary: Mapping[str, Any], what: str, unit: str) -> Markup:
@@ -411,7 +411,7 @@ def _pareto(records: Records, summary: Mapping[str, Any], what: str, unit: str) 
     done = [one for one in records if one["candidate"]["name"] in summary["compared"]]
     powers = sorted({one["candidate"]["power_w"] for one in done})
 
-    def named(candidate: Candidate) -> tuple[float, ...]:
+    def named(candidate: RigCandidate) -> tuple[float, ...]:
         many = (candidate.power_w,) if len(powers) > 1 else ()
         return (candidate.height_mm, candidate.radius_mm, *many)
 
@@ -434,7 +434,7 @@ def _pareto(records: Records, summary: Mapping[str, Any], what: str, unit: str) 
     return scatter(dots, "volume between LEDs and finger (litres)", f"{what} ({unit})", series=series, title=title)
 
 
-def _along(records: Records, summary: Mapping[str, Any], best: Candidate, axis: str) -> list[Dot]:
+def _along(records: Records, summary: Mapping[str, Any], best: RigCandidate, axis: str) -> list[Dot]:
     """Rigs that differ from the best one in one thing alone."""
     others = [name for name in AXES if name != axis]
     dots = []

@@ -32,7 +32,7 @@ _LEDS_PER_BAND = 7
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class RigCandidate:
     """One rig out of a sweep."""
 
     height_mm: float
@@ -107,7 +107,7 @@ def grid(
     powers_w: Sequence[float],
     tilts_deg: Sequence[float | None] = (None,),
     resolutions: Sequence[float] = (12.0,),
-) -> tuple[Candidate, ...]:
+) -> tuple[RigCandidate, ...]:
     """All combinations, in the order of the lists; what is listed twice counts once.
 
     Raises
@@ -123,11 +123,13 @@ def grid(
         ("resolutions", resolutions),
     ):
         require(len(values) > 0, f"{name} is empty; list one value at least.")
-    found = (Candidate(*values) for values in itertools.product(heights_mm, radii_mm, powers_w, tilts_deg, resolutions))
+    found = (
+        RigCandidate(*values) for values in itertools.product(heights_mm, radii_mm, powers_w, tilts_deg, resolutions)
+    )
     return tuple(dict.fromkeys(found))
 
 
-def _camera_of(candidate: Candidate, build: BuildSettings, view: str | None = None) -> Camera:
+def _camera_of(candidate: RigCandidate, build: BuildSettings, view: str | None = None) -> Camera:
     """The candidate's camera: the field of `build`, seen from the candidate's height."""
     rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in _FIELD_MM)
     matrix = None
@@ -143,7 +145,9 @@ def _camera_of(candidate: Candidate, build: BuildSettings, view: str | None = No
     )
 
 
-def rig_of(candidate: Candidate, build: BuildSettings, intensities: dict[str, float], view: str | None = None) -> Rig:
+def candidate_rig(
+    candidate: RigCandidate, build: BuildSettings, intensities: dict[str, float], view: str | None = None
+) -> Rig:
     """The candidate as a rig.
 
     Parameters
@@ -211,7 +215,7 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Print:
+class PrintPoints:
     """Where on a finger specular reflection is looked for."""
 
     points_mm: Array
@@ -221,11 +225,11 @@ class Print:
 
 
 def examine(
-    candidate: Candidate,
+    candidate: RigCandidate,
     build: BuildSettings,
     photons: PhotonSettings,
     *,
-    finger: Print,
+    finger: PrintPoints,
     bands: Sequence[str] = ("white",),
 ) -> tuple[Finding, ...]:
     """Judge one candidate.
@@ -242,7 +246,7 @@ def examine(
     """
     exponent = build.lobe_exponent
     intensities = {band: intensity_w_sr(candidate.power_w, LAMPS[band], exponent) for band in bands}
-    leds = rig_of(candidate, build, intensities).leds
+    leds = candidate_rig(candidate, build, intensities).leds
     white = [led for led in leds if led.band == leds[0].band]
     return (
         _in_view(white, candidate, build),
@@ -264,7 +268,9 @@ def _glare_lobe_rad(roughness: float) -> float:
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
 
 
-def _glaring(leds: list[Led], candidate: Candidate, build: BuildSettings, roughness: float, finger: Print) -> Array:
+def _glaring(
+    leds: list[Led], candidate: RigCandidate, build: BuildSettings, roughness: float, finger: PrintPoints
+) -> Array:
     """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
     points = finger.points_mm
     view = np.array([0.0, 0.0, 1.0])
@@ -282,7 +288,7 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings) -> Finding:
+def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> Finding:
     """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
     clear = np.inf
     for led in leds:
@@ -304,7 +310,7 @@ def _in_view(leds: list[Led], candidate: Candidate, build: BuildSettings) -> Fin
     return Finding("leds_in_view", ok, True, clear, words)
 
 
-def _into_lens(leds: list[Led], candidate: Candidate) -> Finding:
+def _into_lens(leds: list[Led], candidate: RigCandidate) -> Finding:
     """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
     worst = 0.0
     for led in leds:
@@ -324,7 +330,7 @@ def _into_lens(leds: list[Led], candidate: Candidate) -> Finding:
     return Finding("direct_light", ok, True, worst, words)
 
 
-def _room(candidate: Candidate) -> Finding:
+def _room(candidate: RigCandidate) -> Finding:
     inside = candidate.radius_mm - _LED_BODY_MM
     needed = max(_CAMERA_BODY_MM, _FINGER_MM)
     ok = inside >= needed
@@ -336,7 +342,7 @@ def _room(candidate: Candidate) -> Finding:
     return Finding("room", ok, True, inside - needed, words)
 
 
-def _bed(candidate: Candidate) -> Finding:
+def _bed(candidate: RigCandidate) -> Finding:
     breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
     spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
     ok = spare >= 0.0
@@ -349,7 +355,7 @@ def _bed(candidate: Candidate) -> Finding:
     return Finding("printer", ok, True, spare, words)
 
 
-def _beam(candidate: Candidate, exponent: float) -> Finding:
+def _beam(candidate: RigCandidate, exponent: float) -> Finding:
     centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
     off = abs(candidate.beam_deg - centre)
     fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
@@ -362,7 +368,7 @@ def _beam(candidate: Candidate, exponent: float) -> Finding:
     return Finding("beam", ok, True, fraction, words)
 
 
-def _glare(leds: list[Led], candidate: Candidate, build: BuildSettings, finger: Print) -> Finding:
+def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> Finding:
     glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
     free = (~glare.astype(bool)).sum(axis=0)
     blind = float(np.mean(free < 3))
@@ -395,7 +401,7 @@ def _exposed(band: str, leds: list[Led], photons: PhotonSettings) -> Finding:
     return Finding(f"exposure_{band}", ok, True, plan.level, words)
 
 
-def _depth(photons: PhotonSettings, finger: Print) -> Finding:
+def _depth(photons: PhotonSettings, finger: PrintPoints) -> Finding:
     seen = float(np.ptp(finger.points_mm[:, 2]))
     sharp = photons.depth_of_field_mm(_BLUR_MM)
     ok = sharp >= seen

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,12 @@ from splitknit.capture.folder import Opened
 from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_pi
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
-from splitknit.io.rig import read_rig
 from splitknit.model import Rig, default_rig, nominal_rig
 from splitknit.settings import flatten, override
 from splitknit.simulator.bench_photos import BOARD
 from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene, SphereScene
-from splitknit.simulator.camera.device import Clock, Scene, TwinCamera, TwinDeviceSettings, TwinLightBank
+from splitknit.simulator.camera.device import Clock, LitScene, TwinCamera, TwinDeviceSettings, TwinLightBank
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import FingerScene, twin_settings
 
@@ -87,11 +85,6 @@ def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scal
     )
 
 
-def rig_of(file: Path | None) -> Rig | None:
-    """Read the rig file, if one is named."""
-    return None if file is None else read_rig(file)
-
-
 @contextmanager
 def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
     """Open the Raspberry Pi's devices; all LEDs are off before and after.
@@ -118,7 +111,7 @@ def opened_twin(
     if target is None:
         finger = FingerScene(seed, pattern, settings.twin, impression=impression)
         truth, rig = finger.truth(), finger.rig
-        scene: Scene = finger
+        scene: LitScene = finger
     else:
         twin = settings.twin
         rig = twin.rig or default_rig(twin.scale, twin.rig_seed, twin.intensity_spread)
@@ -141,7 +134,7 @@ def opened_twin(
         yield Opened("twin", camera, lights, rig, truth=truth, notes=notes)
 
 
-def _target_scene(name: str, rig: Rig, seed: int) -> tuple[Scene, str]:
+def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
     """Return a target under the rig, and what it is; the seed draws its place where it has one."""
     camera, leds = rig.camera, rig.leds
     if name == "nail":

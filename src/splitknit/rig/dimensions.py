@@ -411,7 +411,7 @@ def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]
     return [(side, middle, 0.0), (-side, middle, 180.0), (0.0, tip, 90.0)]
 
 
-def mirror_view(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
+def mirror_reach(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
     """Return what the mirrors show: heights of the finger over the plane (mm), and the fraction of it in the picture.
 
     A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.

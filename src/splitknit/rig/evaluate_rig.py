@@ -18,15 +18,15 @@ from splitknit.rig.candidates import (
     FIRST_SEED,
     TRUTH_PX_PER_MM,
     BuildSettings,
-    Candidate,
     Finding,
-    Print,
+    PrintPoints,
+    RigCandidate,
     Study,
+    candidate_rig,
     examine,
-    rig_of,
 )
-from splitknit.rig.photography import LAMPS, Shot, intensity_w_sr, photograph
-from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, place
+from splitknit.rig.photography import LAMPS, ExposedCapture, intensity_w_sr, photograph_candidate
+from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.light.skin import SkinRanges, SkinSettings
@@ -77,7 +77,7 @@ def _view_of(seed: int, camera: Camera) -> Surface:
 def _phalange(seed: int, surface: Surface) -> BoolArray:
     """(H, W) pixels of the distal phalange: the finger above its first crease."""
     finger, _ = _person(seed)
-    placement = place(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
+    placement = placement_of(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
     x, y = _places(surface)
     z = np.where(surface.mask, surface.shape_mm, 0.0).astype(np.float64)
     along = np.asarray(placement.to_finger(x.ravel(), y.ravel(), z.ravel())[1]).reshape(z.shape)
@@ -122,7 +122,7 @@ BAND_SIGMA_MM = 0.32
 DONE, REFUSED, FAILED = "done", "refused", "failed"
 
 
-def evaluate(candidate: Candidate, study: Study) -> dict[str, Any]:
+def evaluate_candidate(candidate: RigCandidate, study: Study) -> dict[str, Any]:
     """Judge and measure one candidate.
 
     Returns
@@ -154,7 +154,7 @@ def evaluate(candidate: Candidate, study: Study) -> dict[str, Any]:
     return {**record, "status": DONE, "reason": None, "fingers": fingers, "mean": mean}
 
 
-def judge(candidate: Candidate, study: Study) -> tuple[Finding, ...]:
+def judge(candidate: RigCandidate, study: Study) -> tuple[Finding, ...]:
     """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
     finger = _typical(FIRST_SEED)
     found = examine(candidate, study.build, study.photons, finger=finger, bands=study.bands)
@@ -164,21 +164,21 @@ def judge(candidate: Candidate, study: Study) -> tuple[Finding, ...]:
 
 
 @functools.lru_cache(maxsize=4)
-def _typical(seed: int) -> Print:
+def _typical(seed: int) -> PrintPoints:
     """Print of a finger, as points and normals of its shape about half a millimetre apart."""
     surface = _view_of(seed, Camera(px_per_mm=4.0, image_size=(116, 169)))
     where = _printed(surface, _phalange(seed, surface))[::2, ::2]
     x, y = _places(surface)
     points = np.stack([x, y, surface.shape_mm.astype(np.float64)], axis=-1)[::2, ::2]
-    return Print(points[where], surface.shape_normals[::2, ::2][where].astype(np.float64))
+    return PrintPoints(points[where], surface.shape_normals[::2, ::2][where].astype(np.float64))
 
 
-def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
+def _measure(candidate: RigCandidate, study: Study, seed: int) -> dict[str, float]:
     """Figures of one finger."""
     rig, known = _rigs(candidate, study)
     surface = _seen(seed, candidate.height_mm, candidate.px_per_mm, study.build)
     whole = _phalange(seed, surface)
-    shot = photograph(
+    shot = photograph_candidate(
         surface,
         rig,
         known_rig=known,
@@ -194,7 +194,7 @@ def _measure(candidate: Candidate, study: Study, seed: int) -> dict[str, float]:
     return {**_exposed(shot), **_compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
-def _rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
+def _rigs(candidate: RigCandidate, study: Study) -> tuple[Rig, Rig]:
     """The rig that photographs, and the one that the reconstruction assumes: the thesis's methods see parallel rays."""
     build = study.build
     if study.camera == "renderer":
@@ -204,8 +204,8 @@ def _rigs(candidate: Candidate, study: Study) -> tuple[Rig, Rig]:
         intensities = {
             band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in study.bands
         }
-    rig = rig_of(candidate, build, intensities)
-    return rig, rig if study.method == "metric" else rig_of(candidate, build, intensities, "orthographic")
+    rig = candidate_rig(candidate, build, intensities)
+    return rig, rig if study.method == "metric" else candidate_rig(candidate, build, intensities, "orthographic")
 
 
 def _compare_surfaces(
@@ -227,13 +227,10 @@ def _compare_surfaces(
     lift = float(np.mean(result.height_mm[flat], dtype=np.float64) - np.mean(surface.height_mm[flat], dtype=np.float64))
     points = np.stack([x, y, result.height_mm - lift], axis=-1).astype(np.float64)
     there, back = _both_ways(true.phalange, points[kept])
-    near = _surface_distances(there[true.print], back[flat[kept]])
     cosine = np.sum(result.normals[flat].astype(np.float64) * surface.normals[flat], axis=1)
     return {
-        "hausdorff_mm": near.hausdorff_mm,
-        "hausdorff95_mm": near.hausdorff95_mm,
-        "rms_mm": near.rms_mm,
-        "whole_mm": _surface_distances(there, back).hausdorff_mm,
+        **_surface_distances(there[true.print], back[flat[kept]]),
+        "whole_mm": _surface_distances(there, back)["hausdorff_mm"],
         "normals_deg": float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))),
         "ridge_correlation": _ridge_correlation(
             result.ridge_mm, surface.height_mm - surface.shape_mm, kept, flat, BAND_SIGMA_MM / result.pitch_mm
@@ -241,7 +238,7 @@ def _compare_surfaces(
     }
 
 
-def _exposed(shot: Shot) -> dict[str, float]:
+def _exposed(shot: ExposedCapture) -> dict[str, float]:
     return {
         f"{what}_{band}": float(value)
         for band, one in shot.exposures.items()
@@ -261,8 +258,8 @@ def _ridge_correlation(
 @functools.lru_cache(maxsize=32)
 def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> Surface:
     """The finger under this height's camera: the LEDs do not change it."""
-    standing = Candidate(height_mm, 50.0, 1.0, None, px_per_mm)
-    return _view_of(seed, rig_of(standing, build, {"white": 1.0}).camera)
+    standing = RigCandidate(height_mm, 50.0, 1.0, None, px_per_mm)
+    return _view_of(seed, candidate_rig(standing, build, {"white": 1.0}).camera)
 
 
 @functools.lru_cache(maxsize=64)
@@ -275,23 +272,6 @@ def _skin(seed: int) -> SkinSettings:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class _SurfaceDistances:
-    """Distances between two surfaces, mm. Each is the larger (`rms_mm`: the root mean square) of both directions."""
-
-    hausdorff_mm: float
-    """The largest distance of a point of one set to the nearest point of the other."""
-    hausdorff95_mm: float
-    """The 95th percentile in the place of the largest."""
-    rms_mm: float
-    """Root mean square of all nearest distances, both directions weighing the same."""
-
-
-def _nearest_distances(points: Array, others: Array) -> Array:
-    """(N,) distance from each of (N, 3) `points` to the nearest of (M, 3) `others`."""
-    return np.asarray(cKDTree(others).query(points)[0], dtype=np.float64)
-
-
 def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
     """Nearest distances from (N, 3) `first` to (M, 3) `second`, (N,), and back, (M,). Raises BadInput if a set is
     empty, not (N, 3) or not finite.
@@ -302,11 +282,12 @@ def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:
             f"{name} must hold points (N, 3), but it has the shape {points.shape}.",
         )
         require(bool(np.isfinite(points).all()), f"{name} holds points that are not finite.")
-    return _nearest_distances(first, second), _nearest_distances(second, first)
+    return np.asarray(cKDTree(second).query(first)[0]), np.asarray(cKDTree(first).query(second)[0])
 
 
-def _surface_distances(there: Array, back: Array) -> _SurfaceDistances:
-    """Summarise nearest distances, (N,) and (M,), in both directions: those of :func:`_both_ways`, or a part of them.
+def _surface_distances(there: Array, back: Array) -> dict[str, float]:
+    """Hausdorff distance, its 95 % variant and root mean square (mm) of nearest distances, (N,) and (M,), in both
+    directions: those of :func:`_both_ways`, or a part of them.
 
     Where only the middle of two surfaces is measured, a point at its border may have its neighbour just beyond; so
     distances are found on the whole surfaces and those of the middle are kept. Source: F. Hausdorff, Grundzuege der
@@ -315,8 +296,8 @@ def _surface_distances(there: Array, back: Array) -> _SurfaceDistances:
     (8).
     """
     require(there.size > 0 and back.size > 0, "no distances to summarise; the surfaces share no points.")
-    return _SurfaceDistances(
-        hausdorff_mm=float(max(there.max(), back.max())),
-        hausdorff95_mm=float(max(np.percentile(there, 95), np.percentile(back, 95))),
-        rms_mm=float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2)))),
-    )
+    return {
+        "hausdorff_mm": float(max(there.max(), back.max())),
+        "hausdorff95_mm": float(max(np.percentile(there, 95), np.percentile(back, 95))),
+        "rms_mm": float(np.sqrt(0.5 * (np.mean(there**2) + np.mean(back**2)))),
+    }

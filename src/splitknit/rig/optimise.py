@@ -20,8 +20,8 @@ from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import canonical_json, plain_json, settings_hash
 from splitknit.model import Progress, no_progress
-from splitknit.rig.candidates import Candidate, Study
-from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate, judge
+from splitknit.rig.candidates import RigCandidate, Study
+from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate_candidate, judge
 from splitknit.settings import differing
 
 THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
@@ -29,8 +29,8 @@ THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
 """Called with what is being done and the fraction of the whole that is done."""
 
 
-def sweep(
-    out: Path, candidates: Sequence[Candidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
+def sweep_rigs(
+    out: Path, candidates: Sequence[RigCandidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
 ) -> list[dict[str, Any]]:
     """Evaluate all candidates and keep each as soon as it is finished.
 
@@ -44,8 +44,8 @@ def sweep(
 
     Returns
     -------
-    Records of :func:`splitknit.rig.evaluate_rig.evaluate`, in the order of `candidates`. A failed candidate is tried
-    again when the sweep is resumed; done and refused ones are not.
+    Records of :func:`splitknit.rig.evaluate_rig.evaluate_candidate`, in the order of `candidates`. A failed candidate
+    is tried again when the sweep is resumed; done and refused ones are not.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def sweep(
     waiting = [candidate for candidate in candidates if candidate.name not in records]
     total = len(candidates)
     progress("resuming" if records else "starting", len(records) / total)
-    done = run_jobs(partial(evaluate, study=study), waiting, workers, f"what is finished in '{out}'")
+    done = run_jobs(partial(evaluate_candidate, study=study), waiting, workers, f"what is finished in '{out}'")
     for candidate, record in done:
         folder.write(candidate, record)
         records[candidate.name] = folder.read(candidate) or record  # as it is read from a file, in any case
@@ -77,7 +77,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
 
     Parameters
     ----------
-    records : of :func:`sweep`
+    records : of :func:`sweep_rigs`
     study : of the sweep
     objective : ``hausdorff``, ``hausdorff95``, ``rms``, ``whole`` or ``normals``: what is minimised
 
@@ -103,7 +103,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
         require(False, f"not one of the {len(records)} rigs can be built and measured; most often: {first}")
     figure = OBJECTIVES[objective]
     compared = _compare_with_best(done, figure)
-    costs = [[one["mean"][figure], one["candidate"]["power_w"], Candidate(**_fields(one)).volume_l] for one in done]
+    costs = [[one["mean"][figure], one["candidate"]["power_w"], RigCandidate(**_fields(one)).volume_l] for one in done]
     front = _pareto_front(np.array(costs, dtype=np.float64))
     names = [one["candidate"]["name"] for one in done]
     best = next(name for name, row in compared.items() if row["best"])
@@ -121,7 +121,7 @@ def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = 
     }
 
 
-def _check_possible(candidates: Sequence[Candidate], study: Study) -> None:
+def _check_possible(candidates: Sequence[RigCandidate], study: Study) -> None:
     """Refuse, before anything is written, a sweep of which no rig keeps the constraints."""
     reason = ""
     for candidate in candidates:
@@ -191,7 +191,7 @@ def _mean_interval(values: Sequence[float] | Array, fraction: float = 0.95) -> t
 def _compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict[str, dict[str, Any]]:
     """How much worse than the best every candidate is, finger by finger.
 
-    `records`: of :func:`splitknit.rig.evaluate_rig.evaluate`, all of them done and of the same fingers; `objective`:
+    `records`: of :func:`splitknit.rig.evaluate_rig.evaluate_candidate`, all done, of the same fingers; `objective`:
     name of the figure, as ``hausdorff_mm``. Returns by name of the candidate: ``value`` and ``low``, ``high`` (95 %
     interval of the mean over the fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (the
     same of the paired difference from the best), and ``as_good``: the interval of the difference holds zero.
@@ -247,7 +247,7 @@ class _SweepFolder:
         else:
             self._write(out / STUDY_FILE, self.document)
 
-    def read(self, candidate: Candidate) -> dict[str, Any] | None:
+    def read(self, candidate: RigCandidate) -> dict[str, Any] | None:
         """The candidate's record, or None where it is not finished (or its file is damaged)."""
         try:
             stored, _ = read_json(self._file(candidate))
@@ -258,11 +258,11 @@ class _SweepFolder:
         except (ValueError, KeyError, TypeError):
             return None
 
-    def write(self, candidate: Candidate, record: Mapping[str, Any]) -> None:
+    def write(self, candidate: RigCandidate, record: Mapping[str, Any]) -> None:
         """Keep a finished candidate."""
         self._write(self._file(candidate), {"study_sha256": self.hash, "record": plain_json(record)})
 
-    def _file(self, candidate: Candidate) -> Path:
+    def _file(self, candidate: RigCandidate) -> Path:
         return self.out / CANDIDATES / f"{candidate.name}.json"
 
     def _files(self) -> list[str]:

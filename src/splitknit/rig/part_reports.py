@@ -14,7 +14,7 @@ from splitknit.errors import require
 from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles
-from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_view, shadow_tips
+from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_reach, shadow_tips
 from splitknit.rig.part_settings import PrinterSettings
 
 
@@ -58,7 +58,7 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
         "calibration_disc_diameter_mm": 2 * d.disc_radius_mm,
         "mirrors": {
             "size_mm": [sizes.MIRROR_LONG_MM, d.settings.mirror.wide_mm, sizes.MIRROR_THICK_MM],
-            **{name: {k: round(v, 2) for k, v in view.items()} for name, view in mirror_view(d).items()},
+            **{name: {k: round(v, 2) for k, v in view.items()} for name, view in mirror_reach(d).items()},
         },
         "leds": [_led(hole) for hole in d.holes],
         "hardware": {

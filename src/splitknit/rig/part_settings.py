@@ -40,7 +40,7 @@ DENSITY_G_PER_CM3 = 1.24
 
 
 @dataclass(frozen=True, slots=True)
-class JointSettings(Checked):
+class _JointSettings(Checked):
     """How parts meet: a tapered ridge in a tapered groove, and M3 screws in lugs."""
 
     wall_mm: Annotated[float, Limits(0.05, 1000)] = 2.4
@@ -98,7 +98,7 @@ LED_TIP_FREE_MM = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class FingerSettings(Checked):
+class _FingerSettings(Checked):
     """Fingers of men and women, and how they lie.
 
     British adults of 19 to 65 years (5th percentile of women to 95th of men, mm): thumb breadth 17 to 26, index finger
@@ -137,7 +137,7 @@ FINGER_PHALANX_MM = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class CameraSettings(Checked):
+class _CameraSettings(Checked):
     """The camera's board (Raspberry Pi camera v2: 25 x 24 mm, holes 21 x 12.5 mm, M2) and its lens."""
 
     board_y_mm: Annotated[float, Limits(0.05, 1000)] = 24.0
@@ -216,7 +216,7 @@ WIRE_ROOM_MM = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationSettings(Checked):
+class _CalibrationSettings(Checked):
     """Calibration disc and nail."""
 
     dot_mm: Annotated[float, Limits(0.05, 1000)] = 1.5
@@ -238,7 +238,7 @@ NAIL_RADIUS_MM = 2.5
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorSettings(Checked):
+class _MirrorSettings(Checked):
     """First-surface mirrors beside the finger, at 45 deg."""
 
     wide_mm: Annotated[float, Limits(0.05, 1000)] = 20.0
@@ -260,13 +260,13 @@ class PartSettings:
     """All settings of the parts."""
 
     printer: PrinterSettings = field(default_factory=PrinterSettings)
-    joint: JointSettings = field(default_factory=JointSettings)
+    joint: _JointSettings = field(default_factory=_JointSettings)
     led: LedSettings = field(default_factory=LedSettings)
-    finger: FingerSettings = field(default_factory=FingerSettings)
-    camera: CameraSettings = field(default_factory=CameraSettings)
+    finger: _FingerSettings = field(default_factory=_FingerSettings)
+    camera: _CameraSettings = field(default_factory=_CameraSettings)
     board: BoardSettings = field(default_factory=BoardSettings)
-    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
-    mirror: MirrorSettings = field(default_factory=MirrorSettings)
+    calibration: _CalibrationSettings = field(default_factory=_CalibrationSettings)
+    mirror: _MirrorSettings = field(default_factory=_MirrorSettings)
 
     def __post_init__(self) -> None:
         wall = self.joint.wall_mm

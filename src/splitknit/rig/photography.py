@@ -93,7 +93,7 @@ class PhotonSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class Exposure:
+class _Exposure:
     """How one band is exposed."""
 
     time_s: float
@@ -119,7 +119,7 @@ def electrons_per_s(radiance: float, lamp: _Lamp, settings: PhotonSettings) -> f
     return float(photons * lamp.quantum_efficiency)
 
 
-def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> Exposure:
+def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> _Exposure:
     """Shutter first, then gain, then darkness.
 
     Parameters
@@ -134,7 +134,7 @@ def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> Exposure:
     wanted = TARGET_LEVEL * FULL_WELL_E / rate_e_s
     time = float(np.clip(wanted, settings.shortest_s, _LONGEST_S))
     gain = float(np.clip(wanted / time, 1.0, _MAX_GAIN))
-    return Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
+    return _Exposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
 
 
 def _tremor_blur_mm(time_s: float) -> float:
@@ -156,14 +156,14 @@ FOCUS_DEPTH_MM = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class ExposedCapture:
     """A capture and how it was exposed."""
 
     capture: Capture
-    exposures: Mapping[str, Exposure]
+    exposures: Mapping[str, _Exposure]
 
 
-def photograph(
+def photograph_candidate(
     surface: Surface,
     rig: Rig,
     *,
@@ -173,7 +173,7 @@ def photograph(
     photons: PhotonSettings,
     seed: np.random.SeedSequence,
     rendered: bool = False,
-) -> Shot:
+) -> ExposedCapture:
     """Photograph `surface` under every LED of `rig`.
 
     Parameters
@@ -206,7 +206,7 @@ def photograph(
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
         frames, brightest = _frames(surface, [rig.leds[k] for k in members], name, skin)
         if rendered:
-            exposure = Exposure(0.0, 1.0, brightest * W_PER_UNIT)
+            exposure = _Exposure(0.0, 1.0, brightest * W_PER_UNIT)
             sensor = SensorSettings(noise=False, raw_bits=16, encoding="srgb")
         else:
             exposure = plan_exposure(electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons)
@@ -232,7 +232,9 @@ def photograph(
         exposures[name] = exposure
     material = "opaque" if skin is None else "skin"
     encoding = "srgb" if rendered else "linear"
-    return Shot(Capture(rig=known_rig, bands=bands, encoding=encoding, material=material, mask=mask), exposures)
+    return ExposedCapture(
+        Capture(rig=known_rig, bands=bands, encoding=encoding, material=material, mask=mask), exposures
+    )
 
 
 def _frames(surface: Surface, leds: list[Led], name: str, skin: SkinSettings | None) -> tuple[list[FloatArray], float]:

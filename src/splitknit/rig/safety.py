@@ -90,7 +90,7 @@ def _luminous(nm: _Array) -> _Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Hazard:
+class _Hazard:
     """One quantity against its limit."""
 
     band: str
@@ -149,7 +149,7 @@ def _hazards(
     together: int = 1,
     duty: float = 1.0,
     exposure_s: float = EXEMPT_S,
-) -> tuple[Hazard, ...]:
+) -> tuple[_Hazard, ...]:
     """Return the retina's hazards of LEDs of one band, each with its limit.
 
     Parameters
@@ -179,24 +179,24 @@ def _hazards(
     thermal_alpha = max(alpha, _SMALL)
     burn = irradiance * float(_SPECTRA[band] @ _burn_weight(_NM)) / _solid_angle(thermal_alpha)
     if band == "nir":
-        return (Hazard(band, "retina, heat, nothing seen", "4.3.6", burn, 6000.0 / thermal_alpha, "W/m2/sr"),)
+        return (_Hazard(band, "retina, heat, nothing seen", "4.3.6", burn, 6000.0 / thermal_alpha, "W/m2/sr"),)
     blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ _blue_weight(_NM))
     if alpha < _SMALL:
         limit = 100.0 / exposure_s if exposure_s < 100 else 1.0
-        blue = Hazard(band, "retina, blue light, small source", "4.3.4", blue_irradiance * together, limit, "W/m2")
+        blue = _Hazard(band, "retina, blue light, small source", "4.3.4", blue_irradiance * together, limit, "W/m2")
     else:
         # the longer somebody looks, the wider the eye spreads the light
         field = min(_SMALL * max(exposure_s / 100.0, 1.0) ** 0.5, _ALPHA_MAX)
         seen = together if field >= _ALPHA_MAX else 1
         radiance = blue_irradiance * seen / _solid_angle(max(field, alpha))
-        blue = Hazard(band, "retina, blue light", "4.3.3", radiance, max(1e6 / exposure_s, 100.0), "W/m2/sr")
+        blue = _Hazard(band, "retina, blue light", "4.3.3", radiance, max(1e6 / exposure_s, 100.0), "W/m2/sr")
     # 50000 / (alpha t^0.25) at 10 s, its longest time: 28000 / alpha of table 6.1
-    return blue, Hazard(band, "retina, heat", "4.3.5", burn, 28000.0 / thermal_alpha, "W/m2/sr")
+    return blue, _Hazard(band, "retina, heat", "4.3.5", burn, 28000.0 / thermal_alpha, "W/m2/sr")
 
 
 def rig_hazards(
     rig: Rig, stages: Mapping[str, Stage], *, duty: float = 1.0, exposure_s: float = EXEMPT_S, shorted: bool = False
-) -> tuple[Hazard, ...]:
+) -> tuple[_Hazard, ...]:
     """Return all hazards of a rig whose LEDs are on together.
 
     Parameters
@@ -212,7 +212,7 @@ def rig_hazards(
     BadInput
         If an LED's data are none; see :func:`_radiant_intensity`.
     """
-    found: list[Hazard] = []
+    found: list[_Hazard] = []
     infrared = skin = 0.0
     for band, stage in stages.items():
         places = np.array([led.position_mm for led in rig.leds if led.band == band and led.position_mm is not None])
@@ -228,12 +228,12 @@ def rig_hazards(
         infrared += everywhere * float(_SPECTRA[band][_NM >= 780].sum())
         skin += everywhere
     limit = max(18000.0 * exposure_s**-0.75, 100.0)
-    found.append(Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, limit, "W/m2"))
-    found.append(Hazard("all", "skin, heat, 10 s", "4.3.8", skin, 20000.0 * _SKIN_S**-0.75, "W/m2"))
+    found.append(_Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, limit, "W/m2"))
+    found.append(_Hazard("all", "skin, heat, 10 s", "4.3.8", skin, 20000.0 * _SKIN_S**-0.75, "W/m2"))
     return tuple(found)
 
 
-def check_hazards(found: tuple[Hazard, ...]) -> None:
+def check_hazards(found: tuple[_Hazard, ...]) -> None:
     """Refuse light above a limit.
 
     Raises

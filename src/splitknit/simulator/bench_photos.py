@@ -19,16 +19,16 @@ from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_capture
 from splitknit.model import Band, Capture, Progress, Rig, no_progress, nominal_rig
 from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
-from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
+from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene
-from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.device import LitScene
 from splitknit.simulator.rigs import built_rig
 
 MARKER = "rig_true.json"
 NAIL_MM = 13.0
 NAIL_PLACES_MM = ((-5.0, -3.5), (5.5, -3.0), (4.5, 4.0), (-5.5, 3.5))
 """Where the nail stands: all shadows stay in a picture of 42 x 29 mm."""
-BOARD = Board(rows=6, columns=9, square_mm=3.0)
+BOARD = PrintedBoard(rows=6, columns=9, square_mm=3.0)
 EXPOSURES_S = (0.002, 0.004, 0.006, 0.008, 0.010, 0.012)
 PUPIL_MM = 1.6
 """A lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels."""
@@ -138,14 +138,14 @@ def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Itera
     yield "card", partial(_card, card, rig, of_card, photos.dark)
 
 
-def _one(scene: Scene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path) -> None:
+def _one(scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path) -> None:
     """One photograph with several LEDs on."""
     pixels = photograph_bench(scene, lit, seed, exposure=well_exposed(scene, [lit]))
     (target / name).parent.mkdir(exist_ok=True, parents=True)
     write_image(target / name, pixels)
 
 
-def _series(scene: Scene, seed: np.random.SeedSequence, folder: Path, target: Path) -> None:
+def _series(scene: LitScene, seed: np.random.SeedSequence, folder: Path, target: Path) -> None:
     """One photograph under every LED, each band at its own exposure."""
     (target / folder).mkdir(parents=True, exist_ok=True)
     for band in ("white", "nir"):

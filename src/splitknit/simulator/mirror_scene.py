@@ -14,14 +14,14 @@ from splitknit.simulator.light.lighting import Patch, cut_out, finger_window, ir
 from splitknit.simulator.light.renderer import (
     LED_RADIUS_MM,
     BandLight,
-    Diffusion,
     Relief,
+    SubsurfaceScattering,
     render_ambient,
     render_lights,
 )
 from splitknit.simulator.light.skin import SkinSettings
-from splitknit.simulator.mirror_view import Coverage, Light, View, lights_of, outline_coverage
-from splitknit.simulator.rigs import HolderProfile, MirrorViews
+from splitknit.simulator.mirror_view import Coverage, Light, ReflectedView, lights_of, outline_coverage
+from splitknit.simulator.rigs import HolderProfile, MirrorSettings
 from splitknit.simulator.scene import (
     BACKGROUND_MM,
     BackgroundSettings,
@@ -64,7 +64,7 @@ class MirrorScene:
     def __init__(
         self,
         subject: tuple[Surface, Rig, SkinSettings],
-        seen: Sequence[View],
+        seen: Sequence[ReflectedView],
         settings: TwinSettings,
         seed: np.random.SeedSequence,
     ) -> None:
@@ -127,7 +127,7 @@ class MirrorScene:
             entering, gloss = _light_through(patch, lights[k], skin.roughness, LED_RADIUS_MM)
             return entering, gloss * np.float32(skin.glare), None
 
-        blur, relief = Diffusion(patch, skin, self.settings.render), Relief(surface, patch, skin)
+        blur, relief = SubsurfaceScattering(patch, skin, self.settings.render), Relief(surface, patch, skin)
         return render_lights(patch, shine, len(lights), blur, lambda k: relief.gains(lights[k][0].led))
 
     def _frame(self, front: BandLight, sides: Sequence[BandLight], k: int, led: Led) -> FloatArray:
@@ -144,7 +144,7 @@ class MirrorScene:
     def _over(
         self,
         frame: FloatArray,
-        seen: tuple[View, _Frame],
+        seen: tuple[ReflectedView, _Frame],
         inside: FloatArray,
         radiance: Callable[[_Plate], float],
         card: FloatArray | None = None,
@@ -265,7 +265,7 @@ class _Frame:
 
 
 def _mirror_frame(
-    view: View, mirrors: Sequence[Mirror], camera: Camera, views: MirrorViews, rng: np.random.Generator
+    view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera, views: MirrorSettings, rng: np.random.Generator
 ) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror.
 
@@ -319,7 +319,7 @@ def _blend(frame: FloatArray, cover: Coverage, over: FloatArray | np.float32, fr
     some += fraction[..., None] * ((over[cover.window] if isinstance(over, np.ndarray) else over) - some)
 
 
-def _visible(view: View, frame: _Frame, free: BoolArray) -> BoolArray:
+def _visible(view: ReflectedView, frame: _Frame, free: BoolArray) -> BoolArray:
     """(H, W) pixels that show the finger in a mirror: not the lip, not the lip in the mirror, not the finger itself."""
     mask = view.mask & free
     for plate in (*frame.reflected_lip, *frame.lip):

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, Capture, Mirror, Rig
 from splitknit.simulator.camera.lens import picture_on_plane
-from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, finger_surface, place
+from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, finger_surface, placement_of
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
 from splitknit.simulator.light.skin import SkinSettings
 from splitknit.simulator.mirror_scene import MirrorScene
-from splitknit.simulator.mirror_view import View, as_built, mirror_view
+from splitknit.simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit.simulator.rigs import mirror_rig, stop_y_mm
 from splitknit.simulator.scene import TwinSettings, surface_truth, take_capture
 
@@ -102,7 +102,7 @@ def photograph_between_mirrors(
     mirrors = as_built(rig.mirrors, views, seed if views.pose_seed is None else views.pose_seed)
     body, master = FingerBody(finger.shape), finger.master()
     worn = _bare_behind(skin_map(master, finger.skin), body, views.ridges_to_deg)
-    placement = place(body, pose, camera)
+    placement = placement_of(body, pose, camera)
     for mirror in mirrors:
         _check_apart(body, placement, mirror)
     workers = settings.render.workers
@@ -168,7 +168,7 @@ def _check_apart(body: FingerBody, placement: Placement, mirror: Mirror) -> None
 _PROXIMAL_MM = 6.0
 
 
-def _view_truth(views: Sequence[View], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
+def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
     """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
 
     `masks` (H, W): what of each is visible.

@@ -15,7 +15,7 @@ from splitknit.model import BoolArray, Camera, FloatArray, Led, Mirror
 from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement, cast_rays, fill_surface, meets, rays_of
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ Numbers = NDArray[np.floating]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reflection:
+class _Reflection:
     """Reflection in a plane: x -> matrix x + offset, its own inverse."""
 
     matrix: Array
@@ -34,7 +34,7 @@ class Reflection:
     """(3,) mm."""
 
     @classmethod
-    def of(cls, mirror: Mirror) -> Reflection:
+    def of(cls, mirror: Mirror) -> _Reflection:
         """The reflection in a mirror's plane."""
         normal, point = mirror.normal, mirror.point_mm
         return cls(np.eye(3) - 2.0 * np.outer(normal, normal), 2.0 * normal * float(normal @ point))
@@ -69,7 +69,7 @@ class _Gate:
     corners: Array
     """(N, 3)."""
 
-    def reflected(self, reflection: Reflection) -> _Gate:
+    def reflected(self, reflection: _Reflection) -> _Gate:
         """The same outline behind a mirror."""
         return _Gate(reflection.points(self.corners))
 
@@ -117,7 +117,7 @@ class Light:
     led: Led
     gate: _Gate | None = None
 
-    def reflected(self, reflection: Reflection) -> Light:
+    def reflected(self, reflection: _Reflection) -> Light:
         """The same behind a mirror, at full strength."""
         gate = None if self.gate is None else self.gate.reflected(reflection)
         return Light(reflection.led(self.led, 1.0), gate)
@@ -129,7 +129,7 @@ def lights_of(led: Led, mirrors: Sequence[Mirror]) -> list[Light]:
     Light that meets two mirrors one after the other is left out.
     """
     images = [
-        Light(Reflection.of(mirror).led(led, mirror.reflectance), _Gate(np.asarray(mirror.corners_mm)))
+        Light(_Reflection.of(mirror).led(led, mirror.reflectance), _Gate(np.asarray(mirror.corners_mm)))
         for mirror in mirrors
     ]
     return [Light(led), *images]
@@ -139,7 +139,7 @@ _TURN_MAX_DEG, _SHIFT_MAX_MM = 3.0, 2.0
 """Turns about any axis and shifts along any axis beyond this are cut off to it."""
 
 
-def as_built(mirrors: Sequence[Mirror], views: MirrorViews, seed: int) -> tuple[Mirror, ...]:
+def as_built(mirrors: Sequence[Mirror], views: MirrorSettings, seed: int) -> tuple[Mirror, ...]:
     """Draw where the mirrors truly are: turned about their middle and shifted against the drawing."""
     drawn = []
     for mirror in mirrors:
@@ -181,12 +181,12 @@ class Coverage:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class ReflectedView:
     """One mirror and what the camera sees in it."""
 
     mirror: Mirror
     """As it truly is."""
-    reflection: Reflection
+    reflection: _Reflection
     surface: Surface
     """The reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror."""
     coverage: Coverage
@@ -201,7 +201,7 @@ class View:
         return mask
 
 
-def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers: int = 2) -> View:
+def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers: int = 2) -> ReflectedView:
     """Show the finger's reflection to a camera.
 
     Parameters
@@ -216,7 +216,7 @@ def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers
     BadInput
         If the mirror lies outside the picture, or no part of the finger is seen in it.
     """
-    reflection = Reflection.of(mirror)
+    reflection = _Reflection.of(mirror)
     behind = replace(finger, placement=reflection.placement(finger.placement))
     coverage = outline_coverage(camera, np.asarray(mirror.corners_mm))
     require(
@@ -226,7 +226,7 @@ def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers
     margin = int(np.ceil(BEYOND_MM * camera.px_per_mm))
     box = _widened(coverage.window, margin, camera.image_size)
     surface = _surface(behind, camera, box, workers)
-    view = View(mirror, reflection, surface, coverage)
+    view = ReflectedView(mirror, reflection, surface, coverage)
     require(
         bool(view.mask.any()), f"the {mirror.name} mirror shows nothing of the finger; move the finger or the mirror."
     )

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Tolerances(Checked):
+class _Tolerances(Checked):
     """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
 
     led_position_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
@@ -71,7 +71,7 @@ class Tolerances(Checked):
         require(low <= high, f"tolerances.corner_vignetting must be (low, high), but it is ({low}, {high}).")
 
 
-def built_rig(seed: int, *, scale: float = 1.0, tolerances: Tolerances | None = None) -> Rig:
+def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
     """Return the rig as a person builds it: the truth that calibration has to find.
 
     Parameters
@@ -91,7 +91,7 @@ def built_rig(seed: int, *, scale: float = 1.0, tolerances: Tolerances | None = 
         If `scale` or `seed` is out of range.
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
-    tolerances = tolerances or Tolerances()
+    tolerances = tolerances or _Tolerances()
     drawn = nominal_rig(scale)
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB1]))
     camera = _built_camera(drawn.camera, tolerances, rng)
@@ -110,7 +110,7 @@ def built_rig(seed: int, *, scale: float = 1.0, tolerances: Tolerances | None = 
     return Rig(camera=camera, leds=leds, provenance=provenance)
 
 
-def _built_camera(drawn: Camera, tolerances: Tolerances, rng: np.random.Generator) -> Camera:
+def _built_camera(drawn: Camera, tolerances: _Tolerances, rng: np.random.Generator) -> Camera:
     assert drawn.matrix is not None
     rows, columns = drawn.image_size
     focal, height, *offset = _normal(rng, 4)
@@ -135,7 +135,7 @@ def _built_camera(drawn: Camera, tolerances: Tolerances, rng: np.random.Generato
 
 def _built_led(
     drawn: Led,
-    tolerances: Tolerances,
+    tolerances: _Tolerances,
     rng: np.random.Generator,
     seen_from_camera: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
 ) -> Led:
@@ -252,7 +252,7 @@ class _MirrorParts(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class MirrorViews(Checked):
+class MirrorSettings(Checked):
     """What the twin's mirrors are; without names there are none."""
 
     _group = "mirrors"
@@ -303,7 +303,7 @@ _POCKET_MM = 1.0
 # With mirrors, as it is drawn.
 
 
-def mirror_rig(views: MirrorViews, scale: float, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
+def mirror_rig(views: MirrorSettings, scale: float, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
     """Return the thesis's rig with a camera that sees the mirrors too, and the mirrors where the drawing has them."""
     rig = default_rig(scale, seed, intensity_spread)
     rows, columns = (round(side * scale) for side in views.image_size)
@@ -316,7 +316,7 @@ def mirror_rig(views: MirrorViews, scale: float, seed: int | None = None, intens
     return replace(rig, camera=camera, leds=leds, mirrors=_nominal_mirrors(views, camera))
 
 
-def _nominal_mirrors(views: MirrorViews, camera: Camera) -> tuple[Mirror, ...]:
+def _nominal_mirrors(views: MirrorSettings, camera: Camera) -> tuple[Mirror, ...]:
     """Return the mirrors as drawn: the part of each face that the holder's lip leaves free."""
     profile = HolderProfile(views.parts)
     return tuple(

@@ -23,7 +23,7 @@ from splitknit.simulator.finger.motion import HandMotion
 from splitknit.simulator.light.lighting import finger_window, white_card
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
 from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinRanges, SkinSettings
-from splitknit.simulator.rigs import MirrorViews
+from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.surface import Surface
 
 BACKGROUND_MM = 10.0
@@ -135,7 +135,7 @@ class TwinSettings(Checked):
     binned. None: as :func:`splitknit.simulator.camera.sensor.binning_scale` finds it from the camera."""
     motion: HandMotion = field(default_factory=HandMotion)
     """How the finger moves between the shots; it lies still unless `motion.amplitude_mm` is above zero."""
-    mirrors: MirrorViews = field(default_factory=MirrorViews)
+    mirrors: MirrorSettings = field(default_factory=MirrorSettings)
     """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
     condition: Condition = field(default_factory=Condition)
     """State of the finger's skin: clean unless `condition.kind` is wet, dry, dusty, scarred or glossy."""

@@ -177,7 +177,7 @@ def simulate_capture(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaidDown:
+class _LaidDown:
     """A finger under a rig."""
 
     surface: Surface
@@ -194,7 +194,7 @@ def lay_down(
     *,
     impression: int = 0,
     finger: Finger | None = None,
-) -> LaidDown:
+) -> _LaidDown:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
     drawn = _drawn(seed, pattern, settings, impression, finger)
@@ -205,7 +205,7 @@ def lay_down(
         surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
     else:
         surface = finger_surface(finger, pose, camera, workers=workers)
-    return LaidDown(surface, drawn.rig, skin, drawn.photo_seed)
+    return _LaidDown(surface, drawn.rig, skin, drawn.photo_seed)
 
 
 def _drawn(seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None) -> Drawn:

@@ -9,8 +9,8 @@ from bench_help import DARK_ROOM, built, drawn, grey, parallel, sample, seen
 from scipy.special import ndtr
 
 from splitknit.errors import BadInput
-from splitknit.simulator.calibration_set.bench import inside
-from splitknit.simulator.calibration_set.flat import Board, BoardScene, CardScene, DiscScene, board_poses
+from splitknit.simulator.calibration_set.bench import edge_coverage
+from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
 from splitknit.simulator.camera.lens import slopes_of_pixels
 
 
@@ -25,7 +25,7 @@ def reflectance(scene):
         camera=scene.camera,
         leds=scene.leds,
         bench=scene.bench,
-        board=Board(paper=1.0, ink=1.0, margin_mm=90.0),
+        board=PrintedBoard(paper=1.0, ink=1.0, margin_mm=90.0),
         rotation_vector=scene.rotation_vector,
         translation_mm=scene.translation_mm,
     )
@@ -42,7 +42,7 @@ def test_an_edge_is_averaged_over_its_pixels(turn_deg, blur):
     places = (np.arange(40) + 0.5) / 40 - 0.5
     moved = distance[..., None, None] + 0.7 * (c * places[:, None] + s * places)
     exact = np.mean(ndtr(moved / 0.7 / blur) if blur else moved > 0, axis=(-1, -2))
-    fraction = inside(distance, blur=0.7 * blur)
+    fraction = edge_coverage(distance, blur=0.7 * blur)
     # what is least exact is an edge at 45 deg, whose triangle becomes half a box and half a Gaussian
     assert np.abs(fraction - exact).max() < (0.014 if turn_deg % 90 == 0 else 0.03)
     assert abs(np.sum(fraction - exact, axis=1 if turn_deg <= 45 else 0)).max() < 0.02
@@ -79,7 +79,7 @@ def test_opencv_finds_the_corners_within_a_twentieth_of_a_pixel(seed):
 
 def test_print_blur_widens_the_edges():
     things = drawn(0.3)
-    scene = BoardScene(**things, board=Board(print_blur_mm=0.05))
+    scene = BoardScene(**things, board=PrintedBoard(print_blur_mm=0.05))
     column, row = seen(things["camera"], (1.5, 1.5, 0))[0]
     reach = round(column) + np.arange(-10, 11)
     slope = np.abs(np.gradient(grey(scene, [])[round(row)][reach]))
@@ -92,7 +92,7 @@ def test_print_blur_widens_the_edges():
 
 def test_a_boards_pixels_are_the_average_of_many_points_in_them():
     things = built(4)
-    scene = held(things, 5, board=Board(print_blur_mm=0.0))
+    scene = held(things, 5, board=PrintedBoard(print_blur_mm=0.0))
     turn = cv2.Rodrigues(np.array(scene.rotation_vector))[0]
     total = np.zeros((220, 320))
     n = 8
@@ -194,14 +194,17 @@ def test_boards_beyond_the_picture_are_black_cloth():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: board_poses(0, 3, drawn()["camera"], Board(square_mm=6.0)), "does not fit .* print a smaller one"),
+        (
+            lambda: board_poses(0, 3, drawn()["camera"], PrintedBoard(square_mm=6.0)),
+            "not fit .* print a smaller one",
+        ),
         (lambda: board_poses(-1, 3, drawn()["camera"]), "seed must not be negative"),
         (lambda: BoardScene(**drawn(), rotation_vector=(3.1, 0, 0)).light([0]), "edge-on or from behind"),
         (lambda: BoardScene(**drawn(), translation_mm=(0, 0, 150)), "hold it lower"),
         (lambda: BoardScene(**drawn(), rotation_vector=(np.nan, 0, 0)), "three finite numbers"),
-        (lambda: Board(rows=1), "board.rows must be at least 2"),
-        (lambda: Board(square_mm=0.0), "board.square_mm must be from 0.1 to 100"),
-        (lambda: Board(ink=-0.1), "board.ink must be from 0 to 1"),
+        (lambda: PrintedBoard(rows=1), "board.rows must be at least 2"),
+        (lambda: PrintedBoard(square_mm=0.0), "board.square_mm must be from 0.1 to 100"),
+        (lambda: PrintedBoard(ink=-0.1), "board.ink must be from 0 to 1"),
         (lambda: DiscScene(**drawn(), dot_mm=11.0), "smaller than their spacing"),
     ],
 )

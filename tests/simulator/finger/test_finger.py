@@ -8,10 +8,10 @@ from scipy import ndimage
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera
-from splitknit.simulator.finger.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, place
+from splitknit.simulator.finger.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
-from splitknit.simulator.finger.skin_map import Crease, SkinSettings
+from splitknit.simulator.finger.skin_map import FlexionCrease, SkinRelief
 from splitknit.simulator.surface import Surface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
@@ -109,7 +109,9 @@ def test_every_pixel_lies_on_the_skin(seen: Surface, finger: Finger) -> None:
     rows, columns = np.nonzero(seen.mask & (seen.normals[..., 2] > 0.25))
     body = FingerBody(finger.shape)
     x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
-    distance, _, _ = body.distance_and_chart(*place(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
+    distance, _, _ = body.distance_and_chart(
+        *placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns])
+    )
     np.testing.assert_allclose(1e3 * distance, seen.relief_um[rows, columns], atol=0.02)
     ridges = seen.relief_um[facing]
     assert ridges.max() < 2.0
@@ -210,7 +212,7 @@ def test_roll_turns_the_pad_to_the_right(finger: Finger, master: MasterPrint) ->
 def test_the_creases_are_grooves_where_the_landmarks_say(finger: Finger, master: MasterPrint) -> None:
     pose = Pose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
-    settings = SkinSettings(creases=(Crease(side_lines=0), Crease(v_mm=-11.5, depth_mm=0.5, side_lines=0)))
+    settings = SkinRelief(creases=(FlexionCrease(side_lines=0), FlexionCrease(v_mm=-11.5, depth_mm=0.5, side_lines=0)))
     surface = finger_surface(replace(finger, skin=settings, printed=master), pose, camera)
     for line, crease in zip(surface.landmarks["crease_px"], settings.creases, strict=True):
         near = line[np.abs(line[:, 0] - 180) < 40]
@@ -229,7 +231,7 @@ def test_landmarks_show_the_chart_points_they_name(seen: Surface, finger: Finger
     assert shown.any()
     columns, rows = np.rint(pixels[shown]).astype(int).T
     x, y = (columns - 289.5) / 20.0, (419.5 - rows) / 20.0
-    _, u, v = body.distance_and_chart(*place(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
+    _, u, v = body.distance_and_chart(*placement_of(body, POSE, CAMERA).to_finger(x, y, seen.height_mm[rows, columns]))
     np.testing.assert_allclose(np.stack([u, v], 1), named[shown], atol=0.12)
     assert 60 < len(seen.landmarks["minutiae_px"]) < 250
 

@@ -10,7 +10,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.simulator.finger.motion import HandMotion, draw_path
-from splitknit.simulator.rigs import MirrorViews, coloured_rig
+from splitknit.simulator.rigs import MirrorSettings, coloured_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import _smear_kernel, simulate_capture
 
@@ -126,7 +126,7 @@ def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
 
 def test_mirrors_are_refused():
     with pytest.raises(BadInput, match="mirrors"):
-        simulate_capture(5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorViews(names=("left",))))
+        simulate_capture(5, None, replace(twin(amplitude_mm=0.2), mirrors=MirrorSettings(names=("left",))))
 
 
 @pytest.mark.parametrize(("name", "value"), [("amplitude_mm", -0.1), ("tremor_share", 0.6)])

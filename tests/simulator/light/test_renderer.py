@@ -13,7 +13,7 @@ from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, default_rig
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus
 from splitknit.simulator.light.lighting import cut_out, white_card
-from splitknit.simulator.light.renderer import Diffusion, RenderSettings, _Sheet, render_ambient, render_band
+from splitknit.simulator.light.renderer import RenderSettings, SubsurfaceScattering, _Sheet, render_ambient, render_band
 from splitknit.simulator.light.skin import (
     CHANNELS,
     Boundary,
@@ -317,7 +317,7 @@ def test_skin_is_laid_out_to_its_length_and_back():
 def test_evenly_lit_skin_is_evenly_bright_whatever_its_ridges():
     egg = ridged_egg((240, 220), 16.0)
     patch = cut_out(egg)
-    blur = Diffusion(patch, Medium(_all_channels()[:3], 0.25), RenderSettings())
+    blur = SubsurfaceScattering(patch, Medium(_all_channels()[:3], 0.25), RenderSettings())
     for light, out in zip(blur.spread(blur.pad(patch.mask.astype(np.float32))), blur.out, strict=True):
         seen = light * out / ((1 - fresnel(np.sqrt(patch.nv**2 + 0.125**2 * (1 - patch.nv**2)))) + 1e-9)
         inner = cv2.erode(patch.mask.astype(np.uint8), np.ones((61, 61))) > 0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +20,6 @@ from splitknit.simulator.light.skin import (
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
-    load_walks,
-    walk,
 )
 
 REFERENCE = {"red": (3.39, 0.030), "green": (4.12, 0.20), "blue": (5.18, 0.40), "nir": (2.16, 0.020)}
@@ -27,8 +27,9 @@ RELIEF_GAIN = {"red": 0.043, "green": 0.130, "blue": 0.211, "nir": 0.022}
 
 
 @pytest.fixture(scope="module")
-def walks():
-    return load_walks()
+def maker():
+    """Names of the script that makes the table of walks."""
+    return runpy.run_path(str(Path(__file__).resolve().parents[3] / "tools" / "make_walk_table.py"))
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
@@ -88,8 +89,8 @@ def test_fresnel_at_known_angles():
     assert diffuse_transmittance(1 / 1.42) * 1.42**2 == pytest.approx(diffuse_transmittance(), rel=2e-3)
 
 
-def test_shipped_table_agrees_with_a_coarse_new_one(walks):
-    coarse = walk(30_000, seed=5)
+def test_shipped_table_agrees_with_a_coarse_new_one(maker):
+    coarse = maker["walk"](30_000, seed=5)
     for scattering, absorption in REFERENCE.values():
         shipped = diffusion_profile(scattering, absorption)
         made = diffusion_profile(scattering, absorption, walks=coarse)
@@ -99,18 +100,16 @@ def test_shipped_table_agrees_with_a_coarse_new_one(walks):
         assert made.radius_mm(0.5) == pytest.approx(shipped.radius_mm(0.5), rel=0.05)
 
 
-def test_reweighted_walks_equal_walks_that_absorb(walks):
+def test_reweighted_walks_equal_walks_that_absorb(maker):
     """A walk that dies with the probability of absorption gives the same albedo as the reweighted table."""
-    from splitknit.simulator.light.skin import _walk_batch
-
     rng = np.random.default_rng(2)
-    _, lengths = _walk_batch(20_000, rng)
+    _, lengths = maker["_walk_batch"](20_000, rng)
     survives = rng.standard_exponential(lengths.size) > lengths * (0.4 / 5.18)
     assert survives.sum() / 20_000 == pytest.approx(diffusion_profile(5.18, 0.4).albedo, abs=0.012)
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
-def test_modulation_left_at_the_ridge_period(walks, channel):
+def test_modulation_left_at_the_ridge_period(channel):
     """measurements.md: B 0.22, G 0.15, R 0.08 at one cycle in 33 px."""
     scattering, absorption = REFERENCE[channel]
     profile = diffusion_profile(scattering, absorption)
@@ -119,7 +118,7 @@ def test_modulation_left_at_the_ridge_period(walks, channel):
 
 
 @pytest.mark.parametrize("pitch_mm", [1 / 75.7, 1 / 20])
-def test_kernel_conserves_energy_and_follows_the_profile(walks, pitch_mm):
+def test_kernel_conserves_energy_and_follows_the_profile(pitch_mm):
     profile = diffusion_profile(5.18, 0.4)
     kernel = kernel_of(profile, pitch_mm, 2.0)
     assert kernel.sum() == pytest.approx(profile.albedo, rel=1e-5)
@@ -140,7 +139,7 @@ def test_kernel_conserves_energy_and_follows_the_profile(walks, pitch_mm):
     assert kernel[n, n] == pytest.approx(centre.mean() * profile.albedo, rel=0.05)
 
 
-def test_transfer_is_the_transform_of_the_kernel(walks):
+def test_transfer_is_the_transform_of_the_kernel():
     profile = diffusion_profile(5.18, 0.4)
     pitch = 1 / 75.7
     kernel = kernel_of(profile, pitch, 2.5).astype(np.float64)
@@ -157,14 +156,14 @@ def test_transfer_is_the_transform_of_the_kernel(walks):
     assert grid[7, 9] == pytest.approx(float(profile.transfer(np.array([frequency]))[0]), rel=1e-3)
 
 
-def test_profile_scales_with_the_mean_free_path(walks):
+def test_profile_scales_with_the_mean_free_path():
     near, far = diffusion_profile(4.0, 0.2), diffusion_profile(2.0, 0.1)
     assert far.albedo == pytest.approx(near.albedo, rel=1e-12)
     assert far.radius_mm(0.5) == pytest.approx(2 * near.radius_mm(0.5), rel=1e-9)
     assert near.radii_mm.size == RADIUS_EDGES.size
 
 
-def test_albedo_falls_with_absorption_and_weak_absorption_is_refused(walks):
+def test_albedo_falls_with_absorption_and_weak_absorption_is_refused():
     albedos = [diffusion_profile(4.0, a).albedo for a in (0.01, 0.1, 0.5, 2.0)]
     assert all(a > b for a, b in itertools.pairwise(albedos))
     assert 0.05 < albedos[-1] < albedos[0] < 0.9

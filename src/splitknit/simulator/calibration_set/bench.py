@@ -21,7 +21,7 @@ from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led, PixelArray
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera import lens
-from splitknit.simulator.camera.device import Scene
+from splitknit.simulator.camera.device import LitScene
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 from splitknit.simulator.light.lighting import irradiance
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
+class SightLines:
     """Lines of sight: at the height z a pixel looks at (x - z slope_x, y - z slope_y)."""
 
     x: Array
@@ -41,7 +41,7 @@ class Sight:
     slope_y: Array
 
 
-def _sight(camera: Camera) -> Sight:
+def _sight(camera: Camera) -> SightLines:
     """Return the lines of sight of all pixels' centres."""
     height, width = camera.image_size
     columns = np.arange(width, dtype=np.float64)[None, :]
@@ -49,13 +49,13 @@ def _sight(camera: Camera) -> Sight:
     if camera.model == "orthographic":
         x = np.broadcast_to((columns - (width - 1) / 2) / camera.px_per_mm, (height, width))
         y = np.broadcast_to(((height - 1) / 2 - rows) / camera.px_per_mm, (height, width))
-        return Sight(x, y, np.zeros((height, width)), np.zeros((height, width)))
+        return SightLines(x, y, np.zeros((height, width)), np.zeros((height, width)))
     slope_x, slope_y = lens.slopes_of_pixels(camera, columns, rows)
-    return Sight(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
+    return SightLines(slope_x * camera.height_mm, slope_y * camera.height_mm, slope_x, slope_y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plane:
+class PlaneFrame:
     """A flat thing: its middle, and its own axes u (right), v (up) and n (towards the viewer) in the rig's frame."""
 
     middle: Array
@@ -63,7 +63,7 @@ class Plane:
     axes: Array
     """(3, 3): the columns are u, v and n."""
 
-    def hit(self, sight: Sight) -> tuple[Array, Array, Array]:
+    def hit(self, sight: SightLines) -> tuple[Array, Array, Array]:
         """u and v at which the lines of sight meet the plane, and the height z there, (h, w) each."""
         normal = self.axes[:, 2]
         steepness = normal[2] - normal[0] * sight.slope_x - normal[1] * sight.slope_y
@@ -86,7 +86,7 @@ class Plane:
         return np.asarray((np.asarray(points, dtype=np.float64) - self.middle) @ self.axes)
 
 
-def plane_of(rotation_vector: Any, middle_mm: Any) -> Plane:
+def facing_plane(rotation_vector: Any, middle_mm: Any) -> PlaneFrame:
     """Return a plane that faces the camera, turned by `rotation_vector` (rad, right-handed) about `middle_mm`."""
     rotation = np.asarray(rotation_vector, dtype=np.float64)
     middle = np.asarray(middle_mm, dtype=np.float64)
@@ -94,16 +94,16 @@ def plane_of(rotation_vector: Any, middle_mm: Any) -> Plane:
         rotation.shape == (3,) and middle.shape == (3,) and bool(np.isfinite([rotation, middle]).all()),
         "a pose needs a rotation vector and a translation of three finite numbers each.",
     )
-    return Plane(middle, np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64))
+    return PlaneFrame(middle, np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64))
 
 
-def base_plane(tilt_deg: tuple[float, float], height_mm: float = 0.0) -> Plane:
+def base_plane(tilt_deg: tuple[float, float], height_mm: float = 0.0) -> PlaneFrame:
     """Return the rig's base at `height_mm`, turned by two small angles about x and y."""
     require(
         bool(np.isfinite(tilt_deg).all()) and max(abs(t) for t in tilt_deg) <= 45.0,
         f"tilt_deg must be two angles of at most 45 deg, but it is {tuple(tilt_deg)}.",
     )
-    return plane_of((*np.deg2rad(tilt_deg), 0.0), (0.0, 0.0, height_mm))
+    return facing_plane((*np.deg2rad(tilt_deg), 0.0), (0.0, 0.0, height_mm))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +120,7 @@ def steps(length: Array) -> Steps:
     return Steps(np.asarray(column), np.asarray(row))
 
 
-def inside(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
+def edge_coverage(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
     """Fraction of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
 
     Parameters
@@ -191,7 +191,7 @@ class GroundScene(ABC):
 
     @property
     @abstractmethod
-    def plane(self) -> Plane:
+    def plane(self) -> PlaneFrame:
         """Where the ground lies."""
 
     @abstractmethod
@@ -249,7 +249,7 @@ class GroundScene(ABC):
         return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
     @cached_property
-    def _sight(self) -> Sight:
+    def _sight(self) -> SightLines:
         return _sight(self.camera)
 
     @cached_property
@@ -312,7 +312,7 @@ class DarkScene:
         return np.zeros((*self.camera.image_size, 3), dtype=np.float32)
 
 
-def well_exposed(scene: Scene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
+def well_exposed(scene: LitScene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
     """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale.
 
     Parameters
@@ -328,7 +328,7 @@ def well_exposed(scene: Scene, lit: Sequence[Sequence[int]], level: float = 0.7)
 
 
 def photograph_bench(
-    scene: Scene,
+    scene: LitScene,
     lit: Sequence[int],
     seed: int | np.random.SeedSequence,
     *,

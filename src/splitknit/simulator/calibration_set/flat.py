@@ -15,11 +15,11 @@ from splitknit.settings import Checked, Limits
 from splitknit.simulator.calibration_set.bench import (
     Array,
     GroundScene,
-    Plane,
+    PlaneFrame,
     Steps,
     base_plane,
-    inside,
-    plane_of,
+    edge_coverage,
+    facing_plane,
     seen_at,
     steps,
 )
@@ -46,7 +46,7 @@ class CardScene(GroundScene):
         )
 
     @property
-    def plane(self) -> Plane:
+    def plane(self) -> PlaneFrame:
         """Where the card lies."""
         return base_plane(self.tilt_deg, self.height_mm)
 
@@ -56,7 +56,7 @@ class CardScene(GroundScene):
 
 
 @dataclass(frozen=True, slots=True)
-class Board(Checked):
+class PrintedBoard(Checked):
     """A printed checkerboard."""
 
     rows: Annotated[int, Limits(2)] = 7
@@ -89,7 +89,7 @@ class Board(Checked):
 class BoardScene(GroundScene):
     """A printed checkerboard, held at any pose over black cloth."""
 
-    board: Board = field(default_factory=Board)
+    board: PrintedBoard = field(default_factory=PrintedBoard)
     rotation_vector: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Axis times angle in rad, right-handed in the rig's frame."""
     translation_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -108,12 +108,12 @@ class BoardScene(GroundScene):
         )
 
     @property
-    def plane(self) -> Plane:
+    def plane(self) -> PlaneFrame:
         """Where the board lies."""
-        return plane_of(self.rotation_vector, self.translation_mm)
+        return facing_plane(self.rotation_vector, self.translation_mm)
 
     def truth_corners(self) -> NDArray[np.float64]:
-        """(rows * columns, 2) column and row of the inner corners, in the order of :meth:`Board.corners_mm`."""
+        """(rows * columns, 2) column and row of the inner corners, in the order of :meth:`PrintedBoard.corners_mm`."""
         return seen_at(self.camera, self.plane.points(*self.board.corners_mm().T))
 
     def albedo(self, u: Array, v: Array) -> Array:
@@ -158,13 +158,13 @@ class DiscScene(GroundScene):
         )
 
     @property
-    def plane(self) -> Plane:
+    def plane(self) -> PlaneFrame:
         """Where the disc lies: its own u and v follow the rows of dots."""
         base = base_plane(self.tilt_deg)
         angle = np.deg2rad(self.rotation_deg)
         c, s = float(np.cos(angle)), float(np.sin(angle))
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Plane(base.points(*self.shift_mm), base.axes @ turn)
+        return PlaneFrame(base.points(*self.shift_mm), base.axes @ turn)
 
     def dots_mm(self) -> NDArray[np.float64]:
         """(N, 2) centres of the dots on the disc, multiples of the spacing."""
@@ -182,8 +182,8 @@ class DiscScene(GroundScene):
         """Reflectance (h, w): black dots on white; cloth beside the disc."""
         near_u, near_v = (a - self.spacing_mm * np.round(a / self.spacing_mm) for a in (u, v))
         whole = np.hypot(u - near_u, v - near_v) + self.dot_mm / 2 < self.radius_mm
-        dot = inside(0.5 * self.dot_mm - np.hypot(near_u, near_v)) * whole
-        disc = inside(self.radius_mm - np.hypot(u, v))
+        dot = edge_coverage(0.5 * self.dot_mm - np.hypot(near_u, near_v)) * whole
+        disc = edge_coverage(self.radius_mm - np.hypot(u, v))
         return np.asarray(disc * (self.white + dot * (self.black - self.white)))
 
 
@@ -198,12 +198,12 @@ class _Axis:
         """A wave between +1 in the first square and -1 in the next; `lines` inner lines about zero."""
         place = self.along / square_mm + (lines + 1) / 2  # 0 at the outer edge of the first square
         line = np.clip(np.round(place), 1, lines)
-        flank = 2.0 * inside((place - line) * square_mm, self.step, blur) - 1.0
+        flank = 2.0 * edge_coverage((place - line) * square_mm, self.step, blur) - 1.0
         return np.asarray(np.where(line % 2 == 1, -flank, flank))
 
     def band(self, width_mm: float, blur: float = 0.0) -> Array:
         """One inside a band of `width_mm` about zero, zero outside."""
-        return inside(0.5 * width_mm - np.abs(self.along), self.step, blur)
+        return edge_coverage(0.5 * width_mm - np.abs(self.along), self.step, blur)
 
 
 def _check_fraction(value: float, name: str) -> None:
@@ -225,14 +225,14 @@ _EDGE = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class BoardPose:
+class _BoardPose:
     """One pose of a board."""
 
     rotation_vector: tuple[float, float, float]
     translation_mm: tuple[float, float, float]
 
 
-def board_poses(seed: int, count: int, camera: Camera, board: Board | None = None) -> list[BoardPose]:
+def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | None = None) -> list[_BoardPose]:
     """Draw poses of a board, all of its squares in the picture.
 
     Parameters
@@ -252,9 +252,9 @@ def board_poses(seed: int, count: int, camera: Camera, board: Board | None = Non
         If the board does not fit into the picture.
     """
     require(seed >= 0 and count >= 1, "seed must not be negative and count must be at least one.")
-    board = board or Board()
+    board = board or PrintedBoard()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
-    poses: list[BoardPose] = []
+    poses: list[_BoardPose] = []
     for _ in range(_TRIES * count):
         pose = _draw(rng, camera, board)
         if pose is not None:
@@ -268,7 +268,7 @@ def board_poses(seed: int, count: int, camera: Camera, board: Board | None = Non
     )
 
 
-def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> BoardPose | None:
+def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _BoardPose | None:
     """One pose, or None where so turned a board does not fit."""
     tilt, turn, height = (low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM))
     axis = 2.0 * np.pi * rng.random()
@@ -289,13 +289,13 @@ def _draw(rng: np.random.Generator, camera: Camera, board: Board) -> BoardPose |
     if slack < 0.0:
         return None
     x, y, z = (float(v) for v in middle)
-    return BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
+    return _BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
 
 
 def _outer_corners(
-    rotation: NDArray[np.float64], middle: NDArray[np.float64], camera: Camera, board: Board
+    rotation: NDArray[np.float64], middle: NDArray[np.float64], camera: Camera, board: PrintedBoard
 ) -> NDArray[np.float64]:
     """(4, 2) column and row of the corners of all squares together."""
     width, height = board.size_mm
     u, v = np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2))
-    return seen_at(camera, plane_of(rotation, middle).points(u.ravel(), v.ravel()))
+    return seen_at(camera, facing_plane(rotation, middle).points(u.ravel(), v.ravel()))

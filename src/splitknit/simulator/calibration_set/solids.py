@@ -16,13 +16,13 @@ from splitknit.model import FloatArray, Led
 from splitknit.simulator.calibration_set.bench import (
     Array,
     GroundScene,
-    Plane,
-    Sight,
+    PlaneFrame,
+    SightLines,
     Steps,
     Window,
     base_plane,
     card_radiance,
-    inside,
+    edge_coverage,
     seen_at,
     steps,
 )
@@ -69,7 +69,7 @@ class NailScene(GroundScene):
         )
 
     @property
-    def plane(self) -> Plane:
+    def plane(self) -> PlaneFrame:
         """Where the base lies."""
         return base_plane(self.tilt_deg)
 
@@ -161,7 +161,7 @@ class NailScene(GroundScene):
         """
         u, v = self._hit[0][window], self._hit[1][window]
         foot = np.asarray(self.position_mm, dtype=np.float64)
-        return inside(-_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]))
+        return edge_coverage(-_hull_distance(u - foot[0], v - foot[1], self.base_radius_mm, cast[0] - foot, cast[1]))
 
     def _surface(self, window: Window) -> tuple[Array, Array]:
         """Points (h, w, 3) and unit normals of the cone where the pixels of the window see it, in the rig's frame."""
@@ -245,7 +245,7 @@ class SphereScene(GroundScene):
         )
 
     @property
-    def plane(self) -> Plane:
+    def plane(self) -> PlaneFrame:
         """Where the base lies."""
         return base_plane(self.tilt_deg)
 
@@ -294,7 +294,7 @@ class SphereScene(GroundScene):
         pixel = np.hypot(step.column, step.row)
         rim = np.abs(depth) < self.bench.led_radius_mm + 2.0 * pixel
         step, points = Steps(step.column[rim], step.row[rim]), points[rim]
-        hidden = np.mean([inside(self._depth_in_shadow(points, place), step) for place in places], axis=0)
+        hidden = np.mean([edge_coverage(self._depth_in_shadow(points, place), step) for place in places], axis=0)
         part = np.where(depth > 0.0, 0.0, 1.0)
         part[rim] = 1.0 - hidden
         fraction[window] = part
@@ -348,7 +348,7 @@ class SphereScene(GroundScene):
         right, bottom = min(int(high[0]), width), min(int(high[1]), height)
         return (slice(top, bottom), slice(left, right)) if bottom - top >= 2 and right - left >= 2 else None
 
-    def _seen(self, sight: Sight) -> tuple[Lines, Array]:
+    def _seen(self, sight: SightLines) -> tuple[Lines, Array]:
         """Where lines of sight meet the ball, its normals there, and by how much (mm) they pass inside its outline.
 
         Lines that pass it are taken to touch it.
@@ -368,7 +368,7 @@ class SphereScene(GroundScene):
         lines = _cut(self._sight, self._ball)
         seen, inwards = self._seen(lines)
         ball = self._mirrored(leds, lines, seen) if self.chrome else self._matt(leds, seen)
-        grey[self._ball] += inside(inwards) * (ball - grey[self._ball])
+        grey[self._ball] += edge_coverage(inwards) * (ball - grey[self._ball])
         return grey
 
     def _matt(self, leds: tuple[Led, ...], seen: Lines) -> Array:
@@ -379,7 +379,7 @@ class SphereScene(GroundScene):
             received += irradiance(led, _axes(points), np.moveaxis(normals, -1, 0))
         return np.asarray(self._reflectance * (received / np.pi + self.ambient_light))
 
-    def _mirrored(self, leds: tuple[Led, ...], lines: Sight, seen: Lines) -> Array:
+    def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines) -> Array:
         """Radiance (h, w) of the chrome ball: the base, the walls and the LEDs in it."""
         rays = _mirrored(lines, seen)
         walls = self.surround * sum(card_radiance(led) for led in leds) + self.ambient_light
@@ -395,10 +395,10 @@ class SphereScene(GroundScene):
             scene = scene + self._led_in_mirror(led, lines, rays)
         return np.asarray(self._reflectance * scene)
 
-    def _led_in_mirror(self, led: Led, lines: Sight, rays: Lines) -> Array:
+    def _led_in_mirror(self, led: Led, lines: SightLines, rays: Lines) -> Array:
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
 
-        def shine(finer: Sight) -> tuple[Array, Array]:
+        def shine(finer: SightLines) -> tuple[Array, Array]:
             return _led_face(led, self.bench.led_radius_mm, _mirrored(finer, self._seen(finer)[0]))
 
         inwards, radiance = _led_face(led, self.bench.led_radius_mm, rays)
@@ -422,8 +422,8 @@ class SphereScene(GroundScene):
         return depth
 
 
-def _cut(sight: Sight, window: Window) -> Sight:
-    return Sight(sight.x[window], sight.y[window], sight.slope_x[window], sight.slope_y[window])
+def _cut(sight: SightLines, window: Window) -> SightLines:
+    return SightLines(sight.x[window], sight.y[window], sight.slope_x[window], sight.slope_y[window])
 
 
 # LEDs in a mirror: where lines of sight go after it, and whether they end on an LED's bright face.
@@ -440,12 +440,12 @@ def _unit(vectors: NDArray[np.float64]) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _directions(sight: Sight) -> Array:
+def _directions(sight: SightLines) -> Array:
     """Unit vectors (..., 3) from the camera."""
     return _unit(np.stack([sight.slope_x, sight.slope_y, np.full_like(sight.x, -1.0)], axis=-1))
 
 
-def _mirrored(sight: Sight, mirror: Lines) -> Lines:
+def _mirrored(sight: SightLines, mirror: Lines) -> Lines:
     """Where lines of sight leave a mirror (points and normals) and which way they go then."""
     points, normals = mirror
     down = _directions(sight)
@@ -469,7 +469,7 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
 
 
-def _finer_lines(sight: Sight, at: tuple[NDArray[Any], ...]) -> Iterator[Sight]:
+def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> Iterator[SightLines]:
     """Lines of sight of a square grid of points within the pixels `at`, one point of all pixels after the other."""
     values = (sight.x, sight.y, sight.slope_x, sight.slope_y)
     slopes = [steps(value) for value in values]
@@ -480,7 +480,7 @@ def _finer_lines(sight: Sight, at: tuple[NDArray[Any], ...]) -> Iterator[Sight]:
                 value[at] + row * step.row[at] + column * step.column[at]
                 for value, step in zip(values, slopes, strict=True)
             )
-            yield Sight(*moved)
+            yield SightLines(*moved)
 
 
 def _axes(points: Array) -> FloatArray:

@@ -21,7 +21,7 @@ from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
 
 
-class Scene(Protocol):
+class LitScene(Protocol):
     """What the twin's camera can look at: a finger, or a target on the bench."""
 
     @property
@@ -84,7 +84,7 @@ class TwinDeviceSettings(Checked):
 class TwinLightBank(GuardedLights):
     """LEDs of a scene."""
 
-    def __init__(self, scene: Scene, clock: Clock, settings: TwinDeviceSettings | None = None) -> None:
+    def __init__(self, scene: LitScene, clock: Clock, settings: TwinDeviceSettings | None = None) -> None:
         """Take the LEDs, all off."""
         settings = settings or TwinDeviceSettings()
         self._clock = clock
@@ -115,7 +115,7 @@ class TwinCamera(Closing):
 
     def __init__(
         self,
-        scene: Scene,
+        scene: LitScene,
         lights: TwinLightBank,
         clock: Clock,
         settings: TwinDeviceSettings | None = None,

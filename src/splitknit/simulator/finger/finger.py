@@ -17,7 +17,7 @@ from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
-from splitknit.simulator.finger.skin_map import Crease, SkinMap, SkinSettings, skin_map
+from splitknit.simulator.finger.skin_map import FlexionCrease, SkinMap, SkinRelief, skin_map
 from splitknit.simulator.surface import Surface
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class Finger:
     seed: int
     pattern: str
     shape: FingerShape = field(default_factory=FingerShape)
-    skin: SkinSettings = field(default_factory=SkinSettings)
+    skin: SkinRelief = field(default_factory=SkinRelief)
     print_settings: MasterPrintSettings = field(default_factory=MasterPrintSettings)
     printed: MasterPrint | None = None
     """Its ridges where they are a real print's, see
@@ -153,9 +153,9 @@ def shape_of(trait: Callable[[str], float], length_mm: float, width_mm: float, f
 
 def crease_of(
     trait: Callable[[str], float], which: str, v_mm: float, side_lines: Callable[[], int], broad: float = 1.0
-) -> Crease:
+) -> FlexionCrease:
     """The ``first`` or ``second`` crease of a finger that is `broad` times as broad as the mean."""
-    return Crease(
+    return FlexionCrease(
         v_mm=v_mm,
         depth_mm=trait(f"{which}_depth"),
         width_mm=trait(f"{which}_width"),
@@ -167,9 +167,9 @@ def crease_of(
     )
 
 
-def relief_of(trait: Callable[[str], float], creases: tuple[Crease, ...]) -> SkinSettings:
+def relief_of(trait: Callable[[str], float], creases: tuple[FlexionCrease, ...]) -> SkinRelief:
     """Depths on the skin of a finger from its traits."""
-    return SkinSettings(
+    return SkinRelief(
         ridge_depth_um=trait("ridge_depth"),
         depth_variation=trait("depth_variation"),
         pore_depth_um=trait("pore_depth"),
@@ -254,7 +254,7 @@ def finger_surface(
     body = FingerBody(finger.shape)
     finger = replace(finger, printed=finger.master())
     skin = skin_map(finger.master(), finger.skin) if skin is None else skin
-    placement = place(body, pose, camera)
+    placement = placement_of(body, pose, camera)
     top = above(body, placement)
     require(
         camera.model == "orthographic" or camera.height_mm > top + 5.0,
@@ -265,7 +265,7 @@ def finger_surface(
     return replace(surface, landmarks=_find_landmarks(finger, pose, surface, skin))
 
 
-def place(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
+def placement_of(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
     """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the pose's height."""
     shape = body.shape
     rotation = pose.rotation()

@@ -18,7 +18,7 @@ from splitknit.model import Camera
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.deformation import Deformation, deformed, draw_deformation
-from splitknit.simulator.finger.finger import Finger, Pose, finger_surface, place
+from splitknit.simulator.finger.finger import Finger, Pose, finger_surface, placement_of
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.raycast import Placement
 from splitknit.simulator.finger.shape import FingerBody
@@ -129,7 +129,7 @@ TRUTH_STEP_MM = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MovingFinger:
+class _MovingFinger:
     """A finger, its pose in the reference shot, and its path."""
 
     finger: Finger
@@ -182,10 +182,10 @@ class MovingFinger:
         here = np.stack([at[0][inside], at[1][inside]])
         points = _points(reference, grid, inside, here)
         body = FingerBody(self.finger.shape)
-        on_finger = np.stack(place(body, self.pose, self.camera).to_finger(*points))
+        on_finger = np.stack(placement_of(body, self.pose, self.camera).to_finger(*points))
         for shot in range(len(path.time_s)):
             slipped = on_finger + _slip(body, on_finger, self.slip_of(shot))
-            there = _in_camera(place(body, self.pose_of(shot), self.camera), slipped)
+            there = _in_camera(placement_of(body, self.pose_of(shot), self.camera), slipped)
             flow[shot][:, inside] = np.stack(pixels_of_points(self.camera, *there)) - here
         return {
             "motion_time_s": path.time_s,
@@ -201,7 +201,7 @@ class MovingFinger:
 
 def moving_finger(
     finger: Finger, pose: Pose, camera: Camera, path: MotionPath, seed: np.random.SeedSequence
-) -> MovingFinger:
+) -> _MovingFinger:
     """Draw the motion of a finger that lies in `pose` in its reference shot.
 
     Parameters
@@ -213,12 +213,9 @@ def moving_finger(
     master = finger.master()
     rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
-    first, second = (_scaled(draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM), 1 / unit_mm) for _ in "12")
-    return MovingFinger(finger, pose, camera, master, path, (first, second))
-
-
-def _scaled(deformation: Deformation, factor: float) -> Deformation:
-    return Deformation(deformation.u_mm, deformation.v_mm, deformation.shift_mm * factor)
+    fields = [draw_deformation(rng, master, unit_mm, _SLIP_SMOOTH_MM) for _ in "12"]
+    first, second = (Deformation(one.u_mm, one.v_mm, one.shift_mm * (1 / unit_mm)) for one in fields)
+    return _MovingFinger(finger, pose, camera, master, path, (first, second))
 
 
 def _points(surface: Surface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:

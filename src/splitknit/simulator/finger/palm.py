@@ -251,7 +251,7 @@ FLATTENED_MM = 0.12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Palm:
+class _Palm:
     """One patch, all of it drawn. Axes as in the camera's frame: x right, y up, origin in the middle."""
 
     seed: int
@@ -275,7 +275,7 @@ class Palm:
     """x and y of the triradius, where the patch has one."""
 
 
-def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
+def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:
     """Draw one patch of a palm; the same seed and settings give the same bytes.
 
     References
@@ -314,7 +314,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
     blotches = 1.0 + mottling * np.clip(smooth_noise(draws[5], wave.shape, 2.0 / settings.pitch_mm), -2.5, 2.5)
     broad = cv2.GaussianBlur(groove, (0, 0), 0.1 / settings.pitch_mm)
     pigment = blotches * (1.0 - darkening * np.minimum(broad / 0.2, 1.5)) * (1.0 - 0.04 * pores * flatten)
-    return Palm(
+    return _Palm(
         seed,
         period,
         depth_um,
@@ -329,7 +329,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> Palm:
     )
 
 
-def palm_surface(palm: Palm, camera: Camera) -> Surface:
+def palm_surface(palm: _Palm, camera: Camera) -> Surface:
     """Show a palm to an orthographic camera, the middle of the patch in the middle of the picture.
 
     Normals are the derivatives of the splines that the heights are drawn from.

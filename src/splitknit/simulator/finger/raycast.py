@@ -27,7 +27,7 @@ Triple = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rays:
+class _Rays:
     """Lines of sight, parametrised by their height: at z a ray passes (x - z slope_x, y - z slope_y, z), in mm."""
 
     x: Array
@@ -36,10 +36,10 @@ class Rays:
     slopes: tuple[Array, Array] | None = None
     """(N,) each: how far they move along x and y per mm downwards; None: they are parallel to z."""
 
-    def some(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> Rays:
+    def some(self, which: NDArray[np.intp] | NDArray[np.bool_]) -> _Rays:
         """The rays with these indices."""
         slopes = None if self.slopes is None else (self.slopes[0][which], self.slopes[1][which])
-        return Rays(self.x[which], self.y[which], slopes)
+        return _Rays(self.x[which], self.y[which], slopes)
 
     def at(self, z: Array) -> Triple:
         """(N,) x, y and z of the points at heights `z`."""
@@ -83,16 +83,16 @@ class Rays:
         normals[away] /= np.sqrt((normals[away] ** 2).sum(axis=1, keepdims=True))
 
 
-def rays_of(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Rays:
+def rays_of(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> _Rays:
     """The rays of all pixels in these rows and columns, row by row."""
     if camera.model == "perspective":
         across, up = slopes_of_pixels(camera, columns[None, :], rows[:, None])
         across, up = across.ravel(), up.ravel()
-        return Rays(across * camera.height_mm, up * camera.height_mm, (across, up))
+        return _Rays(across * camera.height_mm, up * camera.height_mm, (across, up))
     x = (columns - (camera.image_size[1] - 1) / 2) / camera.px_per_mm
     y = ((camera.image_size[0] - 1) / 2 - rows) / camera.px_per_mm
     grid_x, grid_y = np.meshgrid(x, y)
-    return Rays(grid_x.ravel(), grid_y.ravel())
+    return _Rays(grid_x.ravel(), grid_y.ravel())
 
 
 Gap = Callable[[NDArray[np.intp], Array], Array]
@@ -276,7 +276,7 @@ def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> Surfac
 
 
 def cast_rays(
-    finger: PlacedFinger, rays: Rays, start: Array, *, bottom: float | None = None
+    finger: PlacedFinger, rays: _Rays, start: Array, *, bottom: float | None = None
 ) -> tuple[NDArray[np.intp], tuple[Array | Array32, ...]]:
     """Which of the rays meet the skin, and for those height, shape height, normals, shape normals, relief (um), pigment
     and chart; of a perspective camera also x and y of the skin (mm), which do not follow from the grid.
@@ -306,7 +306,7 @@ def cast_rays(
     )  # fmt: skip
 
 
-def meets(body: FingerBody, placement: Placement, rays: Rays, start: Array) -> NDArray[np.bool_]:
+def meets(body: FingerBody, placement: Placement, rays: _Rays, start: Array) -> NDArray[np.bool_]:
     """(N,) whether rays meet the smooth finger below the heights `start`."""
     return _meet_body(body, placement, rays, start)[1]
 
@@ -341,7 +341,7 @@ def _first_guess(body: FingerBody, placement: Placement, camera: Camera, block: 
     return np.asarray(guess.ravel(), dtype=np.float64)
 
 
-def _meet_body(body: FingerBody, placement: Placement, rays: Rays, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _meet_body(body: FingerBody, placement: Placement, rays: _Rays, start: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Newton from above: heights of the front intersection with a body that is convex along every ray."""
     z = start.copy()
     settled = np.zeros(z.shape, dtype=np.bool_)
@@ -364,7 +364,7 @@ def _meet_body(body: FingerBody, placement: Placement, rays: Rays, start: Array)
 def _meet_along(
     body: FingerBody,
     placement: Placement,
-    rays: Rays,
+    rays: _Rays,
     heights: tuple[Array, float],
     found: tuple[Array, NDArray[np.bool_]],
 ) -> None:
@@ -388,7 +388,7 @@ def _meet_along(
         which, here = which[going], here[going]
 
 
-def _meet_skin(finger: PlacedFinger, rays: Rays, z0: Array, facing: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _meet_skin(finger: PlacedFinger, rays: _Rays, z0: Array, facing: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Go down every ray from the smooth skin to the displaced one: (N,) heights, and which rays met it.
 
     The search for the first intersection runs on a quadratic model of distance and chart along the ray; a last
@@ -422,7 +422,7 @@ def _meet_skin(finger: PlacedFinger, rays: Rays, z0: Array, facing: Array) -> tu
 
 
 def _ray_model(
-    body: FingerBody, placement: Placement, rays: Rays, z0: Array, facing: Array
+    body: FingerBody, placement: Placement, rays: _Rays, z0: Array, facing: Array
 ) -> list[tuple[Array, Array, Array]]:
     """Quadratics in the depth under the smooth skin for distance, u and v along every ray."""
     step = 0.05 / np.maximum(facing, 0.2)

@@ -18,7 +18,7 @@ Array32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Crease(Checked):
+class FlexionCrease(Checked):
     """A flexion crease: parallel grooves across the finger."""
 
     v_mm: float = 0.0
@@ -40,7 +40,7 @@ class Crease(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class SkinSettings(Checked):
+class SkinRelief(Checked):
     """Depths on one finger's skin."""
 
     ridge_depth_um: Annotated[float, Limits(0.0, 200.0)] = 65.0
@@ -53,7 +53,7 @@ class SkinSettings(Checked):
     """Loss of diffuse reflectance at a pore."""
     undulation_mm: Annotated[float, Limits(0.0, 0.5)] = 0.0
     """Standard deviation of bumps and dents below the ridges, some 5 mm wide: no finger is as even as its model."""
-    creases: tuple[Crease, ...] = (Crease(), Crease(v_mm=-23.0, depth_mm=0.5, side_lines=3))
+    creases: tuple[FlexionCrease, ...] = (FlexionCrease(), FlexionCrease(v_mm=-23.0, depth_mm=0.5, side_lines=3))
     """From the first crease towards the palm."""
 
 
@@ -95,13 +95,13 @@ _UNDULATION_MM = 1.6
 """Standard deviation of the Gaussian mean behind :attr:`SkinSettings.undulation_mm`."""
 
 
-def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinMap:
+def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:
     """Lay ridges, pores and creases over the chart.
 
     Ridges flatten inside the grooves. All draws (depth variation, lines beside the creases) follow from the master
     print's seed.
     """
-    settings = settings or SkinSettings()
+    settings = settings or SkinRelief()
     draws = [np.random.default_rng(child) for child in np.random.SeedSequence([master.seed, 0x5C1]).spawn(2)]
     pitch = float(master.u_mm[1] - master.u_mm[0])
     depth = 1.0 + settings.depth_variation * smooth_noise(draws[0], master.ridge.shape, 4.0 / pitch)
@@ -131,7 +131,9 @@ def skin_map(master: MasterPrint, settings: SkinSettings | None = None) -> SkinM
     )
 
 
-def _cut(rng: np.random.Generator, crease: Crease, axes: tuple[Array, Array], groove: Array, shade: Array) -> Array:
+def _cut(
+    rng: np.random.Generator, crease: FlexionCrease, axes: tuple[Array, Array], groove: Array, shade: Array
+) -> Array:
     """Add one crease to `groove` (depth, mm) and `shade` in place; return its main line (N, 2)."""
     u, v = axes
     waves = [(rng.uniform(0.05, 0.2), rng.uniform(5.0, 12.0), rng.uniform(0, 2 * np.pi)) for _ in range(2)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,9 +120,11 @@ class CoatedPatch:
         self.across: Values | float = roughness if coat.roughness is None else coat.roughness[window]
         self.lengthwise = None if coat.roughness_along is None else coat.roughness_along[window]
         self.along = None if coat.along is None else _apart(coat.along[window])
-        self.film = None if coat.film is None else _cut_film(coat.film, patch)
+        film, grains = coat.film, coat.grains
+        self.film = film and Film(film.fraction[window], film.normals[window], film.roughness[window])
         self.scales = None if coat.scales is None else coat.scales[window]
-        self.grains = None if coat.grains is None else _cut_grains(coat.grains, patch)
+        rows, columns = window
+        self.grains = grains and replace(grains, column=grains.column - columns.start, row=grains.row - rows.start)
         self.body = _apart(body)
         self.normal = (patch.nx, patch.ny, patch.nz)
         zero, one = np.zeros_like(patch.nz), np.ones_like(patch.nz)
@@ -160,7 +162,7 @@ class CoatedPatch:
         entering, gloss, extra = (np.zeros(patch.mask.shape, dtype=np.float32) for _ in range(3))
         for one in (led, *led.also):
             lx, ly, lz, strength = towards(one, patch.x, patch.y, patch.z)
-            size = 0.0 if one.position_mm is None else led_radius_mm / (2.0 * _norm(one.position_mm))
+            size = 0.0 if one.position_mm is None else led_radius_mm / (2.0 * float(np.linalg.norm(one.position_mm)))
             parts = self._lit((lx, ly, lz), np.asarray(strength), size, glare)
             entering += parts[0]
             gloss += parts[1]
@@ -226,22 +228,8 @@ class CoatedPatch:
         return np.clip(shade, 0.0, 1.0).astype(np.float32)
 
 
-def _cut_film(film: Film, patch: Patch) -> Film:
-    window = patch.window
-    return Film(film.fraction[window], film.normals[window], film.roughness[window])
-
-
-def _cut_grains(grains: Grains, patch: Patch) -> Grains:
-    rows, columns = patch.window
-    return Grains(grains.column - columns.start, grains.row - rows.start, grains.radius_px, grains.albedo)
-
-
 def _apart(vectors: FloatArray) -> Vectors:
     return vectors[..., 0], vectors[..., 1], vectors[..., 2]
-
-
-def _norm(position: Sequence[float]) -> float:
-    return float(np.linalg.norm(np.asarray(position, dtype=np.float64)))
 
 
 # Light that a surface with two roughnesses reflects: GGX microfacets, anisotropic, pixel by pixel.

@@ -96,7 +96,10 @@ def render_band(
         starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
         return replace(each, diffuse=np.add.reduceat(each.diffuse, starts), glare=np.add.reduceat(each.glare, starts))
     patch = cut_out(surface)
-    relief, blur = Relief(surface, patch, skin), Diffusion(patch, skin, settings, blurred=skin.boundary.blurred)
+    relief, blur = (
+        Relief(surface, patch, skin),
+        SubsurfaceScattering(patch, skin, settings, blurred=skin.boundary.blurred),
+    )
     if surface.texture is not None:
         blood, grain = surface.texture.blood[patch.window], surface.texture.grain
         relief.colour(lambda pigment, name: pigment * np.exp(-BLOOD[name] * blood))
@@ -132,7 +135,7 @@ def render_lights(
     patch: Patch,
     shine: Callable[[int], Shine],
     count: int,
-    blur: Diffusion,
+    blur: SubsurfaceScattering,
     gains: Callable[[int], Iterable[FloatArray]],
 ) -> BandLight:
     """Render `count` images of a patch of skin, whatever lights each of them; `gains`: factors of its channels."""
@@ -169,11 +172,11 @@ def render_ambient(
     if up is not None:
         facing = patch.nx * np.float32(up[0]) + patch.ny * np.float32(up[1]) + patch.nz * np.float32(up[2])
     entering = np.where(patch.mask, np.float32(0.5 * np.pi * level * diffuse_transmittance()) * (1 + facing), 0)
-    blur, gains = Diffusion(patch, skin, settings), Relief(surface, patch, skin).gains()
+    blur, gains = SubsurfaceScattering(patch, skin, settings), Relief(surface, patch, skin).gains()
     return np.stack([light * gain for light, gain in zip(blur(entering.astype(np.float32)), gains, strict=True)])
 
 
-class Diffusion:
+class SubsurfaceScattering:
     """Convolution of entering light with the diffusion profile of each channel, and Fresnel out to the viewer.
 
     At grazing view the facets of a rough surface that the viewer sees are turned towards him: the cosine of emergence

@@ -22,7 +22,7 @@ from splitknit.errors import require
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on
-from splitknit.simulator.light.renderer import LED_RADIUS_MM, Diffusion, Relief, RenderSettings
+from splitknit.simulator.light.renderer import LED_RADIUS_MM, Relief, RenderSettings, SubsurfaceScattering
 from splitknit.simulator.light.skin import Medium, SkinSettings
 from splitknit.simulator.surface import Surface
 
@@ -274,7 +274,7 @@ class _Scene:
         self.pitch_mm = surface.camera.pitch_mm
         self.patch = cut_out(surface)
         # a pattern's edges are sharper than what can be laid out along the skin and back: it spreads in the picture
-        self.diffusion = Diffusion(self.patch, medium, settings or RenderSettings(), blurred=True)
+        self.diffusion = SubsurfaceScattering(self.patch, medium, settings or RenderSettings(), blurred=True)
         gains = Relief(surface, self.patch, medium).gains(led)
         self.out = [out * gain for out, gain in zip(self.diffusion.out, gains, strict=True)]
         entering, gloss = light_on(self.patch, led, medium.roughness, LED_RADIUS_MM)

@@ -262,12 +262,8 @@ class SkinRanges:
 
 REFRACTIVE_INDEX = 1.42
 
-LONGEST_WALK = 3000.0
-
 RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
-
-LENGTH_EDGES = np.concatenate([[0.0], np.geomspace(1e-2, LONGEST_WALK, 91)])
-
+"""Of the rings in which walks leave, in mean free paths."""
 
 # Where light that enters skin at one point leaves it.
 
@@ -381,64 +377,3 @@ def diffusion_profile(scattering_per_mm: float, absorption_per_mm: float, walks:
     ratio = absorption_per_mm / scattering_per_mm
     require(ratio >= 0.002, f"absorption must be at least 0.2 % of scattering, but it is {100 * ratio:.3g} %.")
     return Profile(radii_mm=RADIUS_EDGES / scattering_per_mm, weights=(walks or load_walks()).ring_weights(ratio))
-
-
-def walk(walks: int, seed: int, batch: int = 200_000) -> WalkTable:
-    """Simulate `walks` random walks from one point of a semi-infinite, isotropically scattering medium.
-
-    Light enters diffusely, walks without absorption and leaves with the Fresnel transmittance; what is reflected
-    inside goes on diffusely, as at a rough surface. Walks longer than `LONGEST_WALK` end there.
-    """
-    counts = np.zeros((RADIUS_EDGES.size - 1, LENGTH_EDGES.size - 1))
-    total = np.zeros(LENGTH_EDGES.size - 1)
-    for start, child in zip(
-        range(0, walks, batch), np.random.SeedSequence(seed).spawn(-(-walks // batch)), strict=True
-    ):
-        radii, lengths = _walk_batch(min(batch, walks - start), np.random.default_rng(child))
-        counts += np.histogram2d(radii, lengths, bins=(RADIUS_EDGES, LENGTH_EDGES))[0]
-        total += np.histogram(lengths, bins=LENGTH_EDGES, weights=lengths)[0]
-    number = np.sum(counts, axis=0)
-    middle = 0.5 * (LENGTH_EDGES[1:] + LENGTH_EDGES[:-1])
-    mean = np.where(number > 0, total / np.maximum(number, 1.0), middle)
-    return WalkTable(counts=counts / walks, lengths=mean)
-
-
-def _walk_batch(count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Exit radius and length of the walks of one batch that leave."""
-    position = np.zeros((3, count))
-    direction = _cosine_down(count, rng)
-    length = np.zeros(count)
-    radii, lengths = [], []
-    while length.size:
-        step = rng.standard_exponential(length.size)
-        moved = position + step * direction
-        out = np.flatnonzero(moved[2] > 0.0)
-        if out.size:
-            up = direction[2, out]
-            reach = -position[2, out] / up
-            edge = position[:, out] + reach * direction[:, out]
-            leaves = rng.random(out.size) >= fresnel(up, 1.0 / REFRACTIVE_INDEX)
-            gone, back = out[leaves], out[~leaves]
-            radii.append(np.hypot(edge[0, leaves], edge[1, leaves]))
-            lengths.append(length[gone] + reach[leaves])
-            step[out] = reach
-            moved[:, back] = edge[:, ~leaves]
-            moved[2, back] = 0.0
-        length = length + step
-        z = 2.0 * rng.random(length.size) - 1.0
-        turn = 2.0 * np.pi * rng.random(length.size)
-        side = np.sqrt(1.0 - z * z)
-        direction = np.stack([side * np.cos(turn), side * np.sin(turn), z])
-        keep = length < LONGEST_WALK
-        if out.size:
-            direction[:, back] = _cosine_down(back.size, rng)
-            keep[gone] = False
-        position, direction, length = moved[:, keep], direction[:, keep], length[keep]
-    return np.concatenate(radii), np.concatenate(lengths)
-
-
-def _cosine_down(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """(3, count) directions into the medium, cosine-distributed."""
-    fraction, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
-    side = np.sqrt(fraction)
-    return np.stack([side * np.cos(turn), side * np.sin(turn), -np.sqrt(1.0 - fraction)])

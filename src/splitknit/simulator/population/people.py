@@ -18,7 +18,7 @@ from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.finger.finger import TRAITS, Finger, crease_of, relief_of, shape_of
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.finger.shape import FingerShape
-from splitknit.simulator.finger.skin_map import SkinSettings as ReliefSettings
+from splitknit.simulator.finger.skin_map import SkinRelief as ReliefSettings
 from splitknit.simulator.light.skin import SkinRanges, SkinSettings
 
 Five = tuple[float, float, float, float, float]

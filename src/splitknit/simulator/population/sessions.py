@@ -218,7 +218,7 @@ class PopulationSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
+class _Shown:
     """One capture of the population."""
 
     capture: Capture
@@ -229,7 +229,7 @@ class Shown:
 
 def population_capture(
     settings: PopulationSettings, person: Person, finger: str, session: int, *, master: MasterPrint | None = None
-) -> Shown:
+) -> _Shown:
     """Simulate one capture.
 
     Parameters
@@ -275,7 +275,7 @@ def population_capture(
     truth["deformation_shift_mm"] = deformation.shift_mm
     truth["deformation_u_mm"], truth["deformation_v_mm"] = deformation.u_mm, deformation.v_mm
     truth |= {f"impression_{name}": np.asarray(value) for name, value in facts.items()}
-    return Shown(replace(capture, rig=rig, subject=subject), truth, facts)
+    return _Shown(replace(capture, rig=rig, subject=subject), truth, facts)
 
 
 def finger_of_today(finger: Finger, impression: Impression) -> Finger:
