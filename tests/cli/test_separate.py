@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from splitknit.cli.main import main
-from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import read_image, write_image
+from splitknit.io.tiff import write_float_tiff
 from splitknit.separation.states import checkerboard_patterns
 from written_files import read_light_tiff
 
@@ -237,10 +237,10 @@ def test_bad_documents(
 
 def test_light_tiff(tmp_path: Path) -> None:
     light = np.array([[0.5, np.nan], [-0.1, 2.0]], dtype=np.float32)
-    write_light_tiff(tmp_path / "a.tiff", light, "lux", {"n": 3})
+    write_float_tiff(tmp_path / "a.tiff", light, "lux", {"n": 3})
     read, metadata = read_light_tiff(tmp_path / "a.tiff")
     assert np.array_equal(read, light, equal_nan=True)
     assert metadata == {"n": 3, "unit": "lux"}
     for bad in (np.zeros((2, 2, 2)), np.zeros(3)):
         with pytest.raises(ValueError, match="must have the shape"):
-            write_light_tiff(tmp_path / "b.tiff", bad, "lux")
+            write_float_tiff(tmp_path / "b.tiff", bad, "lux")

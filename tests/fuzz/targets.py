@@ -60,7 +60,6 @@ from splitknit.gallery.manage import export_gallery, gallery_info, import_galler
 from splitknit.gallery.shards import Shards, _seal, write_shards
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.finger_image import encode_finger_images
-from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_iso19794, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
@@ -82,6 +81,7 @@ from splitknit.io.rig import read_rig
 from splitknit.io.scores import read_exclusions, read_scores
 from splitknit.io.targets import check_target
 from splitknit.io.templates import encode_template, read_template
+from splitknit.io.tiff import write_float_tiff
 from splitknit.io.wsq_image import encode_wsq
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.inputs import _read_surface as read_matched
@@ -283,7 +283,7 @@ def _photographs() -> list[Files]:
     made += _written("x.jpg", lambda path: smooth.save(path, exif=exif))
     made += _written("x.png", lambda path: smooth.save(path, exif=exif))
     made += _written("x.tif", lambda path: smooth.save(path, exif=exif))
-    made += _written("x.tif", lambda path: write_light_tiff(path, floats, "light"))
+    made += _written("x.tif", lambda path: write_float_tiff(path, floats, "light"))
     with contextlib.suppress(ImportError):
         import pillow_heif
 

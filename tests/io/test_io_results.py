@@ -21,13 +21,13 @@ import tifffile
 import splitknit
 from handmade import finger
 from splitknit.errors import BadInput
-from splitknit.io.float_tiff import write_height_tiff
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.ply import write_ply
 from splitknit.io.prints import read_print_png, write_print_png
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from splitknit.io.results import write_mesh
+from splitknit.io.tiff import write_float_tiff
 from written_files import read_height_tiff, read_ply
 
 
@@ -136,7 +136,7 @@ def test_height_tiff(tmp_path: Path) -> None:
     height = hill()[2]
     height[:3] = np.nan
     path = tmp_path / "h.tiff"
-    write_height_tiff(path, height, 1 / 75.7, provenance({"sigma": 1.5}, {"white_0.png": "ab"}))
+    write_float_tiff(path, height, "mm", provenance({"sigma": 1.5}, {"white_0.png": "ab"}), 1 / 75.7)
     found, pitch_mm, metadata = read_height_tiff(path)
     np.testing.assert_array_equal(found, height)
     assert pitch_mm == 1 / 75.7
@@ -153,12 +153,12 @@ def test_height_tiff(tmp_path: Path) -> None:
         assert tags["ResolutionUnit"].value == 3  # centimetre
     np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), height)
     first = path.read_bytes()
-    write_height_tiff(path, height, 1 / 75.7, provenance({"sigma": 1.5}, {"white_0.png": "ab"}))
+    write_float_tiff(path, height, "mm", provenance({"sigma": 1.5}, {"white_0.png": "ab"}), 1 / 75.7)
     assert path.read_bytes() == first
     with pytest.raises(BadInput, match="pitch_mm"):
-        write_height_tiff(path, height, 0.0)
+        write_float_tiff(path, height, "mm", pitch_mm=0.0)
     with pytest.raises(BadInput, match="shape"):
-        write_height_tiff(path, height[None], 0.1)
+        write_float_tiff(path, height[None], "mm", pitch_mm=0.1)
 
 
 ARRAYS: dict[str, Any] = {

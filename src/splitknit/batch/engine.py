@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.batch.chunks import SUFFIX, load, read_chunk, write_timings
-from splitknit.batch.execution import Cluster, connected, peak_memory_mb, run_tasks
+from splitknit.batch.chunks import load, read_chunk
+from splitknit.batch.execution import Cluster, connected, run_tasks
 from splitknit.batch.features import FeatureTask, reconstruct_group
 from splitknit.batch.matchers import READY, Matcher, matcher
 from splitknit.batch.matchers import matcher as matcher_named
-from splitknit.batch.objects import MEMORY, Location, Objects, captures_at_hand, location, whole_file
+from splitknit.batch.objects import MEMORY, Location, Objects, location, whole_file
 from splitknit.batch.population import (
     Block,
     CaptureRef,
@@ -36,27 +36,14 @@ from splitknit.batch.population import (
 from splitknit.batch.reading import Place, forget, places_of
 from splitknit.batch.scores import ScoreTask, score_block
 from splitknit.batch.settings import BatchSettings, Case
-from splitknit.batch.solids import (
-    SOLIDS,
-    MinutiaeDone,
-    MinutiaeTask,
-    SolidTask,
-    extract_minutiae,
-    extract_solids,
-    write_minutiae,
-)
+from splitknit.batch.solids import SOLIDS, ExtractionTask, extract_features
 from splitknit.batch.store import Store, check_target, open_store
 from splitknit.errors import BadInput, given_folders, open_at_once, require
 from splitknit.evaluation.protocol import Comparisons
 from splitknit.evaluation.scores import Ids, Scores, ids_of
-from splitknit.finger.locate import FingerSettings
 from splitknit.io.atomic import hold, private_modes, sweep
-from splitknit.io.capture import read_capture
 from splitknit.io.csv_table import csv_text
 from splitknit.io.targets import check_file
-from splitknit.matching.leave_one_out import voted_minutiae
-from splitknit.matching.minutiae_record import Minutiae, no_minutiae
-from splitknit.matching.surface import MatchingSettings
 from splitknit.model import Progress
 
 _KINDS = ("finger", "subject", "session")
@@ -250,15 +237,9 @@ def _match(run: _Run) -> list[dict[str, Any]]:
         for name in run.settings.matchers:
             started = time.perf_counter()
             using = matcher(name, run.settings.matching)
-            if using.source == "minutiae":
-                prints = _minutiae_tasks(run.store, case)
-                run.done(extract_minutiae, prints, f"{case.name}: minutiae", [1] * len(prints))
-            if using.source == "voted":
-                sets = _voted_tasks(run.store, run.population, case, run.settings)
-                run.done(_extract_voted, sets, f"{case.name}: voted minutiae", [1] * len(sets))
-            if using.source in SOLIDS:
-                chunks = _solid_tasks(run.store, case, using.source, run.settings)
-                run.done(extract_solids, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
+            if using.source != "features":
+                chunks = _extraction_tasks(run, case, using.source)
+                run.done(extract_features, chunks, f"{case.name}: {using.source}", [1] * len(chunks))
             extraction_s = time.perf_counter() - started
             tasks = _score_tasks(run.store, run.population, run.settings, case, using)
             sizes = tasks.sizes()
@@ -355,34 +336,21 @@ def _anywhere(folder: Location) -> Location:
     return folder.resolve() if isinstance(folder, Path) else folder
 
 
-def _minutiae_tasks(store: Store, case: Case) -> list[MinutiaeTask]:
-    """Chunks of features without their minutiae."""
-    return [MinutiaeTask(store.folder, case.name, chunk) for chunk in _without(store, case, "minutiae")]
-
-
-def _voted_tasks(store: Store, population: Population, case: Case, settings: BatchSettings) -> list[_VotedTask]:
-    """Chunks of features without their voted minutiae."""
-    folder = _anywhere(population.folder)
-    return [
-        _VotedTask(store.folder, folder, case, chunk, settings.matching) for chunk in _without(store, case, "voted")
-    ]
-
-
 def _wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
     """Features in space that the matchers read."""
     sources = {matcher_named(name, settings.matching).source for name in settings.matchers}
     return tuple(sorted(sources & set(SOLIDS)))
 
 
-def _solid_tasks(store: Store, case: Case, kind: str, settings: BatchSettings) -> list[SolidTask]:
-    """Chunks of features without their features in space of one kind."""
-    return [SolidTask(store.folder, case.name, chunk, kind, settings.matching) for chunk in _without(store, case, kind)]
-
-
-def _without(store: Store, case: Case, kind: str) -> list[str]:
-    """Names of the chunks of features beside which there is none of `kind`."""
-    there = {file.stem for file in store.files(kind, case.name)}
-    return [file.stem for file in store.files("features", case.name) if file.stem not in there]
+def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
+    """Chunks of features beside which there is none of `kind`."""
+    there = {file.stem for file in run.store.files(kind, case.name)}
+    place, matching = _anywhere(run.population.folder), run.settings.matching
+    return [
+        ExtractionTask(run.store.folder, place, case, file.stem, kind, matching)
+        for file in run.store.files("features", case.name)
+        if file.stem not in there
+    ]
 
 
 def _score_tasks(
@@ -459,50 +427,3 @@ def _named(pairs: Comparisons, captures: list[CaptureRef]) -> tuple[tuple[str, s
 def _used(pairs: Comparisons, captures: list[CaptureRef], places: Mapping[str, Place]) -> dict[str, Place]:
     names = [captures[k].name for k in np.unique(np.concatenate([pairs.a, pairs.b])).tolist()]
     return {name: places[name] for name in names}
-
-
-# Voted minutiae of a chunk's captures: found once a capture, from its images, kept beside the features.
-
-VERSION = 1
-
-
-@dataclass(frozen=True, slots=True)
-class _VotedTask:
-    """A chunk of features whose captures' voted minutiae are wanted."""
-
-    store: Location
-    population: Location
-    case: Case
-    name: str
-    matching: MatchingSettings
-
-
-def _extract_voted(task: _VotedTask) -> MinutiaeDone:
-    """Find the voted minutiae of all captures of a chunk and write them under the same name."""
-    case, settings = task.case.name, task.case.settings()
-    file = task.store / "features" / case / f"{task.name}{SUFFIX}"
-    table = read_chunk(file, ["capture", "acquired"])
-    captures = table.column("capture").to_pylist()
-    seconds, found = {}, []
-    acquired = dict(zip(captures, table.column("acquired").to_pylist(), strict=True))
-    with captures_at_hand(task.population, [capture for capture in captures if acquired[capture]]) as folders:
-        for capture in captures:
-            started = time.perf_counter()
-            found.append(
-                _voted(next(folders) / capture, settings, task.matching) if acquired[capture] else no_minutiae()
-            )
-            seconds[capture] = round(time.perf_counter() - started, 3)
-    write_timings(task.store / "timings" / case / "voting", task.name, seconds)
-    write_minutiae(file, task.store / "voted" / case, captures, found, ("voted", VERSION))
-    return MinutiaeDone(len(captures), peak_memory_mb())
-
-
-def _voted(folder: Path, settings: FingerSettings, matching: MatchingSettings) -> Minutiae:
-    """Voted minutiae of a capture; none where leaving out an image leaves nothing."""
-    capture = read_capture(folder)
-    try:
-        return voted_minutiae(capture, settings, matching.leave_one_out, matching.voted)
-    except BadInput as error:
-        if "nbis-py" in str(error):  # not the capture's fault
-            raise
-        return no_minutiae()

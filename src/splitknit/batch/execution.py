@@ -12,7 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -168,6 +168,20 @@ def peak_memory_mb() -> float:
         return 0.0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return float(peak) / (1e6 if sys.platform == "darwin" else 1e3)
+
+
+@dataclass(frozen=True, slots=True)
+class TaskDone:
+    """What a task of a batch did."""
+
+    size: int
+    """Reconstructions, comparisons, or chunks."""
+    seconds: float = 0.0
+    """Of one core, where they are counted."""
+    failures: tuple[str, ...] = ()
+    """Case, capture and sentence of each failure to acquire."""
+    peak_memory_mb: float = field(default_factory=peak_memory_mb)
+    """Of the process that did it."""
 
 
 def _in_processes(work: Callable[[Task], Done], tasks: Sequence[Task], jobs: int, device: str) -> Iterator[Done]:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
-from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.execution import TaskDone
 from splitknit.batch.objects import Location, captures_at_hand
 from splitknit.batch.population import CaptureRef
 from splitknit.batch.settings import Case
-from splitknit.batch.solids import solid_payload, write_solids
+from splitknit.batch.solids import solid_payload, write_extracted
 from splitknit.batch.surfaces import pack_surface
 from splitknit.errors import BadInput
 from splitknit.io.capture import ReadSettings, read_capture
@@ -55,22 +55,6 @@ class FeatureTask:
     """Features in space that are made at once, of :data:`splitknit.batch.solids.SOLIDS`."""
 
 
-@dataclass(frozen=True, slots=True)
-class FeatureDone:
-    """What a task did."""
-
-    group: int
-    rows: int
-    failures: tuple[str, ...]
-    """Case, capture and sentence of each failure to acquire."""
-    peak_memory_mb: float = 0.0
-
-    @property
-    def size(self) -> int:
-        """Reconstructions."""
-        return self.rows
-
-
 def _feature_schema() -> Any:
     """Columns of a chunk of features."""
     names = [
@@ -87,7 +71,7 @@ def _chunk_name(group: int, captures: tuple[str, ...], settings_sha256: str) -> 
     return f"{group:05d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
 
 
-def reconstruct_group(task: FeatureTask) -> FeatureDone:
+def reconstruct_group(task: FeatureTask) -> TaskDone:
     """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk."""
     rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
     seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
@@ -122,9 +106,10 @@ def reconstruct_group(task: FeatureTask) -> FeatureDone:
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         for kind in task.solids:  # before the features, by which a later run knows what is finished
             file = task.store / kind / case.name / f"{name}{SUFFIX}"
-            write_solids(file, kind, columns["capture"], [row.get(kind, b"") for row in rows[case.name]], origin)
+            found = [(row["capture"], bool(row.get(kind)), row.get(kind, b"")) for row in rows[case.name]]
+            write_extracted(file, kind, found, origin)
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
-    return FeatureDone(task.group, sum(map(len, rows.values())), tuple(failures), peak_memory_mb())
+    return TaskDone(sum(map(len, rows.values())), failures=tuple(failures))
 
 
 def _features_hash(matching: MatchingSettings) -> str:

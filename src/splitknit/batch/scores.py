@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
-from splitknit.batch.execution import peak_memory_mb
+from splitknit.batch.execution import TaskDone
 from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.objects import Location
 from splitknit.batch.reading import Place, small_column
@@ -43,21 +43,6 @@ class ScoreTask:
     seed: int
 
 
-@dataclass(frozen=True, slots=True)
-class ScoreDone:
-    """What a task did."""
-
-    pairs: int
-    seconds: float
-    """Of one core."""
-    peak_memory_mb: float
-
-    @property
-    def size(self) -> int:
-        """Comparisons."""
-        return self.pairs
-
-
 def score_schema(columns: tuple[str, ...]) -> Any:
     """Columns of a chunk of scores."""
     names = ("a", "b", "genuine", "similarity", "compared", *columns)
@@ -70,7 +55,7 @@ def _chunk_name(task: ScoreTask, settings: Any) -> str:
     return f"{task.block:012d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
 
 
-def score_block(task: ScoreTask) -> ScoreDone:
+def score_block(task: ScoreTask) -> TaskDone:
     """Make the comparisons of a task and write its chunk."""
     started = time.thread_time()
     using = matcher(task.matcher, task.matching)
@@ -97,4 +82,4 @@ def score_block(task: ScoreTask) -> ScoreDone:
     write_timings(task.store / "timings" / task.case / task.matcher, name, facts)
     columns = {column: [row[column] for row in rows] for column in schema.names}
     write_chunk(task.store / "scores" / task.case / task.matcher / f"{name}{SUFFIX}", columns, schema, origin)
-    return ScoreDone(len(rows), seconds, peak_memory_mb())
+    return TaskDone(len(rows), seconds)

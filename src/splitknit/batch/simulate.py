@@ -18,7 +18,7 @@ from typing import Any
 from splitknit.batch.workers import run_jobs
 from splitknit.capture.enrolment import PLAN_FILE, EnrolledFinger, Enrolment, open_enrolment, plan_enrolment
 from splitknit.errors import refusing, require
-from splitknit.io.atomic import atomic_file, atomic_folder, hold, sweep
+from splitknit.io.atomic import atomic_folder, hold, sweep, write_file
 from splitknit.io.capture import write_capture
 from splitknit.io.csv_table import csv_text
 from splitknit.io.fields import read_json
@@ -89,8 +89,7 @@ def simulate_population(
         _check_settings(out, earlier, document)
     enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
     if not (out / POPULATION_FILE).is_file():
-        with atomic_file(out / POPULATION_FILE) as stream:
-            stream.write(json_text(document).encode("ascii"))
+        write_file(out / POPULATION_FILE, json_text(document).encode("ascii"))
     with _alone(out / POPULATION_FILE):
         sweep(out)
         waiting = enrolment.waiting()
@@ -226,8 +225,7 @@ def _write_table(enrolment: Enrolment) -> None:
             rows.append({"folder": place.folder} | _facts_of(file))
     names = list(rows[0]) if rows else []
     text = csv_text([names, *([row.get(name, "") for name in names] for row in rows)] if rows else [])
-    with atomic_file(enrolment.folder / TABLE_FILE) as stream:
-        stream.write(text.encode("utf-8"))
+    write_file(enrolment.folder / TABLE_FILE, text.encode("utf-8"))
 
 
 def _facts_of(file: Path) -> dict[str, Any]:

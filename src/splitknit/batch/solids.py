@@ -1,25 +1,29 @@
-"""Minutiae of a chunk's prints, minutiae in space and surface codes: found once a capture, kept beside the features.
+"""What a matcher reads beside the features of a chunk: minutiae, voted minutiae, minutiae in space, surface codes.
 
-They are made with the reconstruction where a matcher needs them, and else from the surfaces in the store; both give
-the same bytes.
+All are found once a capture and kept under the name of the chunk of features. Features in space are made with the
+reconstruction where a matcher needs them, and else from the surfaces in the store; both give the same bytes.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from splitknit.batch.chunks import SUFFIX, column_type, load, read_chunk, read_origin, write_chunk, write_timings
-from splitknit.batch.execution import peak_memory_mb
-from splitknit.batch.objects import Location
+from splitknit.batch.execution import TaskDone
+from splitknit.batch.objects import Location, captures_at_hand
+from splitknit.batch.settings import Case
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
+from splitknit.io.capture import read_capture
 from splitknit.io.png import decode_png
+from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae, pack_space_minutiae
 from splitknit.matching.space_features import space_minutiae, surface_code
@@ -27,86 +31,59 @@ from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import pack_surface_code
 from splitknit.model import Surface
 
-PRINTS_VERSION = 2
-"""1: with the ends at the outline."""
-
-
-@dataclass(frozen=True, slots=True)
-class MinutiaeTask:
-    """A chunk of features whose prints' minutiae are wanted."""
-
-    store: Location
-    case: str
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class MinutiaeDone:
-    """What a task did."""
-
-    rows: int
-    peak_memory_mb: float
-
-    @property
-    def size(self) -> int:
-        """Chunks."""
-        return 1
-
-
-def _minutiae_schema() -> Any:
-    """Columns of a chunk of minutiae."""
-    return load("pyarrow", "batch").schema([(name, column_type(name)) for name in ("capture", "acquired", "minutiae")])
-
-
-def extract_minutiae(task: MinutiaeTask) -> MinutiaeDone:
-    """Find the minutiae of all prints of a chunk and write them under the same name."""
-    file = task.store / "features" / task.case / f"{task.name}{SUFFIX}"
-    table = read_chunk(file, ["capture", "print"])
-    captures = table.column("capture").to_pylist()
-    seconds, found = {}, []
-    for capture, data in zip(captures, table.column("print").to_pylist(), strict=True):
-        started = time.perf_counter()
-        found.append(no_minutiae() if data is None else extract(_image(data, f"{file}: {capture}")))
-        seconds[capture] = round(time.perf_counter() - started, 3)
-    write_timings(task.store / "timings" / task.case / "extraction", task.name, seconds)
-    write_minutiae(file, task.store / "minutiae" / task.case, captures, found, ("minutiae", PRINTS_VERSION))
-    return MinutiaeDone(len(captures), peak_memory_mb())
-
-
-def write_minutiae(
-    features: Location, folder: Location, captures: Sequence[str], found: Sequence[Minutiae], kind: tuple[str, int]
-) -> None:
-    """Write a chunk of minutiae, of a kind and its version, under the name of its chunk of `features`."""
-    columns = {
-        "capture": captures,
-        "acquired": [one.acquired for one in found],
-        "minutiae": [pack_minutiae(one) for one in found],
-    }
-    origin = read_origin(features) | {"kind": kind[0], "kind_version": kind[1]}
-    write_chunk(folder / features.name, columns, _minutiae_schema(), origin)
-
-
-def _image(data: bytes, name: str) -> Any:
-    pixels = decode_png(data, name)
-    require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
-    return pixels[..., 0]
-
-
-VERSION = 1
 SOLIDS: Mapping[str, str] = MappingProxyType({"minutiae3d": "minutiae3d", "surface_codes": "surface_code"})
-"""From the folder of the store to the column with the payload."""
+"""Features in space: from the folder of the store to the column with the payload."""
+_VERSIONS = {"minutiae": 2}
+"""Of a kind's content, 1 of the others; minutiae of version 1 had the ends at the outline."""
+_TIMINGS = {"minutiae": "extraction", "voted": "voting"}
+"""Folders of timings; of the others the kind with ``-making``."""
 
 
 @dataclass(frozen=True, slots=True)
-class SolidTask:
-    """A chunk of features from whose surfaces one kind of features in space is wanted."""
+class ExtractionTask:
+    """A chunk of features beside which features of another kind are wanted."""
 
     store: Location
-    case: str
+    population: Location
+    case: Case
     name: str
     kind: str
-    """Of :data:`SOLIDS`."""
+    """``minutiae``, ``voted``, or one of :data:`SOLIDS`: the folder of the store."""
     matching: MatchingSettings
+
+
+_Found = tuple[str, bool, bytes]
+"""A capture, whether it was acquired, and the payload."""
+
+
+def extract_features(task: ExtractionTask) -> TaskDone:
+    """Find the features of one kind of all captures of a chunk and write them under the same name.
+
+    Raises
+    ------
+    BadInput
+        If the store holds no surfaces where they are needed, or they are damaged.
+    """
+    case = task.case.name
+    file = task.store / "features" / case / f"{task.name}{SUFFIX}"
+    makers: dict[str, Callable[[ExtractionTask, Location], Iterator[_Found]]]
+    makers = {"minutiae": _from_prints, "voted": _from_images}
+    found, seconds, started = [], {}, time.perf_counter()
+    for one in makers.get(task.kind, _from_surfaces)(task, file):
+        found.append(one)
+        seconds[one[0]] = round(time.perf_counter() - started, 3)
+        started = time.perf_counter()
+    write_timings(task.store / "timings" / case / _TIMINGS.get(task.kind, f"{task.kind}-making"), task.name, seconds)
+    write_extracted(task.store / task.kind / case / file.name, task.kind, found, read_origin(file))
+    return TaskDone(1)
+
+
+def write_extracted(file: Location, kind: str, found: Sequence[_Found], origin: Mapping[str, Any]) -> None:
+    """Write a chunk of one kind; `origin` is that of its chunk of features."""
+    names = ("capture", "acquired", SOLIDS.get(kind, "minutiae"))
+    schema = load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
+    columns = {name: [one[k] for one in found] for k, name in enumerate(names)}
+    write_chunk(file, columns, schema, {**origin, "kind": kind, "kind_version": _VERSIONS.get(kind, 1)})
 
 
 def solid_payload(kind: str, surface: Surface, matching: MatchingSettings) -> bytes:
@@ -117,46 +94,51 @@ def solid_payload(kind: str, surface: Surface, matching: MatchingSettings) -> by
     return pack_surface_code(surface_code(surface, matching.surface_code))
 
 
-def write_solids(
-    file: Location, kind: str, captures: Sequence[str], payloads: Sequence[bytes], origin: Mapping[str, Any]
-) -> None:
-    """Write a chunk of one kind; `origin` is that of the features."""
-    column = SOLIDS[kind]
-    names = ("capture", "acquired", column)
-    schema = load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
-    columns = {"capture": captures, "acquired": [bool(payload) for payload in payloads], column: payloads}
-    write_chunk(file, columns, schema, {**origin, "kind": kind, "kind_version": VERSION})
+def _from_prints(task: ExtractionTask, file: Location) -> Iterator[_Found]:
+    table = read_chunk(file, ["capture", "print"])
+    for capture, data in zip(table.column("capture").to_pylist(), table.column("print").to_pylist(), strict=True):
+        found = no_minutiae()
+        if data is not None:
+            name = f"{file}: {capture}"
+            pixels = decode_png(data, name)
+            require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
+            found = extract(np.asarray(pixels[..., 0], dtype=np.uint8))
+        yield capture, found.acquired, pack_minutiae(found)
 
 
-def extract_solids(task: SolidTask) -> MinutiaeDone:
-    """Make one kind of features from all surfaces of a chunk and write them under the same name.
-
-    Raises
-    ------
-    BadInput
-        If the store holds no surfaces, or they are damaged.
-    """
-    file = task.store / "features" / task.case / f"{task.name}{SUFFIX}"
-    table = read_chunk(file, ["capture", "area_mm2", "images"])
-    seconds, payloads = {}, []
+def _from_images(task: ExtractionTask, file: Location) -> Iterator[_Found]:
+    """Minutiae on which the sets of images that leave one out agree; none where nothing is left."""
+    table = read_chunk(file, ["capture", "acquired"])
     captures = table.column("capture").to_pylist()
-    for row, capture in enumerate(captures):
-        started = time.perf_counter()
-        payload = table.column("images")[row].as_py()
-        if payload is None:
+    acquired = dict(zip(captures, table.column("acquired").to_pylist(), strict=True))
+    with captures_at_hand(task.population, [capture for capture in captures if acquired[capture]]) as folders:
+        for capture in captures:
+            found = _voted(next(folders) / capture, task) if acquired[capture] else no_minutiae()
+            yield capture, found.acquired, pack_minutiae(found)
+
+
+def _voted(folder: Path, task: ExtractionTask) -> Minutiae:
+    capture = read_capture(folder)
+    try:
+        return voted_minutiae(capture, task.case.settings(), task.matching.leave_one_out, task.matching.voted)
+    except BadInput as error:
+        if "nbis-py" in str(error):  # not the capture's fault
+            raise
+        return no_minutiae()
+
+
+def _from_surfaces(task: ExtractionTask, file: Location) -> Iterator[_Found]:
+    table = read_chunk(file, ["capture", "area_mm2", "images"])
+    for row, capture in enumerate(table.column("capture").to_pylist()):
+        stored, payload = table.column("images")[row].as_py(), b""
+        if stored is None:
             require(
                 table.column("area_mm2")[row].as_py() == 0.0,
                 f"'{file}' holds no surfaces: it was made without them; delete it and run the same again.",
             )
-            payloads.append(b"")
-            continue
-        try:
-            surface = unpack_surface(payload)
-        except BadInput as error:
-            raise BadInput(f"'{file}': {error}") from error
-        payloads.append(solid_payload(task.kind, surface, task.matching))
-        seconds[capture] = round(time.perf_counter() - started, 3)
-    write_timings(task.store / "timings" / task.case / f"{task.kind}-making", task.name, seconds)
-    target = task.store / task.kind / task.case / f"{task.name}{SUFFIX}"
-    write_solids(target, task.kind, captures, payloads, read_origin(file))
-    return MinutiaeDone(len(captures), peak_memory_mb())
+        else:
+            try:
+                payload = solid_payload(task.kind, unpack_surface(stored), task.matching)
+            except BadInput as error:
+                raise BadInput(f"'{file}': {error}") from error
+        yield capture, bool(payload), payload

@@ -56,7 +56,7 @@ def _add_target(kinds: Any) -> None:
 def _write_target(options: argparse.Namespace) -> Outcome:
     """Write the sheet."""
     from splitknit.calibration.targets import Board
-    from splitknit.io.atomic import atomic_file, atomic_folder
+    from splitknit.io.atomic import atomic_folder, write_file
     from splitknit.io.targets import check_file, check_target
     from splitknit.rig.target import (
         DOT_MM,
@@ -81,8 +81,7 @@ def _write_target(options: argparse.Namespace) -> Outcome:
     )
     data = target_pdf(settings)
     if as_file:
-        with atomic_file(options.out) as stream:
-            stream.write(data)
+        write_file(options.out, data)
     else:
         with atomic_folder(options.out) as folder:
             (folder / _SHEET).write_bytes(data)
@@ -156,7 +155,7 @@ def _add_optimise(kinds: Any) -> None:
 
 def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
-    from splitknit.io.atomic import atomic_file
+    from splitknit.io.atomic import write_file
     from splitknit.io.provenance import json_text, plain_json
     from splitknit.report.rig_study import describe_rig, verdict, write_all
     from splitknit.rig.candidates import grid
@@ -187,9 +186,8 @@ def _optimise(options: argparse.Namespace) -> Outcome:
         "reasons": summary["reasons"],
     }
     document = {"format": "splitknit-rig-results", "version": 1, "study": plain_json(study), **facts}
-    with atomic_file(options.out / "results.json") as stream:
-        full = {**document, "compared": summary["compared"], "records": records}
-        stream.write(json_text(full).encode("ascii"))
+    full = {**document, "compared": summary["compared"], "records": records}
+    write_file(options.out / "results.json", json_text(full).encode("ascii"))
     files["results.json"] = "all figures, finger by finger"
     counts = summary["counts"]
     seconds = time.perf_counter() - started

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, open_file, refusing, require
 from splitknit.gallery.key import SALT_BYTES, Key, code_secret
-from splitknit.io.atomic import atomic_file, make_folder
+from splitknit.io.atomic import atomic_file, make_folder, write_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import canonical_json, json_text
 from splitknit.matching.code import CODE_VERSION, ProbeSettings, code_size, probe_codes
@@ -164,8 +164,9 @@ def write_shards(
         if file.name not in contents:
             file.unlink()
     if contents != sealed:
-        with atomic_file(folder / SEALED) as stream:
-            stream.write(json_text({**_SEAL, "shards": contents, "seal": _seal(contents, secret)}).encode("ascii"))
+        write_file(
+            folder / SEALED, json_text({**_SEAL, "shards": contents, "seal": _seal(contents, secret)}).encode("ascii")
+        )
     return {"shards": str(folder), "fingers": len(rows), "written": written, "kept": kept, "keyed": key is not None}
 
 

@@ -100,6 +100,12 @@ def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iter
             _place(new, target)
 
 
+def write_file(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write `data` as the whole of a file; see :func:`atomic_file`."""
+    with atomic_file(path) as stream:
+        stream.write(data)
+
+
 def _place(temporary: Path, target: Path) -> None:
     """Rename, unless there is a file of that name; a link fails then, unlike a renaming."""
     try:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io import png, tiff
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.png import check_size
 from splitknit.model import PixelArray
 from splitknit.settings import Checked, Limits
@@ -204,10 +204,7 @@ def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
     BadInput
         If the array or the suffix is of another kind, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    data = encode_image(pixels, suffix)
-    with atomic_file(path) as stream:
-        stream.write(data)
+    write_file(path, encode_image(pixels, Path(path).suffix.lower()))
 
 
 def encode_image(pixels: PixelArray, suffix: str) -> bytes:

@@ -25,7 +25,7 @@ import os
 import struct
 
 from splitknit.errors import read_bytes, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fmr_bytes import (
     ISO_2005,
     ISO_STEPS,
@@ -104,9 +104,7 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
 
 def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:
     """Write a record to a file, whole or not at all; see :func:`encode_iso19794`."""
-    data = encode_iso19794(record)
-    with atomic_file(path) as stream:
-        stream.write(data)
+    write_file(path, encode_iso19794(record))
 
 
 def read_iso19794(path: str | os.PathLike[str]) -> MinutiaeRecord:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.model import Led
 
 LIST_TITLE = "# splitknit: lights of photographs in the order of their names: x right, y up, z to the camera"
@@ -114,8 +114,7 @@ def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]
         require(vector is not None, "a list of lights holds directions or places in mm, not both; write a rig file.")
         shown = "".join(c if c.isprintable() else "?" for c in photograph)
         lines.append(" ".join(f"{value:.6f}" for value in vector or ()) + f"  # {shown}")
-    with atomic_file(path) as stream:
-        stream.write(("\n".join(lines) + "\n").encode("utf-8"))
+    write_file(path, ("\n".join(lines) + "\n").encode("utf-8"))
 
 
 def _as_numbers(words: Sequence[str]) -> list[float] | None:

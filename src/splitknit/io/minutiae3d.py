@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.minutiae_record import BIFURCATION, FINGER_CODES
 from splitknit.io.provenance import canonical_json
@@ -129,9 +129,7 @@ def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None
     document |= {name: np.asarray(getattr(minutiae, name)).tolist() for name in _WHOLE}
     if minutiae.provenance:
         document["provenance"] = dict(minutiae.provenance)
-    data = canonical_json(document).encode("ascii") + b"\n"
-    with atomic_file(path) as stream:
-        stream.write(data)
+    write_file(path, canonical_json(document).encode("ascii") + b"\n")
 
 
 def read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
 from splitknit.io.images import DEFAULTS, encode_image, jpeg_segments
 from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
@@ -38,6 +38,7 @@ _COLOUR_LEVELS, _COLOURED = 12, 0.01
 """By how many grey levels the channels of grey stored as RGB may differ (JPEG rounds them), and the fraction of pixels
 that may differ more."""
 _AFTER_HEADER = 33
+"""Of a PNG file: signature and IHDR."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,9 +72,7 @@ def write_print_png(
     BadInput
         If the image, the resolution or a keyword is of another kind, or the file cannot be written.
     """
-    data = encode_print_png(image, ppi, text)
-    with atomic_file(path) as stream:
-        stream.write(data)
+    write_file(path, encode_print_png(image, ppi, text))
 
 
 def encode_print_png(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
@@ -84,10 +83,14 @@ def encode_print_png(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping
     )
     require(10 <= ppi <= 100_000, f"ppi must lie between 10 and 100000, but it is {ppi}.")
     per_metre = round(ppi / _METRES_PER_INCH)
-    chunks = [_chunk(b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))]
-    chunks += [_text_chunk(keyword, value) for keyword, value in sorted((text or {}).items())]
-    data = encode_image(array, ".png")
-    return b"".join([data[:_AFTER_HEADER], *chunks, data[_AFTER_HEADER:]])
+    resolution = _chunk(b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1))
+    return png_with_texts(encode_image(array, ".png"), text or {}, resolution)
+
+
+def png_with_texts(data: bytes, text: Mapping[str, str], *chunks: bytes) -> bytes:
+    """Return a PNG file with further chunks, and with texts by their keywords, behind its header."""
+    texts = [_text_chunk(keyword, value) for keyword, value in sorted(text.items())]
+    return b"".join([data[:_AFTER_HEADER], *chunks, *texts, data[_AFTER_HEADER:]])
 
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:

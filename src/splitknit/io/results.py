@@ -7,8 +7,6 @@ Fields stay on the input's pixel grid; the mesh is turned upright by its coordin
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,14 +17,14 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.images import read_image
 from splitknit.io.mesh import bands, glb_chunks, obj_chunks, stl_chunks, triangulate
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.pictures import normal_colours, upright_turn
 from splitknit.io.ply import write_ply_pieces
-from splitknit.io.prints import provenance_texts
+from splitknit.io.prints import png_with_texts, provenance_texts
 from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction
 
@@ -305,14 +303,4 @@ def write_picture(path: Path, picture: NDArray[np.uint8], origin: Origin) -> Non
     done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 2])
     if not done:
         raise RuntimeError(f"{path.name} could not be encoded")
-    encoded = data.tobytes()
-    header = 33  # signature and IHDR
-    texts = b"".join(_text_chunk(keyword, text) for keyword, text in sorted(provenance_texts(origin).items()))
-    with atomic_file(path) as stream:
-        stream.write(encoded[:header] + texts + encoded[header:])
-
-
-def _text_chunk(keyword: str, text: str) -> bytes:
-    """PNG ``tEXt`` chunk (W3C PNG specification, section 11.3.4.3); `text` is ASCII."""
-    body = b"tEXt" + keyword.encode("ascii") + b"\0" + text.encode("ascii")
-    return struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
+    write_file(path, png_with_texts(data.tobytes(), provenance_texts(origin)))

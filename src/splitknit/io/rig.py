@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.errors import BadInput, naming, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
 from splitknit.model import Camera, Led, Mirror, Rig, camera_without_scale
@@ -58,8 +58,7 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
     >>> splitknit.write_rig(capture.rig, "rig.json")  # doctest: +SKIP
     """
     text = json.dumps(rig_to_json(rig), indent=2, allow_nan=False) + "\n"
-    with atomic_file(path) as stream:
-        stream.write(text.encode("ascii"))
+    write_file(path, text.encode("ascii"))
 
 
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:

@@ -12,7 +12,7 @@ import os
 import struct
 
 from splitknit.errors import BadInput, read_bytes, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 
 MAGIC = b"SKTMPL\r\n"
 _HEAD = struct.Struct("<8sHHI32s")
@@ -90,6 +90,4 @@ def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -
     BadInput
         If the file cannot be written.
     """
-    data = encode_template(payload, version)
-    with atomic_file(path) as stream:
-        stream.write(data)
+    write_file(path, encode_template(payload, version))

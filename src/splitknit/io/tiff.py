@@ -14,6 +14,7 @@ from __future__ import annotations
 import io
 import logging
 import math
+import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -24,7 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
+from splitknit.io.atomic import write_file
 from splitknit.io.png import DEFLATE_RATIO, check_size, copy_rgb
+from splitknit.io.provenance import canonical_json
 from splitknit.model import PixelArray
 
 SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -103,6 +106,42 @@ def encode_tiff(image: NDArray[Any], **tags: Any) -> bytes:
     photometric = "minisblack" if image.ndim == 2 else "rgb"
     tifffile.imwrite(stream, image, photometric=photometric, metadata=None, software="splitknit", **tags)
     return stream.getvalue()
+
+
+def write_float_tiff(
+    path: str | os.PathLike[str],
+    field: NDArray[np.floating],
+    unit: str,
+    metadata: Mapping[str, Any] | None = None,
+    pitch_mm: float | None = None,
+) -> None:
+    """Write a field of floats, such as heights or light, as an uncompressed float32 TIFF.
+
+    The description tag is a JSON object with ``unit``, ``pitch_mm`` (exact) where it is known, and everything in
+    `metadata`; pixels per centimetre are in the resolution tags. Equal input gives equal bytes.
+
+    Parameters
+    ----------
+    field : (H, W) or (H, W, 3), NaN where nothing is known
+    unit : of the values, such as ``mm``, ``pixel``, ``rad`` or ``linear light, 1 = full scale``
+    metadata : what JSON can hold (see :func:`splitknit.io.provenance`)
+    pitch_mm : size of a pixel; None where the scale is unknown: the file then states no resolution
+
+    Raises
+    ------
+    BadInput
+        If the array or the pitch is of another kind, or the file cannot be written.
+    """
+    image = np.ascontiguousarray(field, dtype=np.float32)
+    good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
+    require(good, f"a field to write must have the shape (H, W) or (H, W, 3), but it has {image.shape}.")
+    description = {**(metadata or {}), "unit": unit}
+    tags: dict[str, Any] = {}
+    if pitch_mm is not None:
+        require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
+        description["pitch_mm"] = float(pitch_mm)
+        tags = {"resolution": (10.0 / float(pitch_mm),) * 2, "resolutionunit": "CENTIMETER"}
+    write_file(path, encode_tiff(image, description=canonical_json(description), **tags))
 
 
 def tiff_page(data: bytes, name: str) -> TiffPage:

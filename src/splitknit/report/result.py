@@ -20,12 +20,12 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box
-from splitknit.io.atomic import atomic_file, atomic_folder
-from splitknit.io.float_tiff import write_height_tiff
+from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.pictures import data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
+from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, template
@@ -447,7 +447,7 @@ def write_files(
     others: Sequence[Reconstruction] = (),
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into an existing folder."""
-    unit = "mm" if result.scale_known else "pixel"
+    unit, pitch = ("mm", result.pitch_mm) if result.scale_known else ("pixel", None)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
         printing = pool.submit(surface_print, result, PRINT_PPI) if _is_printed(result) else None
         origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
@@ -456,9 +456,7 @@ def write_files(
             pool.submit(write_arrays, target / "height.npz", result, origin),
             pool.submit(write_mesh, target / "phalange.ply", result, origin),
             pool.submit(write_albedo, target / "albedo.png", result, origin),
-            pool.submit(
-                write_height_tiff, target / "height.tiff", result.height_mm, result.pitch_mm, origin, unit=unit
-            ),
+            pool.submit(write_float_tiff, target / "height.tiff", result.height_mm, unit, origin, pitch),
         ]
         if (measured := result.normals_measured) is not None:
             jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
@@ -494,7 +492,5 @@ def _shaded(views: Views) -> NDArray[np.uint8]:
 
 def write_report(target: Path, html: str, facts: Mapping[str, Any]) -> None:
     """Write ``report.html`` and ``report.json``."""
-    with atomic_file(target / "report.html") as stream:
-        stream.write(html.encode("utf-8"))
-    with atomic_file(target / "report.json") as stream:
-        stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+    write_file(target / "report.html", html.encode("utf-8"))
+    write_file(target / "report.json", (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))

@@ -22,10 +22,10 @@ from splitknit.errors import BadInput, require
 from splitknit.imaging.band import decode_table, linear_image, srgb_code
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
-from splitknit.io.float_tiff import write_light_tiff
 from splitknit.io.images import StackReader, image_size, write_image
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
+from splitknit.io.tiff import write_float_tiff
 from splitknit.model import BoolArray, FloatArray, Progress, no_progress
 from splitknit.separation.checkerboard import checkerboard
 from splitknit.separation.occluder import occluder
@@ -148,10 +148,10 @@ def _write(parts: Separation, plan: PatternFolder, light: _PatternLight, target:
     origin = provenance({"separate": plan.settings()}, light.hashes)
     files = ["direct.tiff", "global.tiff", "direct.png", "global.png"]
     for name, part in (("direct", parts.direct), ("global", parts.global_)):
-        write_light_tiff(target / f"{name}.tiff", part, LINEAR, origin)
+        write_float_tiff(target / f"{name}.tiff", part, LINEAR, origin)
         write_image(target / f"{name}.png", _light_picture(part))
     if isinstance(parts, PhaseSeparation):
-        write_light_tiff(target / "phase.tiff", parts.phase_rad, "rad, wrapped", origin)
+        write_float_tiff(target / "phase.tiff", parts.phase_rad, "rad, wrapped", origin)
         write_image(target / "phase.png", _phase_picture(parts))
         files += ["phase.tiff", "phase.png"]
     return {**origin, **_figures(parts, plan, light), "files": [*files, "report.json"]}
