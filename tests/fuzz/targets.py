@@ -116,7 +116,7 @@ from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
 from splitknit.training.separation import SeparationSettings
 from splitknit.training.separation_data import SeparationData
-from splitknit.training.trainer import _plain, load_data, open_folder
+from splitknit.training.trainer import TrainingRun, _plain, load_data, open_folder
 from splitknit.viewer.people import People
 from splitknit.viewer.server import open_paths, start
 from splitknit.viewer.service import Service
@@ -715,7 +715,7 @@ def _batch(folder: Path, files: Files) -> object:
 
 
 def _training(folder: Path) -> None:
-    open_folder(folder, SeparationData(), SeparationSettings(), False)
+    open_folder(TrainingRun(folder), SeparationData(), SeparationSettings())
     (folder / "data").mkdir()
     np.save(folder / "data" / "finger_0000001.npy", np.ones((3, 4, 5), np.float16))
     (folder / "data" / "finger_0000001.json").write_text(json.dumps(_plain({"finger": 1, "light": [1, 2]})))
@@ -726,7 +726,7 @@ def _trained(folder: Path, files: Files) -> object:
         for samples in load_data(folder, "finger", [1], lambda shape, facts: len(shape) == 3).values():
             np.asarray(samples[0][0]).sum()
 
-    return _any(loaded, lambda: open_folder(folder, SeparationData(), SeparationSettings(), True))
+    return _any(loaded, lambda: open_folder(TrainingRun(folder, resume=True), SeparationData(), SeparationSettings()))
 
 
 CANDIDATE = RigCandidate(150.0, 50.0, 1.0)

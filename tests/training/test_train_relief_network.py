@@ -12,9 +12,8 @@ from splitknit.networks.weights import read_network
 from splitknit.training.fields import FieldsTrainer, _network_from, _packed_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.relief import (
-    NAME,
+    NETWORK,
     PARTS,
-    WHAT,
     ReliefSettings,
     _field_scale,
     _judge_middle,
@@ -156,7 +155,7 @@ def test_states_of_other_trainings_and_damaged_ones_are_refused() -> None:
     with pytest.raises(BadInput, match="damaged"):
         trainer.restore(state[:1000])
     with pytest.raises(BadInput, match="not the weights of a relief or shape network"):
-        _packed_fields(NAME, WHAT, {"out.weight": torch.zeros(2, 2, 1, 1)}, {})
+        _packed_fields(NETWORK, {"out.weight": torch.zeros(2, 2, 1, 1)}, {})
 
 
 def test_whole_fingers_take_part() -> None:
@@ -180,10 +179,10 @@ def test_a_loss_that_is_no_number_ends_the_training() -> None:
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
     trainer = _relief_trainer(SETTINGS, SAMPLES)
     trainer.train(20)
-    weights, card = _packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train relief"})
-    (tmp_path / f"{NAME}.onnx").write_bytes(weights)
-    (tmp_path / f"{NAME}.json").write_bytes(card)
-    network = network_of(*read_network(tmp_path / f"{NAME}.onnx"))
+    weights, card = _packed_fields(NETWORK, trainer.network.state_dict(), {"command": "splitknit train relief"})
+    (tmp_path / f"{NETWORK.name}.onnx").write_bytes(weights)
+    (tmp_path / f"{NETWORK.name}.json").write_bytes(card)
+    network = network_of(*read_network(tmp_path / f"{NETWORK.name}.onnx"))
     assert (network.card.channels_in, network.card.channels_out, network.card.stride) == (32, 9, 2)
     assert network.card.facts["licence"] == "Apache-2.0"
     assert network.card.facts["command"] == "splitknit train relief"
@@ -199,7 +198,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
 
 def test_the_reach_on_the_card_is_how_far_the_network_looks() -> None:
     network = fields_network((1, 1, 1, 1, 1), 1, 1).eval()
-    reach = json.loads(_packed_fields(NAME, WHAT, network.state_dict(), {})[1])["reach"]
+    reach = json.loads(_packed_fields(NETWORK, network.state_dict(), {})[1])["reach"]
     with torch.no_grad():
         for part in network.parameters():  # nothing cancels and no ReLU is shut
             part.fill_(0.3)

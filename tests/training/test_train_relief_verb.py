@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,9 +16,9 @@ from splitknit.networks.unet import load_network, run_network
 from splitknit.training import relief as app
 from splitknit.training.fields import write_fields
 from splitknit.training.networks import fields_network
-from splitknit.training.relief import NAME, WHAT, ReliefSettings, _network_metrics, train_relief
+from splitknit.training.relief import NETWORK, ReliefSettings, _network_metrics, train_relief
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData
-from splitknit.training.trainer import HELD_OUT_FROM
+from splitknit.training.trainer import HELD_OUT_FROM, TrainingRun
 
 torch = pytest.importorskip("torch")
 
@@ -57,13 +58,17 @@ def numbers(monkeypatch) -> list[int]:
     return asked
 
 
+def train(out: Path, data: ReliefData, settings: ReliefSettings, **how: Any) -> dict[str, Any]:
+    return train_relief(TrainingRun(out, **how), data, settings)
+
+
 def files_of(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
     heard: list[tuple[str, float]] = []
-    facts = train_relief(
+    facts = train(
         tmp_path / "run",
         DATA,
         SETTINGS,
@@ -98,7 +103,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
 
 
 def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numbers, monkeypatch) -> None:
-    train_relief(tmp_path / "whole", DATA, SETTINGS)
+    train(tmp_path / "whole", DATA, SETTINGS)
 
     class StopError(Exception):
         pass
@@ -112,9 +117,9 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
 
     for limit in (0.2, 0.75):  # between two fingers, and between two entries of the curve
         with pytest.raises(StopError):
-            train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
+            train(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
     numbers.clear()
-    train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    train(tmp_path / "parts", DATA, SETTINGS, resume=True)
     assert numbers == []  # all fingers were there, the refused one too
     whole, parts = files_of(tmp_path / "whole"), files_of(tmp_path / "parts")
     assert whole.keys() == parts.keys()
@@ -122,53 +127,53 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
         ["checkpoint.pt", "curve.csv"],
         ["curve.csv", "checkpoint.pt"],
     )
-    again = train_relief(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    again = train(tmp_path / "parts", DATA, SETTINGS, resume=True)
     assert files_of(tmp_path / "parts") == parts and again["refused"] == 2
 
 
 def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> None:
     folder = tmp_path / "run"
-    train_relief(folder, DATA, SETTINGS)
+    train(folder, DATA, SETTINGS)
     with pytest.raises(BadInput, match="--resume"):
-        train_relief(folder, DATA, SETTINGS)
+        train(folder, DATA, SETTINGS)
     with pytest.raises(BadInput, match=r"other settings \(training.batch\)"):
-        train_relief(folder, DATA, replace(SETTINGS, batch=3), resume=True)
+        train(folder, DATA, replace(SETTINGS, batch=3), resume=True)
     with pytest.raises(BadInput, match=r"other settings \(data.fingers\)"):
-        train_relief(folder, replace(DATA, fingers=4), SETTINGS, resume=True)
+        train(folder, replace(DATA, fingers=4), SETTINGS, resume=True)
     sample = folder / "data" / "finger_0000010.npy"
     whole = sample.read_bytes()
     sample.write_bytes(whole[:500])
     with pytest.raises(BadInput, match=r"finger_0000010.npy' is damaged .*resume"):
-        train_relief(folder, DATA, SETTINGS, resume=True)
+        train(folder, DATA, SETTINGS, resume=True)
     np.save(sample, np.zeros((3, 4, 5), dtype=np.float16))
     with pytest.raises(BadInput, match=r"\(3, 4, 5\)"):
-        train_relief(folder, DATA, SETTINGS, resume=True)
+        train(folder, DATA, SETTINGS, resume=True)
     sample.write_bytes(whole)
     pieces = folder / "data" / "pieces_0000030.npy"
     there = pieces.read_bytes()
     np.save(pieces, np.zeros((41, 20, 20), dtype=np.float16))
     with pytest.raises(BadInput, match=r"pieces_0000030.npy' is damaged"):
-        train_relief(folder, DATA, SETTINGS, resume=True)
+        train(folder, DATA, SETTINGS, resume=True)
     pieces.write_bytes(there)
     (folder / "data" / "finger_0000010.json").write_text("{")
     with pytest.raises(BadInput, match=r"finger_0000010.json' is damaged"):
-        train_relief(folder, DATA, SETTINGS, resume=True)
+        train(folder, DATA, SETTINGS, resume=True)
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.txt").write_text("not a training")
     with pytest.raises(BadInput, match="name another folder"):
-        train_relief(other, DATA, SETTINGS, resume=True)
+        train(other, DATA, SETTINGS, resume=True)
 
 
 def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers) -> None:
     with pytest.raises(BadInput, match=r"not one finger to train on.*31: not one piece holds skin"):
-        train_relief(tmp_path / "run", replace(DATA, fingers=1, first=31), SETTINGS)
+        train(tmp_path / "run", replace(DATA, fingers=1, first=31), SETTINGS)
 
 
 def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:
     torch.manual_seed(0)
     state = fields_network((4, 5, 6), 32, 9).state_dict()
-    facts = write_fields(tmp_path, NAME, WHAT, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
+    facts = write_fields(tmp_path, NETWORK, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
     assert facts["stride"] == 4 and facts["metrics"] == {"correlation": 0.5}
     assert load_network(tmp_path / "relief.onnx").card.facts["command"] == "by hand"
     assert (tmp_path / "relief.onnx").stat().st_size == facts["bytes"]

@@ -13,6 +13,7 @@ from splitknit.cli.train import _command_line
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network
 from splitknit.training import separation
+from splitknit.training.trainer import TrainingRun
 
 Captured = pytest.CaptureFixture[str]
 TINY = [
@@ -133,5 +134,6 @@ def test_an_interrupted_data_set_is_completed(
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("dear")
     with pytest.raises(BadInput, match="holds no training of splitknit"):
-        separation.train_separation(tmp_path, separation.SeparationData(), separation.SeparationSettings())
+        run = TrainingRun(tmp_path)
+        separation.train_separation(run, separation.SeparationData(), separation.SeparationSettings())
     assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]

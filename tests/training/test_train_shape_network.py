@@ -10,11 +10,10 @@ from splitknit.training.fields import FieldsTrainer, _packed_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
-    NAME,
+    NETWORK,
     PARTS,
     SLOPES,
     WEIGHT,
-    WHAT,
     ShapeNetSettings,
     _field_scale,
     _judge_whole,
@@ -127,10 +126,10 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
     trainer = _shape_trainer(SETTINGS, SAMPLES)
     trainer.train(20)
-    weights, card = _packed_fields(NAME, WHAT, trainer.network.state_dict(), {"command": "splitknit train shape"})
-    (tmp_path / f"{NAME}.onnx").write_bytes(weights)
-    (tmp_path / f"{NAME}.json").write_bytes(card)
-    network = network_of(*read_network(tmp_path / f"{NAME}.onnx"))
+    weights, card = _packed_fields(NETWORK, trainer.network.state_dict(), {"command": "splitknit train shape"})
+    (tmp_path / f"{NETWORK.name}.onnx").write_bytes(weights)
+    (tmp_path / f"{NETWORK.name}.json").write_bytes(card)
+    network = network_of(*read_network(tmp_path / f"{NETWORK.name}.onnx"))
     assert (network.card.channels_in, network.card.channels_out, network.card.stride) == (32, 2, 2)
     assert network.card.facts["command"] == "splitknit train shape"
     assert "slopes that a finger's shape lacks" in network.card.facts["what"]

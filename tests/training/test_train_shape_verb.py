@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,16 +18,15 @@ from splitknit.training.fields import write_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
-    NAME,
+    NETWORK,
     SLOPES,
     WEIGHT,
-    WHAT,
     ShapeNetSettings,
     _network_metrics,
     train_shape,
 )
 from splitknit.training.shape_data import ShapeData
-from splitknit.training.trainer import HELD_OUT_FROM
+from splitknit.training.trainer import HELD_OUT_FROM, TrainingRun
 
 
 def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
@@ -68,13 +68,17 @@ def numbers(monkeypatch) -> list[int]:
     return asked
 
 
+def train(out: Path, data: ShapeData, settings: ShapeNetSettings, **how: Any) -> dict[str, Any]:
+    return train_shape(TrainingRun(out, **how), data, settings)
+
+
 def files_of(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
     heard: list[tuple[str, float]] = []
-    facts = train_shape(
+    facts = train(
         tmp_path / "run",
         DATA,
         SETTINGS,
@@ -107,7 +111,7 @@ def test_a_training_writes_network_card_and_curve(tmp_path, numbers) -> None:
 
 
 def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numbers) -> None:
-    train_shape(tmp_path / "whole", DATA, SETTINGS)
+    train(tmp_path / "whole", DATA, SETTINGS)
 
     class StopError(Exception):
         pass
@@ -121,9 +125,9 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
 
     for limit in (0.2, 0.75):  # between two fingers, and between two entries of the curve
         with pytest.raises(StopError):
-            train_shape(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
+            train(tmp_path / "parts", DATA, SETTINGS, resume=True, progress=stopping(limit))
     numbers.clear()
-    train_shape(tmp_path / "parts", DATA, SETTINGS, resume=True)
+    train(tmp_path / "parts", DATA, SETTINGS, resume=True)
     assert numbers == []  # all fingers were there, the refused one too
     whole, parts = files_of(tmp_path / "whole"), files_of(tmp_path / "parts")
     assert whole.keys() == parts.keys()
@@ -132,16 +136,16 @@ def test_an_interrupted_training_is_taken_up_with_the_same_result(tmp_path, numb
 
 def test_a_folder_that_is_in_use_or_damaged_is_refused(tmp_path, numbers) -> None:
     folder = tmp_path / "run"
-    train_shape(folder, DATA, replace(SETTINGS, iterations=1))
+    train(folder, DATA, replace(SETTINGS, iterations=1))
     with pytest.raises(BadInput, match=r"other settings \(training.wide_share\)"):
-        train_shape(folder, DATA, replace(SETTINGS, iterations=1, wide_share=2.0), resume=True)
+        train(folder, DATA, replace(SETTINGS, iterations=1, wide_share=2.0), resume=True)
     with pytest.raises(BadInput, match=r"other settings \(data.gain\)"):
-        train_shape(folder, replace(DATA, gain=1.0), replace(SETTINGS, iterations=1), resume=True)
+        train(folder, replace(DATA, gain=1.0), replace(SETTINGS, iterations=1), resume=True)
     np.save(folder / "data" / "finger_0000010.npy", np.zeros((3, 4, 5), dtype=np.float16))
     with pytest.raises(BadInput, match=r"finger_0000010.npy' is damaged .*\(3, 4, 5\).*resume"):
-        train_shape(folder, DATA, replace(SETTINGS, iterations=1), resume=True)
+        train(folder, DATA, replace(SETTINGS, iterations=1), resume=True)
     with pytest.raises(BadInput, match=r"not one finger to train on.*11: there is no finger"):
-        train_shape(tmp_path / "other", replace(DATA, fingers=1, first=11), SETTINGS)
+        train(tmp_path / "other", replace(DATA, fingers=1, first=11), SETTINGS)
 
 
 def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, capsys) -> None:
@@ -195,5 +199,5 @@ def test_the_cards_figures_are_of_what_the_network_draws(tmp_path) -> None:
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["before"] == pytest.approx(0.1 * np.sqrt(2.5), abs=1e-4)
     assert found["mean"]["after"] == pytest.approx(0.1, abs=1e-4) == found["mean"]["wide_after"]
-    facts = write_fields(tmp_path, NAME, WHAT, state, {"command": "by hand", "metrics": found})
+    facts = write_fields(tmp_path, NETWORK, state, {"command": "by hand", "metrics": found})
     assert facts["stride"] == 2 and load_network(tmp_path / "shape.onnx").card.facts["command"] == "by hand"

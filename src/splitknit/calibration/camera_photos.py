@@ -8,7 +8,8 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from splitknit.calibration.plane import (
     plane_scale,
 )
 from splitknit.calibration.targets import Board, find_board, find_disc, size_in_view
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, naming, read_bytes, require
 from splitknit.io.images import DEFAULTS, decode_image
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.rig import read_rig, write_rig
@@ -65,7 +66,6 @@ class _FoundCamera:
 
     camera: Camera
     fit: CameraCalibration | None
-    boardless: tuple[str, ...]
     poses: dict[str, PlanePose]
     """Pose of the finger plane by the image that shows it."""
     pose: PlanePose | None
@@ -73,8 +73,10 @@ class _FoundCamera:
     """Of an orthographic camera."""
     sharpness: DepthOfField | None
     binning: float
-    hashes: dict[str, str]
     warnings: tuple[str, ...]
+    boardless: tuple[str, ...] = ()
+    """Photographs in which no board is in full view."""
+    hashes: Mapping[str, str] = field(default_factory=dict)
 
 
 def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[str, Any]:
@@ -108,49 +110,34 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> _Found
     fit: CameraCalibration | None = None
     boardless: tuple[str, ...] = ()
     hashes: dict[str, str] = {}
-    size: tuple[int, int] | None = base.camera.image_size if base is not None else None
-    expected_by = str(job.rig)
+    expected = None if base is None else _ExpectedSize(base.camera.image_size, str(job.rig))
     if job.folder is not None:
         files = _image_files(job.folder, job.pattern)
         photos = _board_photos(
-            job.folder, files, board, size, expected_by, lambda fraction: progress("finding corners", 0.85 * fraction)
+            job.folder, files, board, expected, lambda fraction: progress("finding corners", 0.85 * fraction)
         )
-        size, expected_by, hashes = photos.image_size, files[0].name, dict(photos.hashes)
+        expected, hashes = _ExpectedSize(photos.image_size, files[0].name), dict(photos.hashes)
         progress("fitting", 0.86)
         names, corners = list(photos.corners), list(photos.corners.values())
-        try:
-            fit = fit_camera(corners, board, size, names)
-        except BadInput as error:
-            raise BadInput(f"{job.folder}: {error}") from error
+        fit = naming(job.folder, partial(fit_camera, corners, board, photos.image_size, names))
         boardless = photos.without
     marks = {}
     for file in job.plane:
-        marks[file.name], size, expected_by = _same(
-            _plane_marks(file, board, size, expected_by), size, expected_by, file
-        )
+        *marks[file.name], size = _plane_marks(file, board, expected)
+        expected = expected or _ExpectedSize(size, file.name)
     if job.disc is not None:
-        found = _disc_marks(job.disc, job.dot_mm, size, expected_by)
-        marks[job.disc.name], size, expected_by = _same(found, size, expected_by, job.disc)
+        *marks[job.disc.name], size = _disc_marks(job.disc, job.dot_mm, expected)
+        expected = expected or _ExpectedSize(size, job.disc.name)
     for file in (*job.plane, *([job.disc] if job.disc is not None else [])):
         hashes[file.name] = file_hash(file)
-    assert size is not None
+    assert expected is not None
     progress("measuring the plane", 0.95)
-    return _assembled(job, base, size, fit, boardless, marks, hashes)
+    found = _assembled(job, base, expected.size, fit, marks)
+    return replace(found, boardless=boardless, hashes=hashes)
 
 
-def _same(found: Any, size: Any, expected_by: str, file: Path) -> tuple[Any, tuple[int, int], str]:
-    places_mm, places_px, image_size = found
-    return (places_mm, places_px), image_size, expected_by if size is not None else file.name
-
-
-def _assembled(  # noqa: PLR0917 - what was read, in order
-    job: CameraJob,
-    base: Rig | None,
-    size: tuple[int, int],
-    fit: CameraCalibration | None,
-    boardless: tuple[str, ...],
-    marks: dict[str, Any],
-    hashes: dict[str, str],
+def _assembled(
+    job: CameraJob, base: Rig | None, size: tuple[int, int], fit: CameraCalibration | None, marks: dict[str, Any]
 ) -> _FoundCamera:
     """Camera, plane, depth of field."""
     old = base.camera if base is not None else Camera(75.7, size)
@@ -185,9 +172,7 @@ def _assembled(  # noqa: PLR0917 - what was read, in order
         require(0.3 <= job.f_number <= 128, "--aperture must be an f-number from 0.3 to 128.")
         require(0 < job.finger_depth_mm < height, "--finger-depth-mm must be positive and below the camera's height.")
         sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
-    return _FoundCamera(
-        camera, fit, boardless, poses, pose, scale, sharpness, _binning(job, size[1]), hashes, tuple(warnings)
-    )
+    return _FoundCamera(camera, fit, poses, pose, scale, sharpness, _binning(job, size[1]), tuple(warnings))
 
 
 def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
@@ -256,25 +241,32 @@ def _label(file: Path, folder: Path) -> str:
     return file.relative_to(folder).as_posix()
 
 
-def _read_photo(path: Path, size: tuple[int, int] | None, expected_by: str) -> tuple[PixelArray, str]:
-    """Pixels and SHA-256 of an image that must have `size` (rows, columns), if one is expected."""
+@dataclass(frozen=True, slots=True)
+class _ExpectedSize:
+    """Rows and columns that all images must have, and what has them."""
+
+    size: tuple[int, int]
+    by: str
+
+
+def _read_photo(path: Path, expected: _ExpectedSize | None) -> tuple[PixelArray, str]:
+    """Pixels and SHA-256 of an image."""
     data = read_bytes(path, DEFAULTS.max_bytes)
     pixels = decode_image(data, str(path))
-    if size is not None:
+    if expected is not None:
         require(
-            pixels.shape[:2] == size,
-            f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but {expected_by} has "
-            f"{size[0]} x {size[1]}; photograph everything with the camera's one setting.",
+            pixels.shape[:2] == expected.size,
+            f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but {expected.by} has "
+            f"{expected.size[0]} x {expected.size[1]}; photograph everything with the camera's one setting.",
         )
     return pixels, hashlib.sha256(data).hexdigest()
 
 
-def _board_photos(  # noqa: PLR0917
+def _board_photos(
     folder: Path,
     files: Sequence[Path],
     board: Board,
-    size: tuple[int, int] | None,
-    expected_by: str,
+    expected: _ExpectedSize | None,
     progress: Callable[[float], None],
 ) -> _BoardPhotos:
     """Find the board in every photograph. Raises BadInput if a file is no image, sizes differ, or too few photographs
@@ -285,17 +277,16 @@ def _board_photos(  # noqa: PLR0917
     without: list[Path] = []
     for k, file in enumerate(files):
         progress(k / len(files))
-        pixels, hashes[_label(file, folder)] = _read_photo(file, size, expected_by)
-        if size is None:
-            size, expected_by = (pixels.shape[0], pixels.shape[1]), _label(file, folder)
-        found = _found(file, find_board, pixels, board)
+        pixels, hashes[_label(file, folder)] = _read_photo(file, expected)
+        expected = expected or _ExpectedSize((pixels.shape[0], pixels.shape[1]), _label(file, folder))
+        found = naming(file, partial(find_board, pixels, board))
         if found is None:
             without.append(file)
         else:
             corners[_label(file, folder)] = found
         if not corners and len(without) == _LOOKED_AT:
             _refuse_other_size(without, board)
-    assert size is not None
+    assert expected is not None
     if len(corners) < LEAST:
         _refuse_other_size(without, board)
         named = ", ".join(_label(file, folder) for file in without[:4]) + (" and more" if len(without) > 4 else "")
@@ -305,15 +296,13 @@ def _board_photos(  # noqa: PLR0917
             f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
             "take more, the board tilted differently in each."
         )
-    return _BoardPhotos(size, corners, tuple(_label(file, folder) for file in without), hashes)
+    return _BoardPhotos(expected.size, corners, tuple(_label(file, folder) for file in without), hashes)
 
 
-def _plane_marks(
-    file: Path, board: Board, size: tuple[int, int] | None, expected_by: str
-) -> tuple[Points, Points, tuple[int, int]]:
+def _plane_marks(file: Path, board: Board, expected: _ExpectedSize | None) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the board's corners in mm and in the image, and the image's size."""
-    pixels, _ = _read_photo(file, size, expected_by)
-    corners = _found(file, find_board, pixels, board)
+    pixels, _ = _read_photo(file, expected)
+    corners = naming(file, partial(find_board, pixels, board))
     if corners is None:
         _refuse_other_size([file], board)
         raise BadInput(
@@ -324,20 +313,12 @@ def _plane_marks(
 
 
 def _disc_marks(
-    file: Path, spacing_mm: float, size: tuple[int, int] | None, expected_by: str
+    file: Path, spacing_mm: float, expected: _ExpectedSize | None
 ) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the disc's dots in mm and in the image, and the image's size."""
-    pixels, _ = _read_photo(file, size, expected_by)
-    places_mm, places_px = _found(file, find_disc, pixels, spacing_mm)
+    pixels, _ = _read_photo(file, expected)
+    places_mm, places_px = naming(file, partial(find_disc, pixels, spacing_mm))
     return places_mm, places_px, (pixels.shape[0], pixels.shape[1])
-
-
-def _found(file: Path, search: Callable[..., Any], *arguments: Any) -> Any:
-    """Run a search that knows arrays only; let what it refuses name the file."""
-    try:
-        return search(*arguments)
-    except BadInput as error:
-        raise BadInput(f"{file}: {error}") from error
 
 
 def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
@@ -345,7 +326,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
     sizes: Counter[tuple[int, int]] = Counter()
     for file in files[:_LOOKED_AT]:
         try:
-            seen = size_in_view(_read_photo(file, None, "")[0])
+            seen = size_in_view(_read_photo(file, None)[0])
         except BadInput:
             continue
         if seen is not None:

@@ -214,7 +214,7 @@ class _CardCheck:
     pattern_percent: Array
     """(L,) robust deviation over the picture of now over then: an LED that moved or turned."""
     ambient_percent: Mapping[str, float | None]
-    sentences: tuple[str, ...]
+    sentences: tuple[str, ...] = ()
     """What departs; empty where nothing does."""
 
 
@@ -253,14 +253,8 @@ def check_card(
     own = ratio / np.array([middle[band] for band in bands])
     comparable = given and images.exposures_given
     common: dict[str, float | None] = {band: value if comparable else None for band, value in middle.items()}
-    return _CardCheck(
-        ratio=ratio,
-        common=common,
-        own=own,
-        pattern_percent=pattern,
-        ambient_percent=images.ambient_percent,
-        sentences=tuple(_sentences(rig, own, common, pattern, images.ambient_percent, chosen)),
-    )
+    check = _CardCheck(ratio, common, own, pattern, images.ambient_percent)
+    return replace(check, sentences=tuple(_sentences(check, rig, chosen)))
 
 
 def _stored(rig: Rig) -> tuple[Array, CardPlane, bool]:
@@ -282,31 +276,24 @@ def _stored(rig: Rig) -> tuple[Array, CardPlane, bool]:
     return levels, plane, given
 
 
-def _sentences(  # noqa: PLR0917
-    rig: Rig,
-    own: Array,
-    common: Mapping[str, float | None],
-    pattern: Array,
-    ambient: Mapping[str, float | None],
-    settings: RadiometrySettings,
-) -> list[str]:
+def _sentences(check: _CardCheck, rig: Rig, settings: RadiometrySettings) -> list[str]:
     words: list[str] = []
-    for k, value in enumerate(own):
+    for k, value in enumerate(check.own):
         name = f"LED {led_name(rig.leds, k)}"
         if abs(value - 1) > 0.01 * settings.drift_percent:
             words.append(f"{name} is {_change(float(value))} than at the calibration.")
-        if pattern[k] > _PATTERN_PERCENT:
+        if check.pattern_percent[k] > _PATTERN_PERCENT:
             words.append(
-                f"{name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across the picture): it "
-                f"moved or turned."
+                f"{name} lights the card otherwise than at the calibration ({check.pattern_percent[k]:.1f} % across the "
+                f"picture): it moved or turned."
             )
-    for band, value in common.items():
+    for band, value in check.common.items():
         if value is not None and abs(value - 1) > 0.01 * settings.drift_percent:
             words.append(
                 f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
                 f"or card changed."
             )
-    for band, fraction in ambient.items():
+    for band, fraction in check.ambient_percent.items():
         if fraction is not None and fraction > _AMBIENT_PERCENT:
             words.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
     return words

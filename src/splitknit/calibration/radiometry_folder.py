@@ -31,7 +31,7 @@ from splitknit.calibration.sensor import (
     noise_model,
     noise_samples,
 )
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, naming, require
 from splitknit.io.capture import read_capture
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.images import read_image, write_image
@@ -89,10 +89,7 @@ def calibrate_to_file(
     black = _black_level_of(camera, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(limit_percent=limit_percent)
     progress("flat field", 0.6)
-    try:
-        found = fit_radiometry(capture, rig, CardPlane(height_mm, tilt_deg), black, settings)
-    except BadInput as error:
-        raise BadInput(f"{folder}: {error}") from error
+    found = naming(folder, lambda: fit_radiometry(capture, rig, CardPlane(height_mm, tilt_deg), black, settings))
     warnings = [*found.warnings, *_black_level_warning(black, capture)]
     facts = {
         **found.facts,

@@ -46,24 +46,24 @@ def add_print(verbs: Any) -> None:
 def _run(options: argparse.Namespace) -> Outcome:
     """Print."""
     from splitknit.cli.options import read_changes  # verbs import what they need
-    from splitknit.prints.folder import print_to_folder
+    from splitknit.prints.folder import PrintJob, print_to_folder
 
     check_scale_options(options)
     changes = read_changes(options.settings, options.assignments)
+    job = PrintJob(
+        options.finger,
+        options.out,
+        method=options.method,
+        surface=options.surface,
+        ppi=float(options.ppi),
+        preset=options.preset,
+        changes=changes,
+        px_per_mm=options.px_per_mm,
+        ridge_period_mm=options.ridge_period,
+        input_ppi=options.input_ppi,
+    )
     with Progress(options) as progress:
-        facts = print_to_folder(
-            options.finger,
-            options.out,
-            method=options.method,
-            surface=options.surface,
-            ppi=float(options.ppi),
-            preset=options.preset,
-            changes=changes,
-            progress=progress.update,
-            px_per_mm=options.px_per_mm,
-            ridge_period_mm=options.ridge_period,
-            input_ppi=options.input_ppi,
-        )
+        facts = print_to_folder(job, progress.update)
     return facts, _words(facts)
 
 

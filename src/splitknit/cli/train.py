@@ -191,16 +191,11 @@ def _run_shape(options: argparse.Namespace) -> Outcome:
 def _train(
     train: Callable[..., dict[str, Any]], options: argparse.Namespace, network: str, data: Any, settings: Any
 ) -> dict[str, Any]:
+    from splitknit.training.trainer import TrainingRun
+
     with Progress(options) as progress:
-        return train(
-            options.out,
-            data,
-            settings,
-            resume=options.resume,
-            command=_command_line(options, network),
-            progress=progress.update,
-            chart=_curve_svg,
-        )
+        run = TrainingRun(options.out, options.resume, _command_line(options, network), progress.update, _curve_svg)
+        return train(run, data, settings)
 
 
 def _written(out: Path, files: Mapping[str, str]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,13 @@ from splitknit.io.atomic import atomic_file, atomic_folder
 from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
-from splitknit.io.minutiae_record import MinutiaeRecord
+from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 from splitknit.io.npz import write_npz
 from splitknit.io.pictures import ColourArray, colour, on_paper
 from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import JsonValue, canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
-from splitknit.matching.minutiae_record import PPI
+from splitknit.matching.minutiae_record import PPI, Minutiae
 from splitknit.matching.space_features import in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
@@ -49,25 +49,31 @@ from splitknit.settings import override
 RESOLUTIONS = (500.0, 1000.0)
 
 
-def print_to_folder(
-    path: Path,
-    out: Path,
-    *,
-    method: str | None = None,
-    surface: str | None = None,
-    ppi: float = 500.0,
-    preset: str = "metric",
-    changes: Mapping[str, Any] | None = None,
-    progress: Progress = no_progress,
-    px_per_mm: float | None = None,
-    ridge_period_mm: float | None = None,
-    input_ppi: float | None = None,
-) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class PrintJob:
+    """What is asked for; see ``splitknit print --help``."""
+
+    path: Path
+    """Of a result, a capture or a print."""
+    out: Path
+    method: str | None = None
+    """None: ``unroll`` for surfaces."""
+    surface: str | None = None
+    ppi: float = 500.0
+    preset: str = "metric"
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    px_per_mm: float | None = None
+    """Scale of a surface, where it is unknown."""
+    ridge_period_mm: float | None = None
+    """Or the distance of its ridges."""
+    input_ppi: float | None = None
+    """Resolution of a print that does not state it."""
+
+
+def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
-    A print that is a file already is brought to 500 ppi and enhanced (`input_ppi`: its resolution, if not stated
-    there). Where the scale of a surface is unknown, `px_per_mm` gives it, or `ridge_period_mm`, the distance of the
-    ridges. Surfaces are printed by the method ``unroll`` unless another is named.
+    A print that is a file already is brought to 500 ppi and enhanced.
 
     Raises
     ------
@@ -75,13 +81,12 @@ def print_to_folder(
         Naming the input at fault.
     """
     started = time.perf_counter()
-    settings = override(PrintingSettings(), dict(changes or {}))
-    scale = (px_per_mm, ridge_period_mm, input_ppi)
-    method, place = _how(path, method, surface, (*scale[:2], None if ppi == PPI else ppi), settings)
+    settings, path, ppi = override(PrintingSettings(), dict(job.changes)), job.path, job.ppi
+    method, place = _how(job, settings)
     require(ppi in RESOLUTIONS, f"a print has 500 or 1000 pixels per inch, not {ppi:g}.")
-    check_target(out, "map.npz", "an earlier print", keep=path)
-    with atomic_folder(out) as target:
-        source, around, given = _read(path, method, place, preset, settings, progress, scale)
+    check_target(job.out, "map.npz", "an earlier print", keep=path)
+    with atomic_folder(job.out) as target:
+        source, around, given = _read(job, method, place, settings, progress)
         timings = {"reading": time.perf_counter() - started}
         progress("printing", 0.75)
         try:
@@ -102,15 +107,13 @@ def print_to_folder(
             raise BadInput(f"{path}: {error}") from error
         progress("writing", 0.92)
         origin = provenance({**_parameters(method, settings), "surface": place, "ppi": ppi}, source.hashes)
-        texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
         pictures = {
             "print.png": made.image,
             "enhanced.png": enhanced.image,
             "binary.png": as_print(ridges),
             "thinned.png": as_print(lines),
         }
-        for name, picture in pictures.items():
-            write_print_png(target / name, picture, ppi, texts)
+        _write_pictures(target, pictures, ppi, origin)
         write_npz(target / "map.npz", _map_arrays(made.map))
         facts: dict[str, Any] = {
             "method": method,
@@ -131,10 +134,18 @@ def print_to_folder(
         timings["quality"] = time.perf_counter() - clock
         nfiq2 = _nfiq2_of(pictures, ppi)
         facts["quality"] = _quality_facts(quality, nfiq2, advised=method != "file")  # nobody captures that again
-        sought = settings.minutiae
-        facts["minutiae"] = _write_minutiae(
-            target, made, pictures, enhanced, sought, source, origin, round(quality.score)
-        )
+        found, where = _minutiae_of(made, pictures, enhanced, settings.minutiae)
+        facts["minutiae"] = {"written": False, "missing": where}
+        if found is not None:
+            view = finger_view(
+                found,
+                round(quality.score),
+                source.subject.get("finger"),
+                "contactless" if made.even is None else "live_plain",
+            )
+            facts["minutiae"] = {
+                "written": True, "sought_in": where, **_write_minutiae(target, view, made.map, source, origin),
+            }  # fmt: skip
         timings["total"] = time.perf_counter() - started
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin
@@ -142,18 +153,25 @@ def print_to_folder(
         with atomic_file(target / "report.json") as stream:
             stream.write(json_text(facts).encode("ascii"))
     progress("done", 1.0)
-    return {**facts, "out": str(out)}
+    return {**facts, "out": str(job.out)}
 
 
-def _how(
-    path: Path, method: str | None, surface: str | None, sizes: tuple[float | None, ...], settings: PrintingSettings
-) -> tuple[str, str]:
+def _write_pictures(
+    target: Path, pictures: Mapping[str, NDArray[np.uint8]], ppi: float, origin: dict[str, JsonValue]
+) -> None:
+    texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
+    for name, picture in pictures.items():
+        write_print_png(target / name, picture, ppi, texts)
+
+
+def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
     """Method, and where it is printed; ``file`` and ``paper`` for a print that is there already."""
+    path = job.path
     if not path.is_file() or path.suffix.lower() == ".npz":
-        method = method or "unroll"
-        return method, checked_surface(method, surface, settings)
+        method = job.method or "unroll"
+        return method, checked_surface(method, job.surface, settings)
     require(
-        all(one is None for one in (method, surface, *sizes)),
+        (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
         f"'{path}' is a print already, to be made one of 500 ppi; leave out --method, --surface, --ppi and scales.",
     )
     return "file", "paper"
@@ -173,22 +191,21 @@ def _of_file(path: Path, input_ppi: float | None) -> tuple[Source, Print]:
     return source, made
 
 
-def _read(  # noqa: PLR0917
-    path: Path, method: str, place: str, preset: str, settings: PrintingSettings, progress: Progress,
-    scale: tuple[float | None, float | None, float | None],
-) -> tuple[Source, Rolled | None, Print | None]:  # fmt: skip
+def _read(
+    job: PrintJob, method: str, place: str, settings: PrintingSettings, progress: Progress
+) -> tuple[Source, Rolled | None, Print | None]:
     """What the print is made from, the finger around its front where the print is rolled, and a print from a file."""
     if method == "file":
-        source, given = _of_file(path, scale[2])
+        source, given = _of_file(job.path, job.input_ppi)
         return source, None, given
     if method == "rolled":
-        require(scale[:2] == (None, None), "a rig with mirrors has a scale; leave out --px-per-mm and --ridge-period.")
-        return *read_rolled(path, preset, settings.rolled, progress), None
+        unscaled = job.px_per_mm is None and job.ridge_period_mm is None
+        require(unscaled, "a rig with mirrors has a scale; leave out --px-per-mm and --ridge-period.")
+        return *read_rolled(job.path, job.preset, settings.rolled, progress), None
     photo = method == "photo"
-    surface = not photo or place != "plane"
     source = read_source(
-        path, photo=photo, surface=surface, preset=preset, progress=progress, px_per_mm=scale[0],
-        ridge_period_mm=scale[1],
+        job.path, photo=photo, surface=not photo or place != "plane", preset=job.preset, progress=progress,
+        px_per_mm=job.px_per_mm, ridge_period_mm=job.ridge_period_mm,
     )  # fmt: skip
     return source, None, None
 
@@ -311,61 +328,52 @@ AREA_LIMIT, ANISOTROPY_LIMIT = 0.15, 0.3
 """Ends of the colour bars of the distortion picture."""
 
 
-def _write_minutiae(  # noqa: PLR0917
-    target: Path,
-    made: Print,
-    pictures: Mapping[str, NDArray[np.uint8]],
-    enhanced: Enhanced,
-    sought_in: str,
-    source: Source,
-    origin: dict[str, JsonValue],
-    finger_quality: int,
-) -> dict[str, Any]:
-    """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them.
+def _minutiae_of(
+    made: Print, pictures: Mapping[str, NDArray[np.uint8]], enhanced: Enhanced, sought_in: str
+) -> tuple[Minutiae | None, str]:
+    """Minutiae of a print, and in which picture they were sought; or None, and what to install.
 
-    Minutiae are sought by mindtct in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``)
-    says, or by the phase of the ridges (``phase``), which needs no package; `finger_quality` (0 to 100) goes into the
-    record.
-
-    Without the package that mindtct comes with, nothing is written and the facts name what to install.
+    By mindtct in ``print.png`` or ``enhanced.png`` of `pictures`, as `sought_in` (without ``.png``) says, or by the
+    phase of the ridges (``phase``), which needs no package.
     """
     from splitknit.matching.minutiae import extract  # large, and not everywhere
 
-    print_map = made.map
     try:
         if sought_in == "phase":
-            found, where = minutiae_by_phase(made, enhanced, print_map.ppi), "print.png, by the phase"
-        else:
-            pressed = made.even is not None and sought_in == "print"
-            found, where = extract(pictures[f"{sought_in}.png"], print_map.ppi, enhance=pressed), f"{sought_in}.png"
+            return minutiae_by_phase(made, enhanced, made.map.ppi), "print.png, by the phase"
+        pressed = made.even is not None and sought_in == "print"
+        return extract(pictures[f"{sought_in}.png"], made.map.ppi, enhance=pressed), f"{sought_in}.png"
     except BadInput as error:
-        return {"written": False, "missing": f"{' '.join(str(error).split())} Or find them with --set minutiae=phase."}
-    impression = "contactless" if made.even is None else "live_plain"
-    view = finger_view(found, finger_quality, source.subject.get("finger"), impression)
+        return None, f"{' '.join(str(error).split())} Or find them with --set minutiae=phase."
+
+
+def _write_minutiae(
+    target: Path, view: FingerView, print_map: PrintMap, source: Source, origin: dict[str, JsonValue]
+) -> dict[str, Any]:
+    """Write ``minutiae.iso`` and, where there is a surface, ``minutiae3d.json``; return what is known of them."""
     write_iso19794(target / "minutiae.iso", MinutiaeRecord((view,)))
-    facts: dict[str, Any] = {"written": True, "sought_in": where, "count": len(found.x_px), "finger": view.finger}
+    facts: dict[str, Any] = {"count": len(view.x_px), "finger": view.finger}
     if source.height_mm is not None or source.points_mm is not None:
         scale = print_map.ppi / 500.0
-        places = (np.stack([found.x_px, found.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
-        space = _minutiae_in_space(places, found.direction_rad, print_map, source)
+        places = (np.stack([view.x_px, view.y_px], axis=1).astype(np.float64) + 0.5) * scale - 0.5
+        space = _in_space(places, view.direction_rad, print_map, source)
         good = np.isfinite(space).all(axis=1)
         theta, phi = angles_of(space[good, 3:]) if bool(good.any()) else (np.zeros(0), np.zeros(0))
         x, y, z = space[good, :3].T
-        record = Minutiae3D(x, y, z, theta, phi, found.type[good], found.quality[good], view.finger, origin)
+        record = Minutiae3D(x, y, z, theta, phi, view.type[good], view.quality[good], view.finger, origin)
         write_minutiae3d(target / "minutiae3d.json", record)
         facts["in_space"] = int(good.sum())
     return facts
 
 
-def _minutiae_in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
+def _in_space(places: Array, directions_rad: Array, print_map: PrintMap, source: Source) -> Array:
     """(N, 6) x, y, z in mm of the upright finger's frame, and the direction there, of places (N, 2) of a print.
 
     NaN where the print shows nothing, or the surface is not known.
     """
     if source.points_mm is not None:
-        return _on_chart(
-            source.points_mm, print_map.input_from_print(places), print_map.directions_in_input(places, directions_rad)
-        )
+        there, ahead = print_map.input_from_print(places), print_map.directions_in_input(places, directions_rad)
+        return _on_chart(source.points_mm, there, ahead)
     assert source.height_mm is not None
     return in_space(
         places, directions_rad, print_map, source.height_mm, source.pitch_mm,
@@ -403,12 +411,12 @@ def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
     y = node[1, 0] * print_map.columns + node[1, 1] * print_map.rows + node[1, 2] - 0.5
     shown = print_map.columns > 0.5 * NOWHERE
     panels = []
-    for field, low, high, title in (
+    for values_of, low, high, title in (
         (unrolled.distortion.area, -AREA_LIMIT, AREA_LIMIT, "area"),
         (unrolled.distortion.anisotropy, 0.0, ANISOTROPY_LIMIT, "one way"),
     ):
-        known = np.isfinite(field)
-        filled, fraction = np.where(known, field, 0.0).astype(np.float32), known.astype(np.float32)
+        known = np.isfinite(values_of)
+        filled, fraction = np.where(known, values_of, 0.0).astype(np.float32), known.astype(np.float32)
         values, weight = (
             np.asarray(cv2.remap(part, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR), dtype=np.float32)
             for part in (filled, fraction)

@@ -20,7 +20,16 @@ from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
 from splitknit.settings import Limits, check_fields
 from splitknit.training.networks import fields_network, load_torch
-from splitknit.training.trainer import Entry, Step, Trainer, TrainerSettings, packed, write_network
+from splitknit.training.trainer import (
+    Architecture,
+    Entry,
+    NetworkKind,
+    Step,
+    Trainer,
+    TrainerSettings,
+    packed,
+    write_network,
+)
 
 FIELDS = 32
 """Fields that a network sees, the first of a sample."""
@@ -175,12 +184,12 @@ def check_channels(samples: Sequence[Sample], channels: int) -> None:
         )
 
 
-def _packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
+def _packed_fields(kind: NetworkKind, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
     """The files of a finished network, see :func:`splitknit.training.trainer.packed`.
 
     Parameters
     ----------
-    name, what : of the network, and what it turns into what
+    kind : NetworkKind
     state : ``state_dict`` of a :func:`splitknit.training.networks.fields_network`
     facts : what the card also contains: command, training, data, metrics
 
@@ -192,18 +201,17 @@ def _packed_fields(name: str, what: str, state: Mapping[str, Any], facts: Mappin
     network = _network_from(state)
     widths = [int(level[0].out_channels) for level in network.down]
     channels = int(network.down[0][0].in_channels), int(network.out.out_channels)
-    architecture = f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}"
-    depth = len(widths) - 1
-    return packed(name, network, facts, channels=channels, depth=depth, what=what, architecture=architecture)
+    words = f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}"
+    return packed(kind, network, Architecture(words, channels, len(widths) - 1), facts)
 
 
-def write_fields(out: Path, name: str, what: str, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+def write_fields(out: Path, kind: NetworkKind, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     """Write network and card of a ``state_dict``, see :func:`splitknit.training.trainer.write_network`."""
-    files = _packed_fields(name, what, state, facts)
+    files = _packed_fields(kind, state, facts)
     stride, fields = stride_of(state), int(state["scale"].shape[0])
     probe = np.random.default_rng(0).uniform(-0.3, 0.3, (fields, 8 * stride, 9 * stride)).astype(np.float32)
     run = runner_of(state)
-    return write_network(out, name, files, lambda images: run(images[0])[None], probe[None])
+    return write_network(out, kind.name, files, lambda images: run(images[0])[None], probe[None])
 
 
 def runner_of(state: Mapping[str, Any]) -> Callable[[FloatArray], FloatArray]:

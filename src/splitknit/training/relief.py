@@ -11,13 +11,12 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import FloatArray, Progress, no_progress
+from splitknit.model import FloatArray
 from splitknit.networks.augmentation import Symmetry
 from splitknit.settings import Limits
 from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY
@@ -40,7 +39,9 @@ from splitknit.training.fields import (
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData, training_crops, training_sample
 from splitknit.training.trainer import (
     HELD_OUT_FROM,
-    Chart,
+    LearningCurve,
+    NetworkKind,
+    TrainingRun,
     files_of,
     load_data,
     make_data,
@@ -51,13 +52,13 @@ from splitknit.training.trainer import (
 )
 from splitknit.training.trainer import Sample as Stored
 
-NAME = "relief"
-FILES = files_of(NAME, "fingers")
-WHAT = (
+NETWORK = NetworkKind(
+    "relief",
     "relief and glare of skin: the fields of splitknit.skin.learned to the relief in 0.02 mm, seven "
     "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
-    "variance"
+    "variance",
 )
+FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("relief", "slope", "likelihood", "glare")
 OUTPUTS = 9
 """Of the network: the relief, seven waves of the glare, the logarithm of the relief's variance."""
@@ -216,28 +217,17 @@ def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Seq
     return one_scale(patches, _MIN_DEVIATION)
 
 
-def train_relief(
-    out: Path,
-    data: ReliefData,
-    settings: ReliefSettings,
-    *,
-    resume: bool = False,
-    command: str = "",
-    progress: Progress = no_progress,
-    chart: Chart | None = None,
-) -> dict[str, Any]:
+def train_relief(run: TrainingRun, data: ReliefData, settings: ReliefSettings) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
-
-    Parameters are those of :func:`splitknit.training.separation.train_separation`.
 
     Raises
     ------
     BadInput
-        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
+        If torch is missing, the folder is in use, what is there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)
-    open_folder(out, data, settings, resume)
+    open_folder(run, data, settings)
 
     def shoot(kind: str, number: int) -> list[Stored]:
         if kind == "finger":
@@ -250,11 +240,11 @@ def train_relief(
 
     pieces, whole, held_out = _numbers(data)
     subjects = [*(("pieces", number) for number in pieces), *(("finger", number) for number in (*whole, *held_out))]
-    refused = make_data(out, subjects, shoot, progress)
-    cut = load_data(out, "pieces", pieces, lambda shape, facts: fits(shape[1:], facts))
+    refused = make_data(run, subjects, shoot)
+    cut = load_data(run.out, "pieces", pieces, lambda shape, facts: fits(shape[1:], facts))
     crops = [crop for found in cut.values() for crop in found[0][0]]
     fingers, judges = (
-        {number: found[0][0] for number, found in load_data(out, "finger", numbers, fits).items()}
+        {number: found[0][0] for number, found in load_data(run.out, "finger", numbers, fits).items()}
         for numbers in (whole, held_out)
     )
     require_subjects(len(crops), "train on", refused)
@@ -264,20 +254,16 @@ def train_relief(
         "training": lambda entry: UNIT_UM * math.sqrt(entry["relief"]),
         "held out": lambda entry: UNIT_UM * entry["held_out_rms"],
     }
-    train_in_folder(
-        out,
-        trainer,
-        settings.iterations,
+    curve = LearningCurve(
         settings.report_every,
         lambda: mean_figures([_judge_middle(trainer.run, sample, settings.stride) for sample in judges.values()]),
-        lines=lines,
-        unit="error of the relief, µm",
-        progress=progress,
-        chart=chart,
+        lines,
+        "error of the relief, µm",
     )
-    progress("exporting", 1.0)
+    train_in_folder(run, trainer, settings.iterations, curve)
+    run.progress("exporting", 1.0)
     facts = {
-        "command": command,
+        "command": run.command,
         "training": {**asdict(settings), "iterations_done": trainer.done},
         "data": {
             **asdict(data),
@@ -287,8 +273,8 @@ def train_relief(
         },
         "metrics": _network_metrics(trainer.network.state_dict(), judges),
     }
-    written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
-    return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
+    written = write_fields(run.out, NETWORK, trainer.network.state_dict(), facts)
+    return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
 
 
 def _numbers(data: ReliefData) -> tuple[range, range, range]:

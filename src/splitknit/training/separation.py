@@ -10,14 +10,13 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from splitknit.errors import require
 from splitknit.finger.contrast import ClaheSettings, clahe
-from splitknit.model import BoolArray, FloatArray, Progress, no_progress
+from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.direct import local_level
 from splitknit.settings import Limits, check_fields
 from splitknit.training.networks import unet
@@ -34,12 +33,15 @@ from splitknit.training.separation_data import (
 from splitknit.training.trainer import (
     FREE,
     HELD_OUT_FROM,
-    Chart,
+    Architecture,
+    LearningCurve,
+    NetworkKind,
     Sample,
     Step,
     Subject,
     Trainer,
     TrainerSettings,
+    TrainingRun,
     files_of,
     load_data,
     make_data,
@@ -51,9 +53,10 @@ from splitknit.training.trainer import (
     write_network,
 )
 
-NAME = "direct"
-FILES = files_of(NAME, "photographs")
-WHAT = "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its direct part"
+NETWORK = NetworkKind(
+    "direct", "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its direct part"
+)
+FILES = files_of(NETWORK.name, "photographs")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +136,8 @@ class SeparationTrainer(Trainer):
     def packed(self, facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
         """Network and card, see :func:`splitknit.training.trainer.packed`."""
         settings = self.settings
-        architecture = f"U-Net of the thesis (figure 3.19), depth {settings.depth}, width {settings.width}"
-        return packed(
-            NAME, self.network, facts, channels=(3, 3), depth=settings.depth, what=WHAT, architecture=architecture
-        )
+        words = f"U-Net of the thesis (figure 3.19), depth {settings.depth}, width {settings.width}"
+        return packed(NETWORK, self.network, Architecture(words, (3, 3), settings.depth), facts)
 
 
 def _learning_factor(done: float, decay: float) -> float:
@@ -146,42 +147,24 @@ def _learning_factor(done: float, decay: float) -> float:
     return 0.5 * (1.0 + math.cos(math.pi * min((done - 1 + decay) / decay, 1.0)))
 
 
-def train_separation(
-    out: Path,
-    data: SeparationData,
-    settings: SeparationSettings,
-    *,
-    resume: bool = False,
-    command: str = "",
-    progress: Progress = no_progress,
-    chart: Chart | None = None,
-) -> dict[str, Any]:
+def train_separation(run: TrainingRun, data: SeparationData, settings: SeparationSettings) -> dict[str, Any]:
     """Build the data set and train; return what came out.
-
-    Parameters
-    ----------
-    out : folder to write into; it must be new, unless `resume`
-    data, settings : what to train on, and how
-    resume : go on with the training in `out`
-    command : the command line that does this again, for the card
-    progress : called with what is being done and the fraction of the whole that is done
-    chart : draws the learning curve as SVG; without it there is only the table
 
     Raises
     ------
     BadInput
-        If torch is missing, `out` is in use, or what is there does not fit the settings.
+        If torch is missing, the folder is in use, or what is there does not fit the settings.
     """
     started = time.perf_counter()
     require_torch(settings)
-    open_folder(out, data, settings, resume, SeparationTrainer.free)
+    open_folder(run, data, settings, SeparationTrainer.free)
     views = [f"_{view:02d}" for view in range(data.views)]
     subjects = _subjects(data)
-    refused = make_data(out, subjects, lambda kind, index: _shoot(kind, index, data, settings.seed), progress, views)
+    refused = make_data(run, subjects, lambda kind, index: _shoot(kind, index, data, settings.seed), views)
 
     def patches(held_out: bool) -> Patches:
         chosen = [subject for subject in subjects if (subject[1] >= HELD_OUT_FROM) is held_out]
-        loaded = [load_data(out, kind, [number], _fits, views).get(number, []) for kind, number in chosen]
+        loaded = [load_data(run.out, kind, [number], _fits, views).get(number, []) for kind, number in chosen]
         found = [
             Photograph(pixels, np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2), facts)
             for photographed in loaded
@@ -197,21 +180,17 @@ def train_separation(
         "held out": lambda entry: _psnr(entry["held_out_linear"]),
         "held out, enhanced": lambda entry: _psnr(entry["held_out_enhanced"]),
     }
-    train_in_folder(
-        out,
-        trainer,
-        settings.epochs,
+    curve = LearningCurve(
         1,
         lambda: {"linear": trainer.loss_of(held_out, False), "enhanced": trainer.loss_of(held_out, True)},
-        lines=lines,
-        unit="PSNR, dB",
-        progress=progress,
-        chart=chart,
+        lines,
+        "PSNR, dB",
     )
-    progress("exporting", 1.0)
+    train_in_folder(run, trainer, settings.epochs, curve)
+    run.progress("exporting", 1.0)
     last = trainer.curve[-1]
     facts = {
-        "command": command,
+        "command": run.command,
         "training": {**asdict(settings), "epochs_done": trainer.done, "patches": len(train)},
         "data": asdict(data),
         "metrics": {
@@ -222,8 +201,8 @@ def train_separation(
     }
     side = 10 * settings.stride
     probe = np.random.default_rng(0).random((1, 3, side, side + settings.stride), dtype=np.float32)
-    written = write_network(out, NAME, trainer.packed(facts), trainer.run, probe)
-    return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
+    written = write_network(run.out, NETWORK.name, trainer.packed(facts), trainer.run, probe)
+    return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
 
 
 def _subjects(data: SeparationData) -> list[Subject]:

@@ -10,14 +10,13 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
 import numpy as np
 
 from splitknit.errors import require
-from splitknit.model import FloatArray, Progress, no_progress
+from splitknit.model import FloatArray
 from splitknit.settings import Limits
 from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_SYMMETRY
 from splitknit.training.fields import (
@@ -40,7 +39,9 @@ from splitknit.training.networks import load_torch
 from splitknit.training.shape_data import ShapeData, shape_sample
 from splitknit.training.trainer import (
     HELD_OUT_FROM,
-    Chart,
+    LearningCurve,
+    NetworkKind,
+    TrainingRun,
     files_of,
     load_data,
     make_data,
@@ -50,12 +51,12 @@ from splitknit.training.trainer import (
     train_in_folder,
 )
 
-NAME = "shape"
-FILES = files_of(NAME, "fingers")
-WHAT = (
+NETWORK = NetworkKind(
+    "shape",
     "slopes that a finger's shape lacks: the fields of splitknit.skin.learned on the coarse grid to slopes "
-    "along x and y in units of 0.1"
+    "along x and y in units of 0.1",
 )
+FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("slope", "wide")
 SLOPES = slice(32, 34)
 """The slopes along x and y (up) that the shape lacks, in the network's unit."""
@@ -223,37 +224,26 @@ def _field_scale(samples: Sequence[Sample], settings: ShapeNetSettings) -> Float
     return one_scale(patches, _MIN_DEVIATION)
 
 
-def train_shape(
-    out: Path,
-    data: ShapeData,
-    settings: ShapeNetSettings,
-    *,
-    resume: bool = False,
-    command: str = "",
-    progress: Progress = no_progress,
-    chart: Chart | None = None,
-) -> dict[str, Any]:
+def train_shape(run: TrainingRun, data: ShapeData, settings: ShapeNetSettings) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
-
-    Parameters are those of :func:`splitknit.training.separation.train_separation`.
 
     Raises
     ------
     BadInput
-        If torch is missing, `out` is in use, what is there does not fit the settings, or no finger can be used.
+        If torch is missing, the folder is in use, what is there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)
-    open_folder(out, data, settings, resume)
+    open_folder(run, data, settings)
 
     def fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
         return len(shape) == 3 and shape[0] == CHANNELS and min(shape) >= settings.stride
 
     numbers = range(data.first, data.first + data.fingers), range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out)
     subjects = [("finger", number) for part in numbers for number in part]
-    refused = make_data(out, subjects, lambda kind, number: [shape_sample(number, data)], progress)
+    refused = make_data(run, subjects, lambda kind, number: [shape_sample(number, data)])
     fingers, judges = (
-        {number: found[0][0] for number, found in load_data(out, "finger", part, fits).items()} for part in numbers
+        {number: found[0][0] for number, found in load_data(run.out, "finger", part, fits).items()} for part in numbers
     )
     require_subjects(len(fingers), "train on", refused)
     require_subjects(len(judges), "judge the network on", refused)
@@ -263,26 +253,22 @@ def train_shape(
         "held out": lambda entry: UNIT * entry["held_out_after"],
         "held out, before": lambda entry: UNIT * entry["held_out_before"],
     }
-    train_in_folder(
-        out,
-        trainer,
-        settings.iterations,
+    curve = LearningCurve(
         settings.report_every,
         lambda: mean_figures([_judge_whole(trainer.run, sample, settings.stride) for sample in judges.values()]),
-        lines=lines,
-        unit="error of a slope",
-        progress=progress,
-        chart=chart,
+        lines,
+        "error of a slope",
     )
-    progress("exporting", 1.0)
+    train_in_folder(run, trainer, settings.iterations, curve)
+    run.progress("exporting", 1.0)
     facts = {
-        "command": command,
+        "command": run.command,
         "training": {**asdict(settings), "iterations_done": trainer.done},
         "data": {**asdict(data), "fingers_used": len(fingers), "fingers_refused": len(refused)},
         "metrics": _network_metrics(trainer.network.state_dict(), judges),
     }
-    written = write_fields(out, NAME, WHAT, trainer.network.state_dict(), facts)
-    return {**written, "refused": len(refused), "out": str(out), "total_s": time.perf_counter() - started}
+    written = write_fields(run.out, NETWORK, trainer.network.state_dict(), facts)
+    return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
 
 
 def _network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.npz import map_npy
-from splitknit.model import FloatArray, Progress
+from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
 from splitknit.settings import Checked, Limits
@@ -38,7 +38,6 @@ from splitknit.training.networks import export_onnx, load_torch, unet_reach
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-"""Called with what is being done, and the fraction of the whole that is done."""
 Chart = Callable[[Sequence[float], Mapping[str, Sequence[float]], str, str], bytes]
 """Draws a learning curve as SVG: x, lines by name, labels of x and y."""
 HELD_OUT_FROM = 1_000_000
@@ -241,6 +240,22 @@ def require_torch(settings: TrainerSettings) -> Any:
     return torch
 
 
+@dataclass(frozen=True, slots=True)
+class TrainingRun:
+    """A training in its folder."""
+
+    out: Path
+    """Folder to write into; it must be new, unless `resume`."""
+    resume: bool = False
+    """Go on with the training in `out`."""
+    command: str = ""
+    """The command line that does this again, for the card."""
+    progress: Progress = no_progress
+    """Called with what is being done and the fraction of the whole that is done."""
+    chart: Chart | None = None
+    """Draws the learning curve as SVG; without it there is only the table."""
+
+
 def files_of(network: str, photographed: str) -> dict[str, str]:
     """Files of a finished training, each with its description."""
     return {
@@ -254,43 +269,43 @@ def files_of(network: str, photographed: str) -> dict[str, str]:
 
 
 def open_folder(
-    out: Path, data: DataclassInstance, settings: DataclassInstance, resume: bool, free: Sequence[str] = FREE
+    run: TrainingRun, data: DataclassInstance, settings: DataclassInstance, free: Sequence[str] = FREE
 ) -> None:
     """Make the folder, or check that it holds this training.
 
     Parameters
     ----------
-    out : folder
+    run : with the folder, and whether a training may be there already
     data, settings : dataclasses of the data set and the training
-    resume : whether a training may be there already
     free : settings that may differ from those of the training that is there
 
     Raises
     ------
     BadInput
-        If `out` is a file or holds something else, a training that shall not be resumed, or one with other settings.
+        If it is a file or holds something else, a training that shall not be resumed, or one with other settings.
     """
-    run = _plain({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)})
+    out = run.out
+    wanted = _plain({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)})
     file = out / "run.json"
     require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to train in.")
     if not out.is_dir() or not any(out.iterdir()):
-        _write(file, (json.dumps(run, indent=1) + "\n").encode())
+        _write(file, (json.dumps(wanted, indent=1) + "\n").encode())
         return
     require(file.is_file(), f"'{out}' is not empty and holds no training of splitknit; name another folder.")
-    require(resume, f"'{out}' holds a training already; add --resume to go on with it, or name another folder.")
+    require(run.resume, f"'{out}' holds a training already; add --resume to go on with it, or name another folder.")
     with refusing(f"'{file}' is damaged; train anew in another folder."):
         before = parse_json(read_bytes(file, _MAX_BYTES), str(file))
         changed = [
             f"{part}.{name}"
             for part in ("data", "training")
-            for name in sorted(run[part])
-            if before[part].get(name) != run[part][name] and name not in free
+            for name in sorted(wanted[part])
+            if before[part].get(name) != wanted[part][name] and name not in free
         ]
     require(
         not changed, f"the training in '{out}' has other settings ({', '.join(changed)}); resume with the same ones."
     )
-    if before != run:
-        _write(file, (json.dumps(run, indent=1) + "\n").encode())
+    if before != wanted:
+        _write(file, (json.dumps(wanted, indent=1) + "\n").encode())
 
 
 def _plain(facts: Mapping[str, Any]) -> Any:
@@ -318,22 +333,21 @@ _ONE_VIEW = ("",)
 
 
 def make_data(
-    out: Path, subjects: Sequence[Subject], shoot: Shoot, progress: Progress, views: Sequence[str] = _ONE_VIEW
+    run: TrainingRun, subjects: Sequence[Subject], shoot: Shoot, views: Sequence[str] = _ONE_VIEW
 ) -> list[str]:
     """Photograph the subjects that are not there yet; return those that cannot be used, with the reason.
 
     Parameters
     ----------
-    out : folder of the training
+    run : with the folder of the training
     subjects : palms and fingers
     shoot : takes their photographs
-    progress : called before each subject
     views : endings of the files' names, one for each photograph of a subject
     """
     refused = []
     for done, (kind, number) in enumerate(subjects):
-        progress("photographing", _DATA_PART * done / len(subjects))
-        names = [_name(out, kind, number, view) for view in views]
+        run.progress("photographing", _DATA_PART * done / len(subjects))
+        names = [_name(run.out, kind, number, view) for view in views]
         if not all(name.with_suffix(".json").exists() for name in names):
             _shoot(names, kind, number, shoot)
         facts = _facts(names[0])
@@ -412,48 +426,48 @@ Entry = dict[str, float]
 """Of the learning curve."""
 
 
-def train_in_folder(
-    out: Path,
-    trainer: Trainer,
-    end: int,
-    stretch: int,
-    judge: Callable[[], Entry],
-    *,
-    lines: Mapping[str, Callable[[Entry], float]],
-    unit: str,
-    progress: Progress,
-    chart: Chart | None,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class LearningCurve:
+    """What is measured during a training, and drawn."""
+
+    stretch: int
+    """Epochs or iterations between two entries."""
+    judge: Callable[[], Entry]
+    """Figures of the network as it is on held-out data."""
+    lines: Mapping[str, Callable[[Entry], float]]
+    """Of the chart by their names: from an entry to a value."""
+    unit: str
+    """Of these values."""
+
+
+def train_in_folder(run: TrainingRun, trainer: Trainer, end: int, curve: LearningCurve) -> None:
     """Train to the end, from the checkpoint in the folder if there is one; keep checkpoint and learning curve.
 
     Parameters
     ----------
-    out : folder of the training
+    run : with the folder of the training
     trainer : what is trained
     end : epochs or iterations in all
-    stretch : of them between two entries of the learning curve
-    judge : figures of the network as it is on held-out data
-    lines : of the chart by their names: from an entry to a value
-    unit : of these values
-    progress : called after every step
-    chart : draws ``curve.svg``; without it there is none
+    curve : what is measured on the way
     """
+    out, progress = run.out, run.progress
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
         trainer.restore(read_bytes(checkpoint, _MAX_BYTES))
     while trainer.done < end:
         started = time.perf_counter()
-        count = min(stretch, end - trainer.done)
+        count = min(curve.stretch, end - trainer.done)
         doing = f"{trainer.counted} {trainer.done + count} of {end}"
         parts = trainer.train(count, lambda done: progress(doing, _DATA_PART + (1 - _DATA_PART) * done))  # noqa: B023
-        figures = {f"held_out_{name}": value for name, value in judge().items()}
+        figures = {f"held_out_{name}": value for name, value in curve.judge().items()}
         seconds = time.perf_counter() - started
         trainer.curve.append({trainer.counted: trainer.done, **parts, **figures, "seconds": seconds})
         _write(checkpoint, trainer.state())
         _write(out / "curve.csv", _curve_table(trainer.curve))
-        if chart is not None and len(trainer.curve) > 1:
-            drawn = {name: [value(entry) for entry in trainer.curve] for name, value in lines.items()}
-            _write(out / "curve.svg", chart([e[trainer.counted] for e in trainer.curve], drawn, trainer.counted, unit))
+        if run.chart is not None and len(trainer.curve) > 1:
+            drawn = {name: [value(entry) for entry in trainer.curve] for name, value in curve.lines.items()}
+            x = [entry[trainer.counted] for entry in trainer.curve]
+            _write(out / "curve.svg", run.chart(x, drawn, trainer.counted, curve.unit))
 
 
 def _curve_table(curve: Sequence[Entry]) -> bytes:
@@ -465,38 +479,49 @@ def _curve_table(curve: Sequence[Entry]) -> bytes:
     return table.getvalue().encode()
 
 
+@dataclass(frozen=True, slots=True)
+class NetworkKind:
+    """A network by its name, and what it turns into what."""
+
+    name: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """Of a U-Net."""
+
+    words: str
+    channels: tuple[int, int]
+    """Of input and output."""
+    depth: int
+    """Times that it halves the scale."""
+
+
 def packed(
-    name: str,
-    network: Any,
-    facts: Mapping[str, Any],
-    *,
-    channels: tuple[int, int],
-    depth: int,
-    what: str,
-    architecture: str,
+    kind: NetworkKind, network: Any, architecture: Architecture, facts: Mapping[str, Any]
 ) -> tuple[bytes, bytes]:
     """The files of a finished network: ONNX, with weights in half precision, and card.
 
     Parameters
     ----------
-    name, network : its name, and torch's module
+    kind, network : what it is, and torch's module
+    architecture : of the network
     facts : what the card also contains: command, training, data, metrics
-    channels : of input and output
-    depth : times that the network halves the scale
-    what, architecture : what it turns into what, and how
     """
+    channels, depth = architecture.channels, architecture.depth
     weights = export_onnx(network, channels[0], 2**depth)
     head = {
         "channels_in": channels[0],
         "channels_out": channels[1],
         "stride": 2**depth,
         "reach": unet_reach(depth),
-        "what": what,
-        "architecture": architecture,
+        "what": kind.what,
+        "architecture": architecture.words,
         "licence": "Apache-2.0",
         "software": f"splitknit {__version__}",
     }
-    return weights, card_bytes(name, weights, _plain({**head, **facts}))
+    return weights, card_bytes(kind.name, weights, _plain({**head, **facts}))
 
 
 def write_network(
