@@ -15,7 +15,7 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import lighting
-from splitknit.skin.shape import CoarsePrior, compare, integrate, start_shape, wiener
+from splitknit.skin.shape import CoarsePrior, integrate, residual_of, start_shape, wiener
 
 FACTOR = 3
 GLARE = 0.4
@@ -50,7 +50,7 @@ class Coarse:
     def compare(self, bands, height=None, added=None):
         height = self.height if height is None else height
         zero = np.zeros(self.grid.shape, dtype=np.float32)
-        residual = compare(bands, self.grid, height, OPTICS)
+        residual = residual_of(bands, self.grid, height, OPTICS)
         slope_x, slope_y = wiener(residual, added or (zero, zero), OPTICS, self.grid, CoarsePrior())
         return SimpleNamespace(slope_x=slope_x, slope_y=slope_y, brightness=residual.brightness, glare=residual.glare)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.areas import around, bin_image, blanked, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.areas import bin_image, blanked, box_around, enlarged_box, filled, grown, mirror_outline
 from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 
 _PX_PER_MM = 22.0
@@ -121,7 +121,7 @@ def _outlined(  # noqa: PLR0917
     outlines = {name: mirror_outline(mirror, camera, binning) for name, mirror in mirrors.items()}
 
     def found(mask: BoolArray, name: str, front: BoolArray | None) -> BoolArray | None:
-        cells = around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
+        cells = box_around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
         box = enlarged_box(cells, factor, mask.shape, image.shape)
         corner = np.array([box[1].start, box[0].start])
         inside = {other: outline - corner for other, outline in outlines.items()}

@@ -105,7 +105,7 @@ def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: i
     start = grid.smooth(start, grid.mask, 0.5) * grid.mask
     height = start
     for _ in range(steps):
-        residual = compare(images.bands, grid, above_plane(height, images) * grid.mask, optics)
+        residual = residual_of(images.bands, grid, above_plane(height, images) * grid.mask, optics)
         added = slopes_inside(height - start, grid)
         slopes = wiener(residual, added, optics, grid, prior)
         facing = normals_from_gradients(*slopes_inside(height, grid))[..., 2]
@@ -124,7 +124,7 @@ def on_fine_grid(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
     return refine(above_plane(height_mm, images), images.grid.mask, images.factor, images.fine.shape)
 
 
-def light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
+def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
     """The white lights, on the fine grid, on the shape without what ridges leave on the coarse grid."""
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
@@ -172,7 +172,7 @@ class Residual:
     """Channels of each band."""
 
 
-def compare(
+def residual_of(
     bands: Sequence[BandImages], grid: Grid, height_mm: FloatArray, optics: Mapping[str, Diffusion]
 ) -> Residual:
     """Predict the images of all bands, fit the specular reflection, and measure the slopes that are left over.
@@ -244,7 +244,7 @@ def wiener(
 
     Parameters
     ----------
-    residual : of :func:`compare`
+    residual : of :func:`residual_of`
     added : slopes that earlier comparisons have put into the surface
     optics : transfer function M of each channel
     grid : coarse grid
