@@ -17,7 +17,7 @@ from splitknit.model import BoolArray, FloatArray, Rig
 
 
 def _fast_length(at_least: int) -> int:
-    """Smallest length without a prime factor above five, whose Fourier transform is fast; scipy would be slow to load."""
+    """Smallest length without a prime factor above five: its Fourier transform is fast (loading scipy would be slow)."""
     length = at_least
     while True:
         left = length
