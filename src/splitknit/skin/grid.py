@@ -17,7 +17,7 @@ from splitknit.model import BoolArray, FloatArray, Rig
 
 
 def _fast_length(at_least: int) -> int:
-    """Smallest length without a prime factor above five: its Fourier transform is fast (loading scipy would be slow)."""
+    """Smallest length without a prime factor above five: its Fourier transform is fast. Of scipy nothing is loaded."""
     length = at_least
     while True:
         left = length
