@@ -41,7 +41,7 @@ def capture() -> Capture:
 def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """Calls, pixels and transforms of what is run while the test lasts."""
     found: Counter[str] = Counter()
-    infer, compare, features = unet._infer, shape.compare, learned.features
+    infer, compare, features = unet._infer, shape.residual_of, learned.features
     forward, inverse = Grid.forward, Grid.inverse
 
     def inferring(network: unet.Network, image: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         return inverse(grid, spectrum)
 
     monkeypatch.setattr(unet, "_infer", inferring)
-    monkeypatch.setattr(shape, "compare", comparing)
+    monkeypatch.setattr(shape, "residual_of", comparing)
     monkeypatch.setattr(pipeline, "features", describing)
     monkeypatch.setattr(Grid, "forward", there)
     monkeypatch.setattr(Grid, "inverse", back)

@@ -68,7 +68,7 @@ from splitknit.skin.learned import (
     variance_restored,
 )
 from splitknit.skin.relief import ReliefEstimate, detail_of, measure, relief_by_colour
-from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, light_on, on_fine_grid
+from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, on_fine_grid, white_light_on
 from splitknit.steps import IN_MEMORY, Memory, shared, step
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def reconstruct(
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, doubt = _with_working_scale(capture)
-    with steps.running(progress, memory) as seconds:
+    with steps.timed_run(progress, memory) as seconds:
         capture, finger = locate_finger(capture, chosen.finding())
         mirrors = None
         if chosen.shape.source == "mirror":
@@ -167,7 +167,7 @@ def reconstruct(
             steps.images_are_read()
             surface = _skin_surface(images, chosen.skin, chosen.metric)
         else:
-            white, nir = (Photographs(capture, band, finger, chosen.metric.plane_mm) for band in (bands[0], bands[-1]))
+            white, nir = (FingerImages(capture, band, finger, chosen.metric.plane_mm) for band in (bands[0], bands[-1]))
             p = chosen.parameters(bool(white.band.colours), capture.material)
             method = metric_opaque if chosen.method == "metric" else THESIS[chosen.knit.method]
             surface = smoothed_surface(method(white, nir, p), white, chosen.smooth.sigma_mm)
@@ -248,7 +248,7 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
     plain = PRESETS["ea"]
     capture, thing = locate_finger(replace(capture, material="opaque"), plain.finding())
-    white = Photographs(capture, capture.bands["white"], thing)
+    white = FingerImages(capture, capture.bands["white"], thing)
     result = _finished(capture, thing, ea(white, white, plain.parameters(False, "opaque")), plain.top_mm)
     return result.normals, result.mask
 
@@ -314,7 +314,7 @@ def _in_pixels(result: Reconstruction) -> Reconstruction:
 
 
 @dataclass(frozen=True, slots=True)
-class Photographs:
+class FingerImages:
     """One band's photographs of the finger."""
 
     capture: Capture
@@ -345,7 +345,7 @@ class Photographs:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class FingerSurface:
     """A surface in the finger's window."""
 
     height_mm: FloatArray
@@ -359,7 +359,7 @@ class Surface:
     warnings: tuple[str, ...] = ()
 
 
-def ea(white: Photographs, _: Photographs, p: Parameters) -> Surface:
+def ea(white: FingerImages, _: FingerImages, p: Parameters) -> FingerSurface:
     """EA and PR (thesis, section 5.4): the visible surface, whole.
 
     EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The systems of Kumar,
@@ -368,33 +368,33 @@ def ea(white: Photographs, _: Photographs, p: Parameters) -> Surface:
     normals, albedo = visible_normals(white, p.photometry)
     height_mm = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
     relief = fast_part(height_mm, white)
-    return Surface(height_mm, relief, height_mm - relief, albedo, normals)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
-def ea_split(white: Photographs, _: Photographs, p: Parameters) -> Surface:
+def ea_split(white: FingerImages, _: FingerImages, p: Parameters) -> FingerSurface:
     """EA or PR with the relief that shapelets extract from the visible surface, as in Split and Knit."""
     normals, albedo = visible_normals(white, p.photometry)
     slopes = slopes_of(normals, white, p.max_slope)
     height_mm = integrated(slopes, white, p.height)
     relief = ridge_relief(slopes, white, p.shapelets)
-    return Surface(height_mm, relief, height_mm - relief, albedo, normals)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
-def snk(white: Photographs, nir: Photographs, p: Parameters) -> Surface:
+def snk(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
     """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared light."""
     normals, albedo = visible_normals(white, p.photometry)  # 3.3.1
     relief = ridge_relief(slopes_of(normals, white, p.max_slope), white, p.shapelets)  # 3.3.1.3
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)  # 3.3.2
-    return Surface(add(relief, shape, white.inside), relief, shape, albedo, normals)  # 3.3.3
+    return FingerSurface(add(relief, shape, white.inside), relief, shape, albedo, normals)  # 3.3.3
 
 
-def snk_by_crossover(white: Photographs, nir: Photographs, p: Parameters) -> Surface:
+def snk_by_crossover(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
     """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the shapelets."""
     normals, albedo = visible_normals(white, p.photometry)
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)
     visible = integrated(slopes_of(normals, white, p.max_slope), white, p.height)
     height_mm = crossover(visible, shape, ridge_response(white, p.shapelets), white.inside)
-    return Surface(height_mm, height_mm - shape, shape, albedo, normals)
+    return FingerSurface(height_mm, height_mm - shape, shape, albedo, normals)
 
 
 THESIS = {"whole": ea, "none": ea_split, "addition": snk, "crossover": snk_by_crossover}
@@ -402,7 +402,7 @@ THESIS = {"whole": ea, "none": ea_split, "addition": snk, "crossover": snk_by_cr
 
 
 @step("surface")
-def smoothed_surface(surface: Surface, white: Photographs, sigma_mm: float) -> Surface:
+def smoothed_surface(surface: FingerSurface, white: FingerImages, sigma_mm: float) -> FingerSurface:
     """Kumar's system: a Gaussian over the finished surface; the same surface for a sigma of zero."""
     if sigma_mm == 0:
         return surface
@@ -411,7 +411,7 @@ def smoothed_surface(surface: Surface, white: Photographs, sigma_mm: float) -> S
     return replace(surface, height_mm=height_mm, ridge_mm=ridge_mm, shape_mm=height_mm - ridge_mm)
 
 
-def metric_opaque(white: Photographs, nir: Photographs, p: Parameters) -> Surface:
+def metric_opaque(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
     """The `metric` method for what does not scatter light inside: near lights, robust weights, masked integration.
 
     A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
@@ -422,7 +422,7 @@ def metric_opaque(white: Photographs, nir: Photographs, p: Parameters) -> Surfac
     if nir != white:
         shape = integrated(near_slopes(nir, p.photometry.normals, p.height)[0], nir, p.height)
         height_mm = crossover(height_mm, shape, ridge_response(white, p.shapelets), white.inside)
-    return Surface(height_mm, relief, height_mm - relief, albedo, normals)
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -462,7 +462,7 @@ def metric_skin(
     optics = skin.optics(images.channels, colour)
     if networks is None:
         smooth = on_fine_grid(shape.height_mm, images)
-        light = light_on(shape.height_mm, images)
+        light = white_light_on(shape.height_mm, images)
         measured = measure(bands[0], grid, smooth, light, optics, shape.brightness)
         other = skin.optics(images.channels, colour, 1 + skin.scattering_uncertainty)
         repeated = replace(p.by_colour, steps=p.rounds * p.by_colour.steps)
@@ -502,7 +502,7 @@ def relief_and_shape(
         smooth = on_fine_grid(shape.height_mm, images)
         network = relief_network(networks.relief, orientations, earlier)
         estimate = relief_by_network(
-            features(images.white, grid, smooth, light_on(shape.height_mm, images)), grid, smooth, network
+            features(images.white, grid, smooth, white_light_on(shape.height_mm, images)), grid, smooth, network
         )
     assert estimate is not None  # of one round at least
     return smooth, variance_restored(estimate)
@@ -548,7 +548,7 @@ def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple
 
 
 @shared
-def visible_normals(white: Photographs, p: Photometry) -> tuple[FloatArray, FloatArray]:
+def visible_normals(white: FingerImages, p: Photometry) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo of the direct visible light (thesis, section 3.3.1)."""
     if not p.prepares:
         lights, inside = white.rig.light_vectors(), white.inside
@@ -567,34 +567,34 @@ def visible_normals(white: Photographs, p: Photometry) -> tuple[FloatArray, Floa
     return _distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
 
 
-def shape_slopes(nir: Photographs, p: Photometry) -> Slopes:
+def shape_slopes(nir: FingerImages, p: Photometry) -> Slopes:
     """Slopes from the band of the shape (thesis, section 3.3.2)."""
     normals, _ = _distant_normals(_grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
     return slopes_of(normals, nir, p.normals.max_slope)
 
 
-def _lights(photographs: Photographs, enhance: EnhanceSettings) -> NDArray[np.float64]:
+def _lights(photographs: FingerImages, enhance: EnhanceSettings) -> NDArray[np.float64]:
     """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of brightness."""
     lights = photographs.rig.light_vectors()
     return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
 
 
 @step("light")
-def _grey_images(photographs: Photographs) -> FloatArray:
+def _grey_images(photographs: FingerImages) -> FloatArray:
     """(L, h, w) linear grey images."""
     encoding, window = photographs.capture.encoding, photographs.finger.window
     return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
 
 
 @step("light")
-def _equalised(images: FloatArray, photographs: Photographs, enhance: EnhanceSettings) -> FloatArray:
+def _equalised(images: FloatArray, photographs: FingerImages, enhance: EnhanceSettings) -> FloatArray:
     """Contrast-limited adaptive histogram equalisation of every image."""
     scale, inside = photographs.px_per_mm, photographs.inside
     return np.stack([clahe(image, scale, enhance.cells, mask=inside) for image in images])
 
 
 @step("light")
-def _direct_images(images: FloatArray, white: Photographs, direct: DirectSettings) -> FloatArray:
+def _direct_images(images: FloatArray, white: FingerImages, direct: DirectSettings) -> FloatArray:
     """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
     inside = images * white.inside
     if not (direct.from_colours and has_colour(white.band)):
@@ -605,7 +605,7 @@ def _direct_images(images: FloatArray, white: Photographs, direct: DirectSetting
 
 
 def _by_rows(
-    photographs: Photographs, solve: Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
+    photographs: FingerImages, solve: Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo by a method that works pixel by pixel on the linear images of some rows.
 
@@ -641,7 +641,7 @@ def _distant_normals(
 
 
 @step("normals")
-def slopes_of(normals: FloatArray, photographs: Photographs, max_slope: float) -> Slopes:
+def slopes_of(normals: FloatArray, photographs: FingerImages, max_slope: float) -> Slopes:
     """Slopes of normals of the rig's frame, in the frames of the pixels' rays."""
     view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
     own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
@@ -649,7 +649,7 @@ def slopes_of(normals: FloatArray, photographs: Photographs, max_slope: float) -
 
 
 def near_slopes(
-    photographs: Photographs, p: NormalsSettings, height: HeightSettings
+    photographs: FingerImages, p: NormalsSettings, height: HeightSettings
 ) -> tuple[Slopes, FloatArray, FloatArray]:
     """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
     turns."""
@@ -675,7 +675,7 @@ def near_slopes(
 
 
 @step("surface")
-def integrated(slopes: Slopes, photographs: Photographs, p: HeightSettings) -> FloatArray:
+def integrated(slopes: Slopes, photographs: FingerImages, p: HeightSettings) -> FloatArray:
     """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
     if p.method == "frankot_chellappa":
         return frankot_chellappa(*slopes, photographs.inside, p.padding) * photographs.pitch_mm
@@ -684,13 +684,13 @@ def integrated(slopes: Slopes, photographs: Photographs, p: HeightSettings) -> F
 
 
 @step("surface")
-def ridge_relief(slopes: Slopes, photographs: Photographs, p: ShapeletSettings) -> FloatArray:
+def ridge_relief(slopes: Slopes, photographs: FingerImages, p: ShapeletSettings) -> FloatArray:
     """(h, w) relief in mm that a bank of shapelets extracts from slopes (thesis, section 3.3.1.3)."""
     return shapelets(*slopes, photographs.inside, _bank(photographs, p)) * photographs.pitch_mm
 
 
 @step("surface")
-def fast_part(height_mm: FloatArray, photographs: Photographs) -> FloatArray:
+def fast_part(height_mm: FloatArray, photographs: FingerImages) -> FloatArray:
     """(h, w) relief in mm of a surface that is not split: its height less its slow part, for pictures and prints.
 
     The slow part is a Gaussian mean, and that of what the first one missed beside the outline and on the curved finger.
@@ -700,13 +700,13 @@ def fast_part(height_mm: FloatArray, photographs: Photographs) -> FloatArray:
     return rest - smoothed(rest, photographs.inside, sigma_px)
 
 
-def ridge_response(photographs: Photographs, p: ShapeletSettings) -> Callable[[NDArray[np.float64]], Any]:
+def ridge_response(photographs: FingerImages, p: ShapeletSettings) -> Callable[[NDArray[np.float64]], Any]:
     """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover keeps all detail."""
     bank = _bank(photographs, p)
     return lambda omega: shapelet_response(np.minimum(omega, np.sqrt(2.0) / bank.sigma_px), bank)
 
 
-def _bank(photographs: Photographs, p: ShapeletSettings) -> ShapeletSettings:
+def _bank(photographs: FingerImages, p: ShapeletSettings) -> ShapeletSettings:
     """The shapelets at the photographs' scale; the thesis gives them in its own pixels."""
     return replace(p, sigma_px=p.sigma_px * (photographs.px_per_mm / REFERENCE_PX_PER_MM))
 
@@ -732,7 +732,7 @@ def _linear_images(capture: Capture, bands: tuple[Band, ...], finger: Finger, p:
 
 
 @step("surface")
-def _skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> Surface:
+def _skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> FingerSurface:
     """The surface of skin by :func:`metric_skin`, on the window's pixels."""
     found = metric_skin(images.bands, images.grid, skin, p, _reporting(images.networks, p.rounds))
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
@@ -749,7 +749,7 @@ def _skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> 
         "photographs, as grey ones leave glare in the relief"
     )
     notes = (*images.warnings, *_doubts_of(found.facts), *RELIEF.notes(relief_um, remedy))
-    return Surface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, None, deviation_um, facts, notes)
+    return FingerSurface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, None, deviation_um, facts, notes)
 
 
 def _reporting(networks: Networks | None, rounds: int) -> Networks | None:
@@ -802,8 +802,8 @@ def _views_in_mirrors(capture: Capture, mask: MaskSettings, mirror: MirrorShapeS
 
 
 def _with_mirror_shape(
-    finger: Finger, surface: Surface, mirrors: SeenInMirrors, p: MirrorShapeSettings, detail_mm: FloatArray | None
-) -> tuple[Finger, Surface]:
+    finger: Finger, surface: FingerSurface, mirrors: SeenInMirrors, p: MirrorShapeSettings, detail_mm: FloatArray | None
+) -> tuple[Finger, FingerSurface]:
     """The finger as far as the mirrors show it, and the surface on their shape with the detail of another."""
     from splitknit.mirrors.captured import mirror_shape_of
 
@@ -814,7 +814,7 @@ def _with_mirror_shape(
 
 
 @step("result")
-def _finished(capture: Capture, finger: Finger, surface: Surface, top_mm: float) -> Reconstruction:
+def _finished(capture: Capture, finger: Finger, surface: FingerSurface, top_mm: float) -> Reconstruction:
     """The window's surface in the full image, cut to the mask, with the normals of the knitted height."""
     mask, window, camera = finger.mask, finger.window, capture.rig.camera
     inside = mask[window]

@@ -152,7 +152,7 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 
 
 @contextmanager
-def running(progress: Progress | None, memory: Memory | None) -> Iterator[dict[str, float]]:
+def timed_run(progress: Progress | None, memory: Memory | None) -> Iterator[dict[str, float]]:
     """Time the steps inside, report them to `progress`, and share results by `memory`.
 
     Yields

@@ -11,10 +11,10 @@ import scipy.sparse.linalg
 from splitknit.errors import BadInput
 from splitknit.integration.gradient_field import zero_mean_by_component
 from splitknit.integration.poisson import (
-    Grid,
     PoissonSettings,
     _build_grids,
     _edge_weights,
+    _Grid,
     _padded_size,
     _predicted_differences,
     poisson,
@@ -215,7 +215,7 @@ def test_strands_that_coarse_pixels_would_weld_converge_at_once(name):
 
 def test_one_cycle_takes_most_of_the_error():
     grid = grids(True)
-    assert isinstance(grid, Grid)
+    assert isinstance(grid, _Grid)
     rng = np.random.default_rng(6)
     smooth = cv2.GaussianBlur(rng.normal(size=grid.inside.shape).astype(np.float32), (0, 0), 8) * grid.inside
     error = smooth - grid.cycle(grid.apply(smooth))

@@ -15,7 +15,7 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import lighting
-from splitknit.skin.shape import CoarsePrior, compare, integrate, start_shape, wiener
+from splitknit.skin.shape import CoarsePrior, _start_shape, _wiener, integrate, residual_of
 
 FACTOR = 3
 GLARE = 0.4
@@ -50,8 +50,8 @@ class Coarse:
     def compare(self, bands, height=None, added=None):
         height = self.height if height is None else height
         zero = np.zeros(self.grid.shape, dtype=np.float32)
-        residual = compare(bands, self.grid, height, OPTICS)
-        slope_x, slope_y = wiener(residual, added or (zero, zero), OPTICS, self.grid, CoarsePrior())
+        residual = residual_of(bands, self.grid, height, OPTICS)
+        slope_x, slope_y = _wiener(residual, added or (zero, zero), OPTICS, self.grid, CoarsePrior())
         return SimpleNamespace(slope_x=slope_x, slope_y=slope_y, brightness=residual.brightness, glare=residual.glare)
 
 
@@ -137,7 +137,7 @@ def test_integrated_slopes_give_the_height_with_mean_zero(matt):
 
 
 def test_start_is_the_dome_from_one_band(matt):
-    start = start_shape(matt.nir, matt.grid, 1.0)
+    start = _start_shape(matt.nir, matt.grid, 1.0)
     assert shape_rms(start, matt.height, matt.inner) < 0.03
     assert shape_rms(start, matt.height, matt.inner) < 0.1 * shape_rms(0 * start, matt.height, matt.inner)
 

@@ -15,14 +15,14 @@ from splitknit.skin.relief import (
     LocalWienerSettings,
     Measured,
     Unmixing,
+    _mean_normals,
     _plausible,
+    _relief_residual,
+    _scattering_sensitivity,
     denoise,
     detail_of,
     high_pass,
-    mean_normals,
     measure,
-    relief_residual,
-    scattering_sensitivity,
     unmixing,
     update,
 )
@@ -99,7 +99,7 @@ RAMP = (1.0 + 0.06 * X - 0.04 * Y).astype(np.float32)
 @pytest.mark.parametrize("names", [COLOURS, ("green",)])
 @pytest.mark.parametrize("albedo", [np.ones(SHAPE, np.float32), RAMP], ids=["even", "ramp"])
 def test_the_same_surface_lacks_nothing_whatever_the_albedo(names, albedo):
-    residual = relief_residual(measured_of(*dome_slopes(), albedo, names=names), GRID, DOME)
+    residual = _relief_residual(measured_of(*dome_slopes(), albedo, names=names), GRID, DOME)
     assert len(residual.slopes) == len(names)
     for pair in residual.slopes:
         for slope in pair:
@@ -110,8 +110,8 @@ def test_the_same_ridged_surface_lacks_nothing():
     relief, sx, sy = ridge(0.02)
     gx, gy = dome_slopes()
     scale = np.sin(K * 0.6 * PITCH) / (K * 0.6 * PITCH)  # of central differences, along x
-    before = relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME)
-    after = relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME + relief)
+    before = _relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME)
+    after = _relief_residual(measured_of(gx + sx, gy + sy), GRID, DOME + relief)
     for one, other in zip(before.slopes, after.slopes, strict=True):
         assert other[0][INNER].std() < 1.2 * (1 - scale + 0.01) * one[0][INNER].std()
 
@@ -120,7 +120,7 @@ def test_the_same_ridged_surface_lacks_nothing():
 def test_a_small_difference_arrives_through_the_transfer_function(names):
     _, sx, sy = ridge(0.003)
     gx, gy = dome_slopes()
-    residual = relief_residual(measured_of(gx + sx, gy + sy, RAMP, names=names), GRID, DOME)
+    residual = _relief_residual(measured_of(gx + sx, gy + sy, RAMP, names=names), GRID, DOME)
     for name, (x, y) in zip(names, residual.slopes, strict=True):
         # light leaks out at the outline: less of it, and so a larger slope for the same swing
         gain = float(OPTICS[name](K)) / blurred(GRID.mask, name)
@@ -131,8 +131,8 @@ def test_a_small_difference_arrives_through_the_transfer_function(names):
 
 
 def test_share_of_the_glare_in_each_channel_is_told_by_colour():
-    residual = relief_residual(measured_of(*dome_slopes(), glare=0.05), GRID, DOME)
-    plain = relief_residual(measured_of(*dome_slopes()), GRID, DOME)
+    residual = _relief_residual(measured_of(*dome_slopes(), glare=0.05), GRID, DOME)
+    plain = _relief_residual(measured_of(*dome_slopes()), GRID, DOME)
     np.testing.assert_allclose(residual.diffuse[INNER], plain.diffuse[INNER], rtol=0.02)
     seen = GRID.depth_mm > 0.5
     level = [b * np.median(blurred(GRID.mask, name)[seen]) for b, name in zip(BRIGHTNESS, COLOURS, strict=True)]
@@ -149,7 +149,7 @@ def lights(entering, trust):
 def test_nothing_is_lacking_where_nothing_is_trusted():
     _, sx, sy = ridge(0.02)
     measured = measured_of(sx, sy)
-    for pair in relief_residual(measured, GRID, np.ones(SHAPE, np.float32)).slopes:
+    for pair in _relief_residual(measured, GRID, np.ones(SHAPE, np.float32)).slopes:
         for slope in pair:
             assert np.isfinite(slope).all()
             assert not slope[~GRID.mask].any()
@@ -157,13 +157,13 @@ def test_nothing_is_lacking_where_nothing_is_trusted():
 
 def test_a_tilt_is_left_to_the_coarse_grid():
     gx, gy = dome_slopes()
-    for x, y in relief_residual(measured_of(gx + 0.2, gy), GRID, DOME).slopes:
+    for x, y in _relief_residual(measured_of(gx + 0.2, gy), GRID, DOME).slopes:
         assert np.abs(x[INNER]).max() < 0.02
         assert np.abs(y[INNER]).max() < 0.02
 
 
 def test_mean_normals_are_unit_and_end_at_the_mask():
-    normals = mean_normals(DOME, GRID)
+    normals = _mean_normals(DOME, GRID)
     assert not normals[~GRID.mask].any()
     np.testing.assert_allclose(np.linalg.norm(normals[GRID.mask], axis=-1), 1, atol=1e-5)
     gx, gy = dome_slopes()
@@ -384,9 +384,9 @@ def test_sensitivity_is_the_ratio_of_the_transfer_functions():
     fit = SpectralFit(np.array([5.0, 50.0]), np.ones(2), np.zeros(2), np.array([0.01]))
     inverse = Unmixing([1 / measured.transfer[0]], fit, np.ones(1, np.float32))
     other = {"green": diffusion(SKIN.scattering("green") * 1.3, SKIN.absorption("green"))}
-    found = scattering_sensitivity(measured, GRID, inverse, other, relief)
+    found = _scattering_sensitivity(measured, GRID, inverse, other, relief)
     assert found == pytest.approx(float(other["green"](K) / OPTICS["green"](K)) - 1, rel=0.05)
-    assert scattering_sensitivity(measured, GRID, inverse, OPTICS, relief) == pytest.approx(0, abs=1e-3)
+    assert _scattering_sensitivity(measured, GRID, inverse, OPTICS, relief) == pytest.approx(0, abs=1e-3)
 
 
 def test_the_reliefs_spectrum_falls_no_slower_than_harmonics() -> None:

@@ -13,7 +13,7 @@ from splitknit.model import Camera, Led, Rig
 from splitknit.skin import learned
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, Grid
-from splitknit.skin.learned import SHAPE_SLOPE, shape_features
+from splitknit.skin.learned import SHAPE_SLOPE, _shape_features
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import photograph_scene
 from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, SYMMETRY, WEIGHT, _without_nir
@@ -45,7 +45,7 @@ class Scene:
     def sample(self) -> np.ndarray:
         x, y = self.across
         ridges = 0.3 * np.stack([x * x - y * y, 2 * x * y, np.ones_like(x)]) * self.grid.mask
-        fields = shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, ridges)
+        fields = _shape_features(self.bands, self.grid, self.found_mm * self.grid.mask, OPTICS, ridges)
         return _assembled_shape(fields, self.true_mm, self.grid.mask, self.grid, 1).astype(np.float32)
 
     def moved(

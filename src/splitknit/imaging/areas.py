@@ -31,7 +31,7 @@ def enlarged_box(
     return slice(cells[0].start * factor, ends[0]), slice(cells[1].start * factor, ends[1])
 
 
-def around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
+def box_around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
     """Rows and columns that hold a mask and `margin` pixels around it."""
     found = []
     for axis in (1, 0):

@@ -116,7 +116,7 @@ _GROUND = 1e-9
 """Added to the diagonal of the direct system, relative to its mean: it fixes the free constant of every part."""
 
 
-class Grid:
+class _Grid:
     """One level: edge weights, and the operators on heights that are zero outside the surface."""
 
     def __init__(self, right: FloatArray, down: FloatArray, unit: bool) -> None:
@@ -129,7 +129,7 @@ class Grid:
         self.inverse = np.where(degree > 0, 1 / np.maximum(degree, np.float32(1e-30)), 0).astype(np.float32)
         self.inside = (degree > 0).astype(np.float32)
         self._target, self._term = np.empty_like(right), np.empty_like(right)
-        self.coarser: Grid | None = None
+        self.coarser: _Grid | None = None
         self.direct: _DirectSolver | None = None
         self.fraction = self.inside  # replaced where there is a coarser grid
 
@@ -210,7 +210,7 @@ class Grid:
 class _DirectSolver:
     """Pseudo-inverse of one grid's Laplacian by sparse factorisation: every connected part keeps a zero mean."""
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: _Grid) -> None:
         """Factorise."""
         self.pixels = np.flatnonzero(grid.inside)
         index = np.full(grid.inside.size, -1)
@@ -250,12 +250,12 @@ class _DirectSolver:
         return np.asarray(values - mean[self.part])
 
 
-def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
+def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> _Grid:
     """Finest grid with all coarser ones; both sides must be divisible by two as often as :func:`_padded_size` gives."""
-    finest = Grid(right, down, unit)
+    finest = _Grid(right, down, unit)
     grid = finest
     while min(grid.inside.shape) > _COARSEST and not (grid.inside.shape[0] % 2 or grid.inside.shape[1] % 2):
-        coarse = Grid(
+        coarse = _Grid(
             np.float32(0.5) * (grid.right[::2, 1::2] + grid.right[1::2, 1::2]),
             np.float32(0.5) * (grid.down[1::2, ::2] + grid.down[1::2, 1::2]),
             unit=False,
@@ -272,7 +272,7 @@ def _build_grids(right: FloatArray, down: FloatArray, unit: bool) -> Grid:
     return finest
 
 
-def _welded_fraction(grid: Grid) -> float:
+def _welded_fraction(grid: _Grid) -> float:
     """Fraction of the 2 x 2 blocks whose pixels the edges inside the block do not join (a path needs n - 1 edges)."""
     rows, columns = (side // 2 * 2 for side in grid.inside.shape)
     inside = grid.inside[:rows, :columns]
@@ -419,7 +419,7 @@ def _solve_masked(
 
 
 def _conjugate_gradients(
-    grid: Grid, residual: NDArray[np.float64], scale: float, settings: PoissonSettings
+    grid: _Grid, residual: NDArray[np.float64], scale: float, settings: PoissonSettings
 ) -> FloatArray:
     """Solve for the correction until the estimated rms error is small.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.areas import around, bin_image, blanked, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.areas import bin_image, blanked, box_around, enlarged_box, filled, grown, mirror_outline
 from splitknit.model import BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0
@@ -110,7 +110,7 @@ def _outlined(image: FloatArray, rig: Rig, rough: Views, find_outline: FindOutli
     outlines = {mirror.name: mirror_outline(mirror, rig.camera, binning) for mirror in rig.mirrors}
 
     def found(mask: BoolArray, name: str, front: BoolArray | None) -> BoolArray | None:
-        cells = around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
+        cells = box_around(mask, max(3.0, _REACH_MM) * px_per_mm / factor)
         box = enlarged_box(cells, factor, mask.shape, image.shape)
         corner = np.array([box[1].start, box[0].start])
         inside = {other: outline - corner for other, outline in outlines.items()}

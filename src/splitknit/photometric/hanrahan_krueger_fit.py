@@ -231,7 +231,7 @@ class NormalEquations:
     moments: Array
 
 
-class Problem(Protocol):
+class _Problem(Protocol):
     """n least-squares problems of P parameters each."""
 
     def equations(self, parameters: Array) -> NormalEquations:
@@ -258,7 +258,7 @@ _STEEPER, _FLATTER = 8.0, 0.15
 _MIN, _MAX = 1e-7, 1e7
 
 
-def _levenberg_marquardt(problem: Problem, start: Array, settings: LevenbergSettings) -> Minimum:
+def _levenberg_marquardt(problem: _Problem, start: Array, settings: LevenbergSettings) -> Minimum:
     """Minimise every problem from `start` (P, n).
 
     All arithmetic is elementwise over n: a problem's result depends on nothing but itself. Source: D. W. Marquardt, "An

@@ -9,12 +9,24 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import largest_component
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
+
+
+def _fast_length(at_least: int) -> int:
+    """Smallest length without a prime factor above five: its Fourier transform is fast. Of scipy nothing is loaded."""
+    length = at_least
+    while True:
+        left = length
+        for factor in (2, 3, 5):
+            while left % factor == 0:
+                left //= factor
+        if left == 1:
+            return length
+        length += 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +61,7 @@ class Grid:
 
     @cached_property
     def _size(self) -> tuple[int, int]:
-        rows, columns = (scipy.fft.next_fast_len(n + 2 * self._margin, real=True) for n in self.shape)
+        rows, columns = (_fast_length(n + 2 * self._margin) for n in self.shape)
         return rows, columns
 
     @cached_property

@@ -171,7 +171,7 @@ class Networks:
 
     relief: Network
     shape: Network | None = None
-    """From (32, h, w) of :func:`shape_features` to two slopes."""
+    """From (32, h, w) of :func:`_shape_features` to two slopes."""
 
 
 RELIEF_SYMMETRY = Symmetry(
@@ -276,15 +276,15 @@ def refined_shape(
 ) -> Shape:
     """The shape with the residual slopes that the shape network estimates from the images and the relief (H, W)."""
     grid = images.grid
-    ridges = ridge_tensor(relief_mm, images.fine, images.factor, grid)
-    fields = shape_features(images.bands, grid, above_plane(shape.height_mm, images) * grid.mask, optics, ridges)
-    slope_x, slope_y = slopes_by_network(fields, network)
+    ridges = _ridge_tensor(relief_mm, images.fine, images.factor, grid)
+    fields = _shape_features(images.bands, grid, above_plane(shape.height_mm, images) * grid.mask, optics, ridges)
+    slope_x, slope_y = _slopes_by_network(fields, network)
     added = integrate(slope_x * grid.mask, slope_y * grid.mask, grid, shape.facing)
     return replace(shape, height_mm=shape.height_mm + added)
 
 
-def slopes_by_network(fields: FloatArray, network: Network) -> tuple[FloatArray, FloatArray]:
-    """Residual slopes (h, w) of the shape along x and y, from :func:`shape_features`: the mean over quarter turns.
+def _slopes_by_network(fields: FloatArray, network: Network) -> tuple[FloatArray, FloatArray]:
+    """Residual slopes (h, w) of the shape along x and y, from :func:`_shape_features`: the mean over quarter turns.
 
     Mirrored orientations as well change no figure of accuracy by more than 1 %.
     """
@@ -292,7 +292,7 @@ def slopes_by_network(fields: FloatArray, network: Network) -> tuple[FloatArray,
     return slopes[0], slopes[1]
 
 
-def ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
+def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
     """(3, h, w) how steep the ridges are on the coarse grid, and across which direction.
 
     The last is the root mean square slope of the relief (H, W) around each pixel; the others are that slope times the
@@ -315,7 +315,7 @@ def ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> F
 RIDGES_MM = 0.6
 """Standard deviation of the Gaussian mean of the ridges' slopes."""
 SHAPE_COUNT = 32
-"""Fields of :func:`shape_features`."""
+"""Fields of :func:`_shape_features`."""
 CHANNELS = ("red", "green", "blue", "nir")
 WITH_WAVES = ("green", "nir")
 """Channels whose second and third harmonics are given."""
@@ -328,7 +328,7 @@ SHAPE_SYMMETRY = Symmetry(
 _SLOPES = Symmetry(vectors=((0, 1),), second_harmonics=(), third_harmonics=())
 
 
-def shape_features(
+def _shape_features(
     bands: tuple[BandImages, ...], grid: Grid, height_mm: FloatArray, skin: Mapping[str, Diffusion], ridges: FloatArray
 ) -> FloatArray:
     """How the images differ from what the shape predicts.
@@ -339,7 +339,7 @@ def shape_features(
     grid : coarse grid
     height_mm : (h, w) the shape at its height above the finger plane, zero outside the mask
     skin : transfer function of each channel
-    ridges : (3, h, w) of :func:`ridge_tensor`
+    ridges : (3, h, w) of :func:`_ridge_tensor`
 
     Returns
     -------

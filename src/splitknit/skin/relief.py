@@ -196,14 +196,14 @@ def measure(  # noqa: PLR0917
     return Measured(band.channels, g, transfer, levels, trust, np.asarray(region, dtype=np.float32))
 
 
-def mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
+def _mean_normals(surface_mm: FloatArray, grid: Grid) -> FloatArray:
     """Unit normals (h, w, 3) of a surface that is finite everywhere, zero outside the mask."""
     slope_x, slope_y = height_gradients(surface_mm, grid.pitch_mm)
     return normals_from_gradients(slope_x, slope_y) * grid.mask[..., None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReliefResidual:
+class _ReliefResidual:
     """What the measurement has beyond the prediction from the current surface."""
 
     slopes: list[tuple[FloatArray, FloatArray]]
@@ -216,14 +216,14 @@ class ReliefResidual:
     """(h, w) diffuse brightness of the first channel."""
 
 
-def relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> ReliefResidual:
+def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> _ReliefResidual:
     """Slopes that the measurement has beyond the current surface's.
 
     Predicted are the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with it
     the darkening of valleys (1 + k h), drops out; the fraction of specular reflection in the brightness is estimated by
     colour.
     """
-    normals = grid.forward(np.moveaxis(mean_normals(surface_mm, grid), -1, 0), extend=True)
+    normals = grid.forward(np.moveaxis(_mean_normals(surface_mm, grid), -1, 0), extend=True)
     predicted = [
         np.moveaxis(grid.inverse(normals * measured.transfer[c]) * measured.brightness[c], 0, -1)
         for c in range(len(measured.channels))
@@ -244,7 +244,7 @@ def relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> R
         g = measured.pseudo_normals[c]
         slopes.append(tuple(-(g[..., axis] - e[..., axis] / z * g[..., 2]) / diffuse for axis in range(2)))
     trusted = [tuple(_ridge_band(s, grid) * measured.trust for s in pair) for pair in slopes]
-    return ReliefResidual([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), predicted[0], scales[0])
+    return _ReliefResidual([(x, y) for x, y in trusted], (glare / glare[0]).astype(np.float32), predicted[0], scales[0])
 
 
 def _ridge_band(slope: FloatArray, grid: Grid, sigma_mm: float = CROSSOVER_MM) -> FloatArray:
@@ -362,7 +362,7 @@ def denoise(
     return clean * grid.mask, deviation
 
 
-def scattering_sensitivity(
+def _scattering_sensitivity(
     measured: Measured, grid: Grid, mix: Unmixing, other: Mapping[str, Diffusion], relief_mm: FloatArray
 ) -> float:
     """Relative change of the relief's gain if the skin scattered as `other` does and the unmixing did not know."""
@@ -432,11 +432,11 @@ def relief_by_colour(
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
     for _ in range(settings.steps):
-        residual = relief_residual(measured, grid, smooth_mm + relief)
+        residual = _relief_residual(measured, grid, smooth_mm + relief)
         mix = unmixing(measured, grid, _with_relief(residual.slopes, measured, grid, relief), residual.glare)
         relief = update(measured, grid, residual.slopes, mix, relief)
         relief, noise = denoise(relief, grid, mix, settings.denoise, _SEED)
-    sensitivity = abs(scattering_sensitivity(measured, grid, mix, other, relief))
+    sensitivity = abs(_scattering_sensitivity(measured, grid, mix, other, relief))
     height = np.sqrt(np.maximum(grid.smooth(relief * relief, grid.mask, 0.6), np.float32(0.0)))
     model = np.float32(np.hypot(sensitivity, settings.model_error)) * height
     return ReliefEstimate(

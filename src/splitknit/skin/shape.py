@@ -101,13 +101,13 @@ def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: i
     prior : expected slopes of shape and specular reflection
     """
     grid = images.grid
-    start = start_shape(images.bands[-1], grid, images.plane_mm)
+    start = _start_shape(images.bands[-1], grid, images.plane_mm)
     start = grid.smooth(start, grid.mask, 0.5) * grid.mask
     height = start
     for _ in range(steps):
-        residual = compare(images.bands, grid, above_plane(height, images) * grid.mask, optics)
+        residual = residual_of(images.bands, grid, above_plane(height, images) * grid.mask, optics)
         added = slopes_inside(height - start, grid)
-        slopes = wiener(residual, added, optics, grid, prior)
+        slopes = _wiener(residual, added, optics, grid, prior)
         facing = normals_from_gradients(*slopes_inside(height, grid))[..., 2]
         height = height + integrate(slopes[0] - added[0], slopes[1] - added[1], grid, facing)
     return Shape(height, facing, residual.brightness, residual.glare)
@@ -124,7 +124,7 @@ def on_fine_grid(height_mm: FloatArray, images: CoarseImages) -> FloatArray:
     return refine(above_plane(height_mm, images), images.grid.mask, images.factor, images.fine.shape)
 
 
-def light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
+def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
     """The white lights, on the fine grid, on the shape without what ridges leave on the coarse grid."""
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
@@ -132,7 +132,7 @@ def light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
     return fine_lighting(images.bands[0].rig, low, smooth, images.factor, images.fine)
 
 
-def start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
+def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:
     """A first shape: near-light photometric stereo of one band with equal weights, integrated over the mask."""
     height = np.zeros(grid.shape, dtype=np.float32)
     stack = band.stack.sum(axis=0)
@@ -172,7 +172,7 @@ class Residual:
     """Channels of each band."""
 
 
-def compare(
+def residual_of(
     bands: Sequence[BandImages], grid: Grid, height_mm: FloatArray, optics: Mapping[str, Diffusion]
 ) -> Residual:
     """Predict the images of all bands, fit the specular reflection, and measure the slopes that are left over.
@@ -237,14 +237,14 @@ def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> 
     return slopes[0], slopes[1]
 
 
-def wiener(
+def _wiener(
     residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid, prior: CoarsePrior
 ) -> Slopes:
     """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the minimum-mean-square-error W.
 
     Parameters
     ----------
-    residual : of :func:`compare`
+    residual : of :func:`residual_of`
     added : slopes that earlier comparisons have put into the surface
     optics : transfer function M of each channel
     grid : coarse grid
