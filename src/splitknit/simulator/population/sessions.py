@@ -19,10 +19,10 @@ from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.deformation import deformed, draw_deformation
-from splitknit.simulator.finger.finger import Finger, Pose, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.population.people import FINGERS, OwnFinger, PeopleRanges, Person, draw_person
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings
 from splitknit.simulator.twin import photograph
@@ -122,10 +122,10 @@ class Impression:
     hand_shadow: float
     dust_per_cm2: float
 
-    def pose(self) -> Pose:
+    def pose(self) -> FingerPose:
         """How the finger lies."""
         yaw, pitch, roll = (float(np.deg2rad(angle)) for angle in (self.yaw_deg, self.pitch_deg, self.roll_deg))
-        return Pose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
+        return FingerPose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
 
 
 def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]) -> Impression:
@@ -278,7 +278,7 @@ def population_capture(
     return _Shown(replace(capture, rig=rig, subject=subject), truth, facts)
 
 
-def finger_of_today(finger: Finger, impression: Impression) -> Finger:
+def finger_of_today(finger: SimulatedFinger, impression: Impression) -> SimulatedFinger:
     """The finger, swollen and pressed as in this impression, its ridges as deep as its moisture makes them."""
     shape, skin = finger.shape, finger.skin
     return replace(
@@ -296,7 +296,7 @@ def finger_of_today(finger: Finger, impression: Impression) -> Finger:
     )
 
 
-def _skin_of_today(own: OwnFinger, impression: Impression) -> SkinSettings:
+def _skin_of_today(own: OwnFinger, impression: Impression) -> SkinOptics:
     """The optics of the finger's skin, as moist and as full of blood as in this impression."""
     return replace(
         own.optics,
@@ -329,7 +329,7 @@ def _twin_settings(settings: PopulationSettings, impression: Impression) -> Twin
 
 
 def _facts(
-    person: Person, own: OwnFinger, today: Finger, master: MasterPrint, impression: Impression
+    person: Person, own: OwnFinger, today: SimulatedFinger, master: MasterPrint, impression: Impression
 ) -> dict[str, Any]:
     return {
         "sex": person.sex,
