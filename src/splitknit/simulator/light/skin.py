@@ -192,6 +192,10 @@ class SkinOptics(Checked):
         )
 
 
+SkinSettings = SkinOptics
+"""The name that it had; :mod:`splitknit.skin` has settings of that name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Medium:
     """A finger's skin as the light of one band meets it."""
