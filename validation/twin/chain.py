@@ -25,7 +25,7 @@ from scipy import ndimage
 from splitknit.model import default_rig
 from splitknit.pipeline import reconstruct_skin
 from splitknit.simulator.light.skin import SkinOptics
-from splitknit.skin.diffusion import SkinOptics as AssumedSkin
+from splitknit.skin.diffusion import SkinSettings as AssumedSkin
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.surface import MetricSettings
 
