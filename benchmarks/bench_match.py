@@ -27,8 +27,8 @@ from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
 from splitknit.model import default_rig
 from splitknit.prints.ridges import relief_print
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit.simulator.surface import FingerSurface
 from timing import machine, print_table, race
 
 SURFACE = 0.5
@@ -45,7 +45,7 @@ def main() -> None:
     master = finger.master()
     seen = [
         finger_surface(replace(finger, printed=master), pose, camera)
-        for pose in (Pose(insertion_mm=26.0), Pose(insertion_mm=27.0, yaw_rad=0.1, roll_rad=0.1))
+        for pose in (FingerPose(insertion_mm=26.0), FingerPose(insertion_mm=27.0, yaw_rad=0.1, roll_rad=0.1))
     ]
     surfaces = [(s.height_mm - s.shape_mm, s.mask, camera.pitch_mm, s.shape_mm) for s in seen]
     print(f"Matching, surfaces of {' x '.join(map(str, seen[0].mask.shape))} pixels, {machine()}, one thread")
@@ -156,7 +156,7 @@ def warm(a: Prepared, b: Prepared) -> None:
         assert side.key
 
 
-def print_of(seen: Surface, px_per_mm: float) -> NDArray[np.uint8]:
+def print_of(seen: FingerSurface, px_per_mm: float) -> NDArray[np.uint8]:
     """The relief print of a surface."""
     upright = find_upright(seen.mask)
     ridge = seen.height_mm - seen.shape_mm

@@ -23,7 +23,7 @@ from splitknit.mirrors.captured import views_in
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.views import view_binning
 from splitknit.presets import preset_settings
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, placement_of
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.raycast import PlacedFinger
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
@@ -42,7 +42,7 @@ def drawn() -> tuple[dict[str, np.ndarray], Any]:
     )
     finger = draw_finger(9002)
     body, master = FingerBody(finger.shape), finger.master()
-    pose = Pose(yaw_rad=0.06, insertion_mm=24.0)
+    pose = FingerPose(yaw_rad=0.06, insertion_mm=24.0)
     placement, skin = placement_of(body, pose, rig.camera), skin_map(master, finger.skin)
     masks = {"front": finger_surface(replace(finger, printed=master), pose, rig.camera).mask}
     for mirror in rig.mirrors:

@@ -28,7 +28,7 @@ from splitknit.prints.curvature import CurvatureSettings, curvature
 from splitknit.prints.enhance import gabor_enhance, ridge_mask, stft_enhance, thin
 from splitknit.prints.make import Print, enhance, make_print
 from splitknit.prints.sources import Source
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 PRINTS = Path(__file__).resolve().parents[2] / "shared" / "data" / "fvc2002_db1b"
@@ -54,7 +54,7 @@ def main() -> None:
 def phalange(scale: float, rounds: int) -> None:
     """Time each conversion of one finger."""
     camera = default_rig(scale).camera
-    seen = finger_surface(draw_finger(1), Pose(insertion_mm=26.0), camera, workers=2)
+    seen = finger_surface(draw_finger(1), FingerPose(insertion_mm=26.0), camera, workers=2)
     upright = find_upright(seen.mask)
     relief = seen.height_mm - seen.shape_mm
     source = Source(

@@ -30,7 +30,7 @@ from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.search import CodeIndex, SearchSettings, glance, identify
 from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from timing import machine, print_table, race
 
 SCALE = 0.15
@@ -60,7 +60,7 @@ def drawn(people: int) -> list[Template]:
     camera = default_rig(SCALE).camera
     templates = []
     for seed in range(people):
-        finger, pose = draw_finger(max(seed, 1)), Pose(insertion_mm=26.0, roll_rad=0.1 if seed == 0 else 0.0)
+        finger, pose = draw_finger(max(seed, 1)), FingerPose(insertion_mm=26.0, roll_rad=0.1 if seed == 0 else 0.0)
         seen = finger_surface(finger, pose, camera)
         templates.append(
             make_template(ridge_band(seen.height_mm - seen.shape_mm, seen.mask, camera.pitch_mm, seen.shape_mm))

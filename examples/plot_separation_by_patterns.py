@@ -23,7 +23,7 @@ from splitknit.separation.single_image import single_image
 from splitknit.separation.stacks import Separation, StackSettings
 from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 
 CHECK_MM, PX_PER_MM, BLOCK = 0.4, 20.0, 16
 UNBOUNDED = StackSettings(clip_level=None)  # simulated light does not clip
@@ -32,7 +32,7 @@ UNBOUNDED = StackSettings(clip_level=None)  # simulated light does not clip
 def photograph() -> tuple[np.ndarray, np.ndarray, Separation]:
     """Return 25 noise-free images (N, H, W, 3), the states (N, H, W) of their pixels, and the truth."""
     palm = palm_surface(draw_palm(11, PalmSettings(size_mm=(8.0, 8.0))), Camera(PX_PER_MM, (96, 96)))
-    projector, skin, pattern = default_rig().leds[1], SkinSettings(), Checkerboard(CHECK_MM)
+    projector, skin, pattern = default_rig().leds[1], SkinOptics(), Checkerboard(CHECK_MM)
     truth = separate_truth(palm, projector, skin, check_mm=CHECK_MM)
     stack = checkerboard_stack(palm, projector, skin, pattern).transpose(0, 2, 3, 1)
     white = float(truth.white.max())

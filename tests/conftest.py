@@ -12,7 +12,7 @@ import pytest
 
 from splitknit.io.capture import write_capture
 from splitknit.simulator.finger import finger
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -39,7 +39,7 @@ finger.master_print = drawn_once  # type: ignore[assignment]
 def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Capture folder of a simulated finger, 330 x 480 pixels, its crease in view; not to be changed."""
     folder = tmp_path_factory.mktemp("twin") / "capture"
-    settings = TwinSettings(scale=0.15, pose=Pose(insertion_mm=28.0, yaw_rad=0.1))
+    settings = TwinSettings(scale=0.15, pose=FingerPose(insertion_mm=28.0, yaw_rad=0.1))
     capture, truth = simulate_capture(3, "whorl", settings)
     write_capture(capture, folder, truth)
     return folder

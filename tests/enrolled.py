@@ -9,10 +9,10 @@ from pathlib import Path
 from perfect_results import write_perfect
 from splitknit.cli.main import main
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 FINGERS = (("S01", "left_thumb", 731), ("S01", "right_index", 732), ("S02", "right_index", 733))
-POSES = (Pose(insertion_mm=25.0), Pose(insertion_mm=24.0, yaw_rad=0.12, roll_rad=0.08))
+POSES = (FingerPose(insertion_mm=25.0), FingerPose(insertion_mm=24.0, yaw_rad=0.12, roll_rad=0.08))
 
 
 def people(folder: Path) -> Path:

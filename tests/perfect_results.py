@@ -13,7 +13,7 @@ from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
 from splitknit.model import Camera, default_rig
 from splitknit.prints.ridges import relief_print
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 
 def write_perfect(
@@ -34,10 +34,10 @@ def write_perfect(
     return folder
 
 
-def write_impressions(folder: Path, scale: float, seed: int, turned: Pose) -> Path:
+def write_impressions(folder: Path, scale: float, seed: int, turned: FingerPose) -> Path:
     """Two impressions of one finger, ``a`` and (`turned`) ``again``, and one of another, ``other``."""
     camera = default_rig(scale).camera
-    straight = Pose(insertion_mm=27.0)
+    straight = FingerPose(insertion_mm=27.0)
     for number, pose, name in ((seed, straight, "a"), (seed, turned, "again"), (seed + 1, straight, "other")):
         write_perfect(folder / name, finger_surface(draw_finger(number, "right_loop"), pose, camera), camera)
     return folder

@@ -25,7 +25,7 @@ from splitknit.model import Band, Camera, Capture, Led, Reconstruction, Rig, sur
 from splitknit.pipeline import reconstruct, undoes_blur
 from splitknit.presets import PRESETS, PipelineSettings, preset_settings
 from splitknit.settings import flatten
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
@@ -182,7 +182,7 @@ def test_a_yawed_finger_is_the_same_phalange() -> None:
     """The same finger laid down straight and turned by 17 deg: upright, its relief and outline agree."""
     uprights = []
     for yaw in (0.0, 0.3):
-        pose = Pose(insertion_mm=28.0, yaw_rad=yaw)
+        pose = FingerPose(insertion_mm=28.0, yaw_rad=yaw)
         simulated, _ = simulate_capture(3, "whorl", TwinSettings(scale=0.15, pose=pose))
         result = reconstruct(simulated, "snk")
         assert result.facts["yaw_deg"] == pytest.approx(np.rad2deg(yaw), abs=1.0)

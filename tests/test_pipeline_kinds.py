@@ -21,8 +21,8 @@ from splitknit.io.npz import read_npz
 from splitknit.model import Band, Capture, Reconstruction, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.camera.sensor import SensorSettings
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings
 from splitknit.simulator.twin import photograph, simulate_capture
 
@@ -115,10 +115,10 @@ TWINS: dict[str, TwinSettings] = {
     "smallest": TwinSettings(scale=0.05),
     "srgb": TwinSettings(sensor=SensorSettings(encoding="srgb")),
     "sixteen bits": TwinSettings(sensor=SensorSettings(bits=16)),
-    "short": TwinSettings(pose=Pose(insertion_mm=18.0)),
-    "rolled": TwinSettings(pose=Pose(insertion_mm=27.0, roll_rad=0.35, pitch_rad=0.14)),
-    "dark skin": TwinSettings(skin=SkinSettings(melanin=0.02, glare=1.3, roughness=0.2)),
-    "fair skin": TwinSettings(skin=SkinSettings(melanin=0.0002, blood=0.003)),
+    "short": TwinSettings(pose=FingerPose(insertion_mm=18.0)),
+    "rolled": TwinSettings(pose=FingerPose(insertion_mm=27.0, roll_rad=0.35, pitch_rad=0.14)),
+    "dark skin": TwinSettings(skin=SkinOptics(melanin=0.02, glare=1.3, roughness=0.2)),
+    "fair skin": TwinSettings(skin=SkinOptics(melanin=0.0002, blood=0.003)),
     "hand shadow": TwinSettings(background=BackgroundSettings(hand_shadow=0.6, gradient=0.5, albedo=0.02)),
     "dust": TwinSettings(background=BackgroundSettings(dust_per_cm2=15.0)),
 }
@@ -140,9 +140,9 @@ def test_two_creases_in_view() -> None:
     settings = TwinSettings(scale=0.15)
     rig = default_rig(0.15)
     camera = replace(rig.camera, image_size=(720, 480))
-    surface = finger_surface(draw_finger(5, "left_loop"), Pose(insertion_mm=57.0), camera)
+    surface = finger_surface(draw_finger(5, "left_loop"), FingerPose(insertion_mm=57.0), camera)
     simulated, truth = photograph(
-        surface, replace(rig, camera=camera), SkinSettings(), np.random.SeedSequence(1), settings=settings
+        surface, replace(rig, camera=camera), SkinOptics(), np.random.SeedSequence(1), settings=settings
     )
     result = reconstruct(simulated, "ea")
     assert result.facts["crease_found"], result.facts["crease_verdict"]

@@ -16,7 +16,7 @@ from splitknit.evaluation.accuracy import compare
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
@@ -27,7 +27,7 @@ Photographed = tuple[Capture, dict[str, Any]]
 @pytest.fixture(scope="module")
 def photographed() -> Photographed:
     mirrors = MirrorSettings(names=("left",), nir=False)
-    pose = Pose(yaw_rad=0.05, roll_rad=-0.06, insertion_mm=28.5)
+    pose = FingerPose(yaw_rad=0.05, roll_rad=-0.06, insertion_mm=28.5)
     return simulate_capture(9002, settings=TwinSettings(scale=0.2, mirrors=mirrors, pose=pose))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from splitknit.model import Camera, Capture, default_rig
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -27,7 +27,7 @@ def photographed() -> tuple[Capture, Truth]:
     camera = Camera(
         rig.camera.px_per_mm, (rows, columns), 140.0, "perspective", matrix, (-0.4, 0.0, 0.0, 0.0, 0.0), (-0.15, -0.05)
     )
-    settings = TwinSettings(scale=SCALE, rig=replace(rig, camera=camera), pose=Pose(insertion_mm=26.0, x_mm=2.0))
+    settings = TwinSettings(scale=SCALE, rig=replace(rig, camera=camera), pose=FingerPose(insertion_mm=26.0, x_mm=2.0))
     return simulate_capture(5, settings=settings)
 
 

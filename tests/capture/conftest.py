@@ -8,7 +8,7 @@ import pytest
 from twin_bench import Devices, twin_devices
 
 from faulty_scene import Faults, FaultyScene
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import FingerScene
 
@@ -16,7 +16,7 @@ from splitknit.simulator.twin import FingerScene
 @pytest.fixture(scope="session")
 def finger() -> FingerScene:
     """A finger of 220 x 320 pixels."""
-    return FingerScene(3, "whorl", TwinSettings(scale=0.1, pose=Pose(insertion_mm=26.0, yaw_rad=0.05)))
+    return FingerScene(3, "whorl", TwinSettings(scale=0.1, pose=FingerPose(insertion_mm=26.0, yaw_rad=0.05)))
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import pytest
 
 from enrolled import people
 from perfect_results import write_impressions
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 
 
 @pytest.fixture(scope="session")
@@ -21,5 +21,5 @@ def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def impressions(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two impressions of one finger and one of another, as result folders, perfect; not to be changed."""
     pytest.importorskip("nbis")
-    turned = Pose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05)
+    turned = FingerPose(insertion_mm=26.0, yaw_rad=0.12, roll_rad=0.05)
     return write_impressions(tmp_path_factory.mktemp("impressions"), 0.27, 731, turned)

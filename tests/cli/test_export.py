@@ -20,7 +20,7 @@ from splitknit.io.prints import PrintFile, read_print_png, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import MESHES as KNOWN_MESHES
 from splitknit.io.results import read_result, write_mesh
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 from written_files import read_glb, read_obj, read_ply, read_stl
 
 PICTURES = {"png": "png", "tiff": "tiff", "wsq": "wsq", "iso-19794-4": "fir", "ansi-nist-itl": "an2"}
@@ -277,7 +277,7 @@ def test_every_format_that_is_written_is_tested() -> None:
 def test_a_result_becomes_a_mesh_in_mm(tmp_path: Path, capsys) -> None:
     """What phalange.ply holds, by strict readers of each format."""
     assert MESHES == KNOWN_MESHES
-    results = write_impressions(tmp_path, 0.06, 721, Pose())
+    results = write_impressions(tmp_path, 0.06, 721, FingerPose())
     write_mesh(tmp_path / "a.ply", read_result(results / "a"), provenance({}, {}))
     ply = read_ply(tmp_path / "a.ply")
     for to in MESHES:

@@ -14,13 +14,13 @@ from splitknit.cli.match import one_in
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
 from splitknit.matching.minutiae import installed
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two impressions of one finger and one of another, as result folders of perfect reconstructions."""
-    turned = Pose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08)
+    turned = FingerPose(insertion_mm=26.0, yaw_rad=0.15, roll_rad=0.08)
     return write_impressions(tmp_path_factory.mktemp("match"), 0.15, 721, turned)
 
 

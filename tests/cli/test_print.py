@@ -17,14 +17,14 @@ from splitknit.cli.main import main
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.prints import read_print_png
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A perfect reconstruction of a whorl, turned a little, with the places of its true minutiae."""
     camera = default_rig(0.22).camera
-    seen = finger_surface(draw_finger(741, "whorl"), Pose(insertion_mm=27.0, yaw_rad=0.12), camera)
+    seen = finger_surface(draw_finger(741, "whorl"), FingerPose(insertion_mm=27.0, yaw_rad=0.12), camera)
     more = {"minutiae_px": seen.landmarks["minutiae_px"]}
     return write_perfect(tmp_path_factory.mktemp("print") / "result", seen, camera, more=more)
 

@@ -11,13 +11,13 @@ from splitknit.matching.ridge_band import ridge_band
 from splitknit.matching.template import Template, make_template
 from splitknit.matching.thesis import FingerImages, finger_images
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 SCALE = 0.15
 POSES = (
-    Pose(insertion_mm=26.0),
-    Pose(insertion_mm=27.0, yaw_rad=0.14, roll_rad=0.12, x_mm=1.0),
-    Pose(insertion_mm=25.0, yaw_rad=-0.17, roll_rad=-0.05, pitch_rad=0.05),
+    FingerPose(insertion_mm=26.0),
+    FingerPose(insertion_mm=27.0, yaw_rad=0.14, roll_rad=0.12, x_mm=1.0),
+    FingerPose(insertion_mm=25.0, yaw_rad=-0.17, roll_rad=-0.05, pitch_rad=0.05),
 )
 
 
@@ -26,7 +26,7 @@ class Impression:
     """One finger as it lay once."""
 
     finger: int
-    pose: Pose
+    pose: FingerPose
     ridge_mm: np.ndarray
     shape_mm: np.ndarray
     mask: np.ndarray

@@ -16,7 +16,7 @@ from splitknit.model import Surface, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings
 from splitknit.settings import override
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 
 def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:
@@ -54,7 +54,7 @@ def test_nothing_leaks_in_from_outside_the_mask() -> None:
 def perfect() -> Surface:
     """The true surface of a turned finger, which lies off the middle."""
     camera = default_rig(0.27).camera
-    pose = Pose(insertion_mm=27.0, yaw_rad=0.2, roll_rad=0.1, x_mm=1.5)
+    pose = FingerPose(insertion_mm=27.0, yaw_rad=0.2, roll_rad=0.1, x_mm=1.5)
     seen = finger_surface(draw_finger(731, "right_loop"), pose, camera)
     from splitknit.finger.orientation import find_upright
 

@@ -10,7 +10,7 @@ import numpy as np
 from splitknit.mirrors.mirror import MirrorShape
 from splitknit.mirrors.views import Views
 from splitknit.model import BoolArray, FloatArray, Mirror, Rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface, placement_of
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface, placement_of
 from splitknit.simulator.finger.raycast import PlacedFinger
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
@@ -51,14 +51,14 @@ def turned(mirror: Mirror, turn_deg: float, lean_deg: float, shift_mm: float) ->
 def scene(
     seed: int,
     names: tuple[str, ...] = ("left", "right", "tip"),
-    pose: Pose | None = None,
+    pose: FingerPose | None = None,
     model: str = "orthographic",
 ) -> Scene:
     """The masks of a drawn finger's views."""
     rig = mirror_rig(MirrorSettings(names=names, nir=False, model=model), SCALE, 0, 0.0)
     finger = draw_finger(seed)
     body, master = FingerBody(finger.shape), finger.master()
-    pose = pose or Pose(yaw_rad=0.06, pitch_rad=0.02, roll_rad=0.0, insertion_mm=28.5)
+    pose = pose or FingerPose(yaw_rad=0.06, pitch_rad=0.02, roll_rad=0.0, insertion_mm=28.5)
     placement, skin = placement_of(body, pose, rig.camera), skin_map(master, finger.skin)
     front = finger_surface(replace(finger, printed=master), pose, rig.camera)
     masks = {m.name: mirror_view(PlacedFinger(body, skin, placement), rig.camera, m).mask for m in rig.mirrors}

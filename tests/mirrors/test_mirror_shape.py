@@ -14,7 +14,7 @@ from splitknit.mirrors.body import Slopes
 from splitknit.mirrors.mirror import mirror_shape
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.mirrors.views import Views
-from splitknit.simulator.finger.finger import Pose
+from splitknit.simulator.finger.finger import FingerPose
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_mirror_beyond_the_tip_joins(finger: Scene) -> None:
 
 def test_slopes_tell_the_roll() -> None:
     """A rolled finger: its outlines look like an upright one's; true slopes of the skin make the difference."""
-    rolled = scene(9002, ("left",), Pose(roll_rad=0.14, insertion_mm=28.5))
+    rolled = scene(9002, ("left",), FingerPose(roll_rad=0.14, insertion_mm=28.5))
     plain = mirror_shape(rolled.views, rolled.rig)
     pitch = 1 / rolled.rig.camera.px_per_mm
     right, down = np.gradient(rolled.shape_mm, axis=1) / pitch, np.gradient(rolled.shape_mm, axis=0) / pitch

@@ -8,7 +8,7 @@ import pytest
 from bodies import Twin
 
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 
 @pytest.fixture(scope="session")
@@ -17,4 +17,4 @@ def twin() -> Twin:
     finger = draw_finger(731, "whorl")
     master = finger.master()
     finger = replace(finger, printed=master)
-    return Twin(finger_surface(finger, Pose(insertion_mm=27.0), default_rig(0.25).camera), master)
+    return Twin(finger_surface(finger, FingerPose(insertion_mm=27.0), default_rig(0.25).camera), master)

@@ -12,7 +12,7 @@ from splitknit.separation.symmetry import by_symmetry
 from splitknit.simulator.finger.palm import PalmSettings, draw_palm, palm_surface
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.separation import Checkerboard, checkerboard_stack, pattern_states, separate_truth
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 
 CHECK_MM, PX_PER_MM = 0.4, 20.0
 UNBOUNDED = StackSettings(clip_level=None)
@@ -26,9 +26,9 @@ def skin():
     palm = palm_surface(draw_palm(11, settings), Camera(PX_PER_MM, (80, 100)))
     led, pattern = default_rig().leds[1], Checkerboard(CHECK_MM)
     options = {"settings": RenderSettings(reach_mm=3.0)}
-    truth = separate_truth(palm, led, SkinSettings(), check_mm=CHECK_MM, **options)
+    truth = separate_truth(palm, led, SkinOptics(), check_mm=CHECK_MM, **options)
     white = float(truth.white.max())
-    stack = checkerboard_stack(palm, led, SkinSettings(), pattern, **options).transpose(0, 2, 3, 1) / white
+    stack = checkerboard_stack(palm, led, SkinOptics(), pattern, **options).transpose(0, 2, 3, 1) / white
     direct, global_ = (part.transpose(1, 2, 0) / white for part in (truth.direct, truth.global_))
     return stack, pattern_states(palm, led, pattern), direct, global_
 

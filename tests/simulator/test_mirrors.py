@@ -23,25 +23,25 @@ from splitknit.rig.part_settings import MIRROR_GAP_MM, MIRROR_LIP_MM, MIRROR_LON
 from splitknit.settings import override
 from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.camera.sensor import SensorSettings
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.finger.raycast import Placement, rays_of
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import skin_map
 from splitknit.simulator.light.lighting import cut_out
-from splitknit.simulator.light.skin import SkinSettings, fresnel
+from splitknit.simulator.light.skin import SkinOptics, fresnel
 from splitknit.simulator.mirror_scene import _light_through
 from splitknit.simulator.mirror_twin import _bare_behind, _section_points
 from splitknit.simulator.mirror_view import _Gate, _Reflection, as_built, lights_of, outline_coverage
 from splitknit.simulator.rigs import HolderProfile, MirrorSettings, _MirrorParts, _nominal_mirrors, mirror_rig
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 from splitknit.simulator.twin import simulate_capture
 
 ALL = ("left", "right", "tip")
 FINGER = draw_finger(4, print_settings=MasterPrintSettings(proximal_mm=12.0))
 QUIET = SensorSettings(noise=False, bits=16, raw_bits=16)
-POSE = Pose(yaw_rad=0.05, roll_rad=0.1, insertion_mm=29.5)
+POSE = FingerPose(yaw_rad=0.05, roll_rad=0.1, insertion_mm=29.5)
 ENLARGED = {
     "finger.tip_margin_mm": 27.0,
     "finger.pad_height_mm": 21.2,
@@ -54,7 +54,7 @@ ENLARGED = {
 
 def settings(names=ALL, scale=0.12, **views):
     chosen = MirrorSettings(names=names, nir=False, truth_pitch_mm=0.3, ridges_to_deg=180.0, **views)
-    return TwinSettings(scale=scale, mirrors=chosen, pose=POSE, skin=SkinSettings(), sensor=QUIET)
+    return TwinSettings(scale=scale, mirrors=chosen, pose=POSE, skin=SkinOptics(), sensor=QUIET)
 
 
 @pytest.fixture(scope="module")
@@ -331,7 +331,9 @@ def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way()
     normals = np.zeros((*size, 3), dtype=np.float32)
     normals[i, j] = (1.0, 0.0, 0.0)  # a facet that faces the mirror and stands along the light of the LED itself
     flat = np.where(mask, np.float32(-5.0), np.float32(np.nan))
-    surface = Surface(camera, flat, flat, normals, normals, np.zeros(size, np.float32), mask, np.ones(size, np.float32))
+    surface = FingerSurface(
+        camera, flat, flat, normals, normals, np.zeros(size, np.float32), mask, np.ones(size, np.float32)
+    )
     patch = cut_out(surface)
     direct, both = (
         _light_through(patch, lights, 0.3, 0.0)[0].max() for lights in (lights_of(led, ()), lights_of(led, (mirror,)))
@@ -433,7 +435,7 @@ def test_scenes_that_cannot_be_are_refused():
         simulate_capture(4, settings=close, finger=FINGER)
     far = settings(names=("right",), px_per_mm=130.0)
     with pytest.raises(BadInput, match="outside the picture"):
-        simulate_capture(4, settings=replace(far, pose=Pose(insertion_mm=9.0)), finger=FINGER)
+        simulate_capture(4, settings=replace(far, pose=FingerPose(insertion_mm=9.0)), finger=FINGER)
     rig = mirror_rig(MirrorSettings(names=("right",)), 0.1)
     with pytest.raises(BadInput, match="no left mirror"):
         simulate_capture(4, settings=replace(settings(names=("left",)), rig=rig), finger=FINGER)

@@ -12,7 +12,14 @@ from scipy import ndimage
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit.simulator.camera.lens import pixels_of_points, slopes_of_pixels
-from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, placement_of
+from splitknit.simulator.finger.finger import (
+    FingerPose,
+    PoseRanges,
+    SimulatedFinger,
+    draw_finger,
+    finger_surface,
+    placement_of,
+)
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulator.finger.raycast import _Rays
 from splitknit.simulator.finger.shape import FingerBody
@@ -22,48 +29,48 @@ from splitknit.simulator.light.separation import Checkerboard, pattern_states, s
 from splitknit.simulator.light.skin import (
     ChannelOptics,
     Medium,
-    SkinSettings,
+    SkinOptics,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 from surfaces import perspective_camera, perspective_plane, ridged_egg
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
-POSE = Pose(yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4)
+POSE = FingerPose(yaw_rad=0.15, pitch_rad=-0.05, roll_rad=0.2, x_mm=-2.0, insertion_mm=26.0, height_mm=0.4)
 CAMERA = perspective_camera((430, 560), 15.0, 110.0, off=(9.3, -7.8), distortion=(0.4, -2.0, 3e-3, -2e-3, 4.0))
 CENTRED = perspective_camera((430, 560), 15.0, 140.0)
 
 
 @pytest.fixture(scope="module")
-def finger() -> Finger:
+def finger() -> SimulatedFinger:
     return draw_finger(2, "left_loop", print_settings=SHORT)
 
 
 @pytest.fixture(scope="module")
-def master(finger: Finger) -> MasterPrint:
+def master(finger: SimulatedFinger) -> MasterPrint:
     return finger.master()
 
 
 @pytest.fixture(scope="module")
-def seen(finger: Finger, master: MasterPrint) -> Surface:
+def seen(finger: SimulatedFinger, master: MasterPrint) -> FingerSurface:
     return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
-def _points(surface: Surface) -> np.ndarray:
+def _points(surface: FingerSurface) -> np.ndarray:
     """(H, W, 3) of the skin."""
     assert surface.x_mm is not None and surface.y_mm is not None
     return np.stack([surface.x_mm, surface.y_mm, surface.height_mm], -1).astype(np.float64)
 
 
-def _view(surface: Surface) -> np.ndarray:
+def _view(surface: FingerSurface) -> np.ndarray:
     """(H, W, 3) unit vectors from the skin to the camera."""
     to = np.array([0.0, 0.0, surface.camera.height_mm]) - _points(surface)
     return to / np.linalg.norm(to, axis=-1, keepdims=True)
 
 
-def test_every_point_appears_in_its_pixel(seen: Surface) -> None:
+def test_every_point_appears_in_its_pixel(seen: FingerSurface) -> None:
     rows, columns = np.nonzero(seen.mask)
     column, row = pixels_of_points(CAMERA, *_points(seen)[seen.mask].T)
     assert np.abs(column - columns).max() < 1e-3
@@ -73,7 +80,7 @@ def test_every_point_appears_in_its_pixel(seen: Surface) -> None:
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
 
 
-def test_every_point_is_skin_and_nothing_stands_before_it(seen: Surface, finger: Finger) -> None:
+def test_every_point_is_skin_and_nothing_stands_before_it(seen: FingerSurface, finger: SimulatedFinger) -> None:
     body = FingerBody(finger.shape)
     placement = placement_of(body, POSE, CAMERA)
     pick = seen.mask & ((_view(seen) * seen.normals).sum(-1) > 0.25)
@@ -91,7 +98,7 @@ def test_every_point_is_skin_and_nothing_stands_before_it(seen: Surface, finger:
     assert 1e3 * np.abs(on_shape).max() < 0.01
 
 
-def test_normals_are_those_of_the_points_and_face_the_camera(seen: Surface) -> None:
+def test_normals_are_those_of_the_points_and_face_the_camera(seen: FingerSurface) -> None:
     assert seen.x_mm is not None and seen.y_mm is not None
     lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
     np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
@@ -107,7 +114,7 @@ def test_normals_are_those_of_the_points_and_face_the_camera(seen: Surface) -> N
     assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))).max() < 0.5
 
 
-def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: MasterPrint) -> None:
+def test_from_very_far_it_is_the_orthographic_picture(finger: SimulatedFinger, master: MasterPrint) -> None:
     far = perspective_camera((300, 260), 10.0, 1e8)
     plain = finger_surface(replace(finger, printed=master), POSE, Camera(10.0, (300, 260)))
     spread = finger_surface(replace(finger, printed=master), POSE, far)
@@ -119,7 +126,7 @@ def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: Ma
     np.testing.assert_allclose(spread.normals[both], plain.normals[both], atol=2e-2)
     np.testing.assert_allclose(spread.landmarks["tip_px"], plain.landmarks["tip_px"], atol=0.1)
     np.testing.assert_allclose(spread.landmarks["cores_px"], plain.landmarks["cores_px"], atol=0.01)
-    skin, led = SkinSettings(), Led("white", (52.5, 0.0, 140.0))
+    skin, led = SkinOptics(), Led("white", (52.5, 0.0, 140.0))
     optics = [skin.channel("green")]
     one, other = (
         render_band(s, [led], Medium(optics, 0.25, 1.0)) for s in (plain, spread)
@@ -129,9 +136,9 @@ def test_from_very_far_it_is_the_orthographic_picture(finger: Finger, master: Ma
         assert np.abs(a - b)[where].mean() < 2e-3 * a[where].mean()
 
 
-def test_the_sides_move_inwards(finger: Finger, master: MasterPrint) -> None:
+def test_the_sides_move_inwards(finger: SimulatedFinger, master: MasterPrint) -> None:
     """What lies below the finger plane appears nearer to the axis: by 0.2 to 0.4 mm at the sides."""
-    pose = Pose(insertion_mm=26.0)
+    pose = FingerPose(insertion_mm=26.0)
     plain = finger_surface(replace(finger, printed=master), pose, Camera(15.0, (430, 560)))
     spread = finger_surface(replace(finger, printed=master), pose, CENTRED)
     assert 0.92 * plain.mask.sum() < spread.mask.sum() < 0.97 * plain.mask.sum()
@@ -141,10 +148,10 @@ def test_the_sides_move_inwards(finger: Finger, master: MasterPrint) -> None:
     assert (inwards > 0.15).all() and (inwards < 0.45).all()
 
 
-def test_beside_the_axis_it_looks_below_the_finger(finger: Finger, master: MasterPrint) -> None:
+def test_beside_the_axis_it_looks_below_the_finger(finger: SimulatedFinger, master: MasterPrint) -> None:
     """A near camera sees skin of the side towards it that no orthographic camera sees: normals that point down."""
     camera = perspective_camera((300, 420), 10.0, 30.0)
-    pose = Pose(x_mm=18.0, insertion_mm=20.0)
+    pose = FingerPose(x_mm=18.0, insertion_mm=20.0)
     surface = finger_surface(replace(finger, printed=master), pose, camera)
     down = surface.mask & (surface.shape_normals[..., 2] < -0.05)
     assert down.sum() > 200
@@ -175,7 +182,7 @@ def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
     np.testing.assert_array_equal(given[2], [0.0, -0.96, 0.28])
 
 
-def test_landmarks_are_pixels_of_the_lens(seen: Surface, finger: Finger, master: MasterPrint) -> None:
+def test_landmarks_are_pixels_of_the_lens(seen: FingerSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
     body = FingerBody(finger.shape)
     placement = placement_of(body, POSE, CAMERA)
     named = np.concatenate([master.cores_mm, master.deltas_mm])
@@ -192,15 +199,15 @@ def test_landmarks_are_pixels_of_the_lens(seen: Surface, finger: Finger, master:
     assert seen.mask[round(tip[1]) + 2, round(tip[0])] and not seen.mask[round(tip[1]) - 3, round(tip[0])]
 
 
-def test_workers_do_not_change_the_result(finger: Finger, master: MasterPrint, seen: Surface) -> None:
+def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: FingerSurface) -> None:
     again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     for name in ("height_mm", "normals", "x_mm", "y_mm"):
         assert getattr(again, name).tobytes() == getattr(seen, name).tobytes()
 
 
-def test_the_pose_is_where_it_says_in_the_picture(finger: Finger) -> None:
+def test_the_pose_is_where_it_says_in_the_picture(finger: SimulatedFinger) -> None:
     """The finger keeps its place in the picture, wherever the camera's axis meets it."""
-    body, pose = FingerBody(finger.shape), Pose(insertion_mm=25.0, x_mm=1.0)
+    body, pose = FingerBody(finger.shape), FingerPose(insertion_mm=25.0, x_mm=1.0)
     plain = placement_of(body, pose, Camera(15.0, (430, 560))).shift
     np.testing.assert_allclose(placement_of(body, pose, CENTRED).shift, plain, atol=1e-9)
     beside = perspective_camera((430, 560), 15.0, 110.0, off=(9.3, -7.8))
@@ -283,10 +290,10 @@ def test_the_beam_falls_off_about_its_aim() -> None:
     np.testing.assert_allclose(white_card(camera, same), white_card(camera, to_origin), rtol=1e-6)
 
 
-def test_what_perspective_cannot_have_is_refused(seen: Surface) -> None:
+def test_what_perspective_cannot_have_is_refused(seen: FingerSurface) -> None:
     led = Led("white", (52.5, 0.0, 140.0))
     with pytest.raises(BadInput, match="orthographic"):
-        separate_truth(seen, led, SkinSettings(), check_mm=1.0)
+        separate_truth(seen, led, SkinOptics(), check_mm=1.0)
     with pytest.raises(BadInput, match="orthographic"):
         pattern_states(seen, led, Checkerboard(1.0))
     with pytest.raises(BadInput, match="x_mm"):

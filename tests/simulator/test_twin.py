@@ -14,7 +14,7 @@ from splitknit.model import Camera, default_rig
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.finger import PoseRanges
 from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import SkinOptics, SkinRanges
 from splitknit.simulator.rigs import MirrorSettings
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings, background_albedo
 from splitknit.simulator.twin import photograph, simulate_capture
@@ -40,7 +40,7 @@ def _digest(capture, truth):
 
 
 def _photo(egg, rig, seed=1, skin=None, **settings):
-    return photograph(egg, rig, skin or SkinSettings(), np.random.SeedSequence(seed), settings=TwinSettings(**settings))
+    return photograph(egg, rig, skin or SkinOptics(), np.random.SeedSequence(seed), settings=TwinSettings(**settings))
 
 
 def test_default_rig_is_the_thesis_rig():
@@ -80,7 +80,7 @@ def test_a_capture_holds_what_the_format_says(egg, rig):
 
 
 def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
-    capture, truth = _photo(egg, rig, skin=SkinSettings(glare=0.0))
+    capture, truth = _photo(egg, rig, skin=SkinOptics(glare=0.0))
     light = linear_stack(capture.bands["white"], "linear", "red")
     assert np.percentile(light[:, truth["mask"]], 99.9) == pytest.approx(0.7, abs=0.06)
     red, green, blue = (linear_stack(capture.bands["white"], "linear", c)[:, truth["mask"]].mean() for c in
@@ -96,7 +96,7 @@ def test_exposure_leaves_room_and_skin_looks_like_skin(egg, rig):
 def test_dark_skin_is_darker_and_less_red(egg, rig):
     colours, exposures = [], []
     for melanin in (0.0002, 0.02):
-        capture, truth = _photo(egg, rig, skin=SkinSettings(melanin=melanin, glare=0.0), sensor=QUIET)
+        capture, truth = _photo(egg, rig, skin=SkinOptics(melanin=melanin, glare=0.0), sensor=QUIET)
         pixels = capture.bands["white"].pixels[:, truth["mask"]].mean(axis=(0, 1))
         colours.append(pixels / pixels[0])
         exposures.append(float(truth["exposure_white"]))
@@ -108,7 +108,7 @@ def test_light_minus_glare_is_what_no_glare_gives(egg, rig):
     """The stored truth of the glare is in the images' own units."""
     ambient = BackgroundSettings(ambient=0.0)
     shiny, truth = _photo(egg, rig, sensor=QUIET, background=ambient)
-    matte, plain = _photo(egg, rig, skin=SkinSettings(glare=0.0), sensor=QUIET, background=ambient)
+    matte, plain = _photo(egg, rig, skin=SkinOptics(glare=0.0), sensor=QUIET, background=ambient)
     assert truth["exposure_white"] == plain["exposure_white"]
     with_glare = linear_stack(shiny.bands["white"], "linear", "green")
     without = linear_stack(matte.bands["white"], "linear", "green")
@@ -243,4 +243,4 @@ def test_population_spreads_in_tone():
 
 def test_surface_and_camera_must_agree(egg):
     with pytest.raises(BadInput, match="camera has"):
-        photograph(egg, default_rig(0.5), SkinSettings(), np.random.SeedSequence(0))
+        photograph(egg, default_rig(0.5), SkinOptics(), np.random.SeedSequence(0))

@@ -12,10 +12,10 @@ from splitknit.imaging.band import linear_stack
 from splitknit.model import Camera, default_rig
 from splitknit.simulator.camera.lens import blur_sigma_px, fall_off, pixels_of_points
 from splitknit.simulator.camera.sensor import SensorSettings, binning_scale
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import BackgroundSettings, Scene, TwinSettings
 from splitknit.simulator.twin import photograph, simulate_capture
 from surfaces import perspective_camera, ridged_egg
@@ -33,7 +33,7 @@ def perspective():
         replace(led, lobe_exponent=3.0, aim=(0.02, 0.0, -1.0)) if k % 2 else led for k, led in enumerate(rig.leds)
     )
     rig = replace(rig, camera=PERSPECTIVE, leds=leds)
-    settings = TwinSettings(rig=rig, pose=Pose(insertion_mm=26.0), sensor=QUIET, skin=SkinSettings())
+    settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=26.0), sensor=QUIET, skin=SkinOptics())
     return rig, settings, *simulate_capture(4, settings=settings, finger=FINGER)
 
 
@@ -61,9 +61,9 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
     egg = ridged_egg((280, 260), 18.9)
     shading = replace(egg.camera, shading=SHADING)
     base = replace(default_rig(0.25, seed=3), camera=egg.camera)
-    settings = TwinSettings(sensor=QUIET, background=BackgroundSettings(ambient=0.05), skin=SkinSettings())
+    settings = TwinSettings(sensor=QUIET, background=BackgroundSettings(ambient=0.05), skin=SkinOptics())
     (clear, plain), (dim, truth) = (
-        photograph(egg, replace(base, camera=camera), SkinSettings(), np.random.SeedSequence(1), settings=settings)
+        photograph(egg, replace(base, camera=camera), SkinOptics(), np.random.SeedSequence(1), settings=settings)
         for camera in (egg.camera, shading)
     )
     gain = float(truth["exposure_white"] / plain["exposure_white"])
@@ -84,7 +84,7 @@ def test_the_lens_darkens_every_image_and_reconstruction_undoes_it():
 
 def test_ones_own_rig_is_used_as_it_is():
     """The twin's own rig, given, changes nothing; `scale` is not used then."""
-    settings = TwinSettings(scale=0.1, pose=Pose(insertion_mm=26.0))
+    settings = TwinSettings(scale=0.1, pose=FingerPose(insertion_mm=26.0))
     capture, truth = simulate_capture(4, settings=settings, finger=FINGER)
     own = replace(settings, scale=1.0, rig=default_rig(0.1, 0))
     again, same = simulate_capture(4, settings=own, finger=FINGER)
@@ -117,7 +117,7 @@ def test_pixels_are_binned_as_the_picture_tells():
     rig = replace(default_rig(0.125), camera=egg.camera)
     for scale in (None, 0.125, 1.0):
         settings = TwinSettings(sensor=SensorSettings(bits=16), sensor_scale=scale)
-        capture, truth = photograph(egg, rig, SkinSettings(), np.random.SeedSequence(1), settings=settings)
+        capture, truth = photograph(egg, rig, SkinOptics(), np.random.SeedSequence(1), settings=settings)
         nir = capture.bands["nir"].pixels[:, truth["mask"]].astype(float)
         noise.append((nir - nir.mean(axis=-1, keepdims=True)).std())
     assert noise[1] == pytest.approx(noise[0], rel=0.02)
@@ -147,4 +147,4 @@ def _scene_blur(perspective, lens):
     rig, settings, _, _ = perspective
     surface = finger_surface(FINGER, settings.pose, rig.camera)
     settings = replace(settings, render=lens)
-    return Scene((surface, rig, SkinSettings()), settings, np.random.default_rng(0)).blur
+    return Scene((surface, rig, SkinOptics()), settings, np.random.default_rng(0)).blur

@@ -13,7 +13,7 @@ from script_folder import Script, scripts_of
 from splitknit.errors import BadInput
 from splitknit.finger.orientation import find_upright
 from splitknit.model import Surface, default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "family"
 PATTERNS = ("left_loop", "whorl", "right_loop", "left_loop")
@@ -29,7 +29,7 @@ def true_surface(name: str) -> Surface:
     """What a perfect reconstruction of a small capture would give."""
     subject, session, finger = name.split("/")
     seed = 10 * int(subject[1:]) + ("right_thumb", "right_index").index(finger)
-    pose = Pose(insertion_mm=25.0 + int(session[-1]), yaw_rad=0.05 * int(session[-1]))
+    pose = FingerPose(insertion_mm=25.0 + int(session[-1]), yaw_rad=0.05 * int(session[-1]))
     camera = default_rig(0.2).camera
     seen = finger_surface(draw_finger(seed, PATTERNS[seed % 4]), pose, camera)
     upright = find_upright(seen.mask)

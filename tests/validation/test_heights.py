@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from script_folder import VALIDATION, scripts_of
-from splitknit.simulator.light.skin import Boundary, SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import Boundary, SkinOptics, SkinRanges
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
@@ -16,7 +16,7 @@ from splitknit.simulator.twin import simulate_capture
 def test_slanted_light_brightens_heights_as_much_as_in_walks_below_the_skin(refraction, walks):
     """What ln(1 / cos t) adds over what upright light shows, of red, green and blue: smallest and largest."""
     skin = SkinRanges(
-        base=SkinSettings(boundary=Boundary(refraction=refraction)), glare=(0, 0), scattering_factor=(0.6, 0.6)
+        base=SkinOptics(boundary=Boundary(refraction=refraction)), glare=(0, 0), scattering_factor=(0.6, 0.6)
     )
     capture, truth = simulate_capture(9101, None, TwinSettings(scale=0.3, skin=skin))
     known = {name: np.asarray(truth[name]) for name in ("mask", "height_mm", "shape_mm")}

@@ -13,7 +13,7 @@ import pytest
 
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
-from splitknit.simulator.finger.finger import Finger, draw_finger
+from splitknit.simulator.finger.finger import SimulatedFinger, draw_finger
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, ink_print
 
 sys.path.append(str(VALIDATION / "prints"))
@@ -24,21 +24,21 @@ STEADY = PressSettings(turn_sd_deg=0, roll_sd_deg=0, pitch_sd_deg=0, shift_mm=0,
 
 
 @pytest.fixture(scope="module")
-def finger() -> Finger:
+def finger() -> SimulatedFinger:
     return draw_finger(5, "right_loop", print_settings=MasterPrintSettings(pitch_mm=0.045, iterations=3))
 
 
 @pytest.fixture(scope="module")
-def master(finger: Finger) -> MasterPrint:
+def master(finger: SimulatedFinger) -> MasterPrint:
     return finger.master()
 
 
 @pytest.fixture(scope="module")
-def steady(finger: Finger, master: MasterPrint) -> PressedPrint:
+def steady(finger: SimulatedFinger, master: MasterPrint) -> PressedPrint:
     return press_finger(finger, 1, STEADY, master=master)
 
 
-def test_same_seed_same_bytes(finger: Finger, master: MasterPrint) -> None:
+def test_same_seed_same_bytes(finger: SimulatedFinger, master: MasterPrint) -> None:
     first, again, other = (press_finger(finger, seed, master=master) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.image, again.image)
     np.testing.assert_array_equal(first.minutiae, again.minutiae)
@@ -55,7 +55,9 @@ def test_it_shows_the_skin_as_ink_does(steady: PressedPrint, master: MasterPrint
 
 
 @pytest.mark.parametrize("settings", [STEADY, PressSettings(turn_sd_deg=15, stretch=0.05, noise_grey=0)])
-def test_minutiae_lie_where_the_ridges_say(finger: Finger, master: MasterPrint, settings: PressSettings) -> None:
+def test_minutiae_lie_where_the_ridges_say(
+    finger: SimulatedFinger, master: MasterPrint, settings: PressSettings
+) -> None:
     """Pressing a master whose only relief are small dots at its minutiae shows dots where the truth says."""
     dots = np.zeros_like(master.ridge)
     pitch = float(master.u_mm[1] - master.u_mm[0])
@@ -73,7 +75,7 @@ def test_minutiae_lie_where_the_ridges_say(finger: Finger, master: MasterPrint, 
     assert (dark & inside).sum() < 0.5 * inside.sum()
 
 
-def test_directions_follow_the_ridges(finger: Finger, master: MasterPrint) -> None:
+def test_directions_follow_the_ridges(finger: SimulatedFinger, master: MasterPrint) -> None:
     """Directions run along the ridges of the print, turned and mirrored as it is."""
     pressed = press_finger(finger, 15, PressSettings(turn_sd_deg=15, noise_grey=0), master=master)  # by 30 deg
     grey = cv2.GaussianBlur(pressed.image.astype(np.float32), (0, 0), 2)
@@ -88,7 +90,7 @@ def test_directions_follow_the_ridges(finger: Finger, master: MasterPrint) -> No
     assert np.median(np.abs(np.angle(np.exp(2j * off))) / 2) < np.deg2rad(12)
 
 
-def test_harder_is_larger_and_darker(finger: Finger, master: MasterPrint, steady: PressedPrint) -> None:
+def test_harder_is_larger_and_darker(finger: SimulatedFinger, master: MasterPrint, steady: PressedPrint) -> None:
     soft = press_finger(finger, 1, replace(STEADY, force_n=0.4), master=master)
     hard = press_finger(finger, 1, replace(STEADY, force_n=4.0), master=master)
     assert 1.2 * soft.area_mm2 < steady.area_mm2 < hard.area_mm2 / 1.2
@@ -100,7 +102,7 @@ def test_harder_is_larger_and_darker(finger: Finger, master: MasterPrint, steady
     assert (steady.image[~steady.contact] > 200).mean() > 0.97
 
 
-def test_noise_and_resolution(finger: Finger, master: MasterPrint, steady: PressedPrint) -> None:
+def test_noise_and_resolution(finger: SimulatedFinger, master: MasterPrint, steady: PressedPrint) -> None:
     noisy = press_finger(finger, 1, replace(STEADY, noise_grey=9.0), master=master)
     bare = steady.image == 235
     assert noisy.image[bare].astype(float).std() == pytest.approx(9.0, rel=0.1)

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.model import Capture, default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 from splitknit.simulator.twin import photograph, simulate_capture
 
 Truth = dict[str, NDArray[Any]]
@@ -44,8 +44,8 @@ class Scene:
     """Everything of a capture that can be varied."""
 
     ridge_depth_um: float = 65.0
-    pose: Pose = field(default_factory=lambda: Pose(insertion_mm=27.0))
-    skin: SkinSettings = field(default_factory=SkinSettings)
+    pose: FingerPose = field(default_factory=lambda: FingerPose(insertion_mm=27.0))
+    skin: SkinOptics = field(default_factory=SkinOptics)
     render: RenderSettings = field(default_factory=RenderSettings)
 
 
@@ -133,7 +133,7 @@ def photographed(case: Case) -> tuple[Capture, Truth]:
 
 
 @lru_cache(maxsize=2)
-def _surface(seed: int, ridge_depth_um: float, pose: Pose, scale: float) -> Surface:
+def _surface(seed: int, ridge_depth_um: float, pose: FingerPose, scale: float) -> FingerSurface:
     finger = draw_finger(seed)
     finger = replace(finger, skin=replace(finger.skin, ridge_depth_um=ridge_depth_um))
     return finger_surface(finger, pose, default_rig(scale, 0).camera)

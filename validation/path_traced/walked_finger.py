@@ -31,11 +31,11 @@ from splitknit.simulator.light.skin import (
     CHANNELS,
     REFRACTIVE_INDEX,
     Channel,
-    SkinSettings,
+    SkinOptics,
     diffuse_transmittance,
     fresnel,
 )
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 def render_finger(
-    surface: Surface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
+    surface: FingerSurface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
 ) -> _ChannelLight:  # fmt: skip
     """Light from within the skin under each LED, by random walks in one channel.
@@ -148,9 +148,9 @@ def render_finger(
     """
     require(walks > 0 and rays > 0, f"walks and rays must be above zero, but they are {walks} and {rays}.")
     pitch = surface.camera.pitch_mm
-    skin = SkinSettings(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood)
+    skin = SkinOptics(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood)
     dermis = skin.channel(channel)
-    epidermis = SkinSettings(melanin=optics.melanin, blood=0.0).channel(channel)
+    epidermis = SkinOptics(melanin=optics.melanin, blood=0.0).channel(channel)
     inside = 1.0 - diffuse_transmittance() / REFRACTIVE_INDEX**2
     medium = np.array(
         [
@@ -182,7 +182,7 @@ class _Solid:
     """Row and column of the picture where the maps begin."""
 
 
-def _solid(surface: Surface, leds: Sequence[Led]) -> _Solid:
+def _solid(surface: FingerSurface, leds: Sequence[Led]) -> _Solid:
     camera, pitch = surface.camera, surface.camera.pitch_mm
     require(camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")
     require(
@@ -240,7 +240,7 @@ def _mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed:
 
 
 def walk_solid(
-    solid: _Solid, surface: Surface, mottle: FloatArray, medium: Array,
+    solid: _Solid, surface: FingerSurface, mottle: FloatArray, medium: Array,
     *, walks: float, rays: int, threads: int, seed: Sequence[int], progress: Progress = no_progress,
 ) -> _ChannelLight:  # fmt: skip
     """Walk from all pixels that see the finger."""
@@ -316,7 +316,7 @@ def _load() -> tuple[Any, Any]:
 # Light that the surface alone reflects.
 
 
-def specular(surface: Surface, led: Led, roughness: float) -> FloatArray:
+def specular(surface: FingerSurface, led: Led, roughness: float) -> FloatArray:
     """(H, W) radiance of the GGX reflection at the ridged skin, without shadows and inter-reflection.
 
     References
@@ -355,7 +355,7 @@ def _pixel_places(camera: Camera) -> tuple[Array, Array]:
 
 
 def photograph_finger(
-    surface: Surface, rig: Rig, optics: FingerOptics,
+    surface: FingerSurface, rig: Rig, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
 ) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:  # fmt: skip
     """Photograph a finger under every LED of `rig` by random walks.
@@ -435,8 +435,8 @@ def photograph_finger(
 
 
 def _coefficients(channel: Channel, optics: FingerOptics) -> dict[str, float]:
-    dermis = SkinSettings(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood).channel(channel)
-    epidermis = SkinSettings(melanin=optics.melanin, blood=0.0).channel(channel)
+    dermis = SkinOptics(scattering_factor=optics.scattering_factor, melanin=0.0, blood=optics.blood).channel(channel)
+    epidermis = SkinOptics(melanin=optics.melanin, blood=0.0).channel(channel)
     return {
         "scattering_per_mm": dermis.scattering_per_mm,
         "absorption_per_mm": dermis.absorption_per_mm,

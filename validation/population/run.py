@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.evaluation.rates import d_prime, equal_error
-from splitknit.simulator.finger.finger import Finger, finger_surface
+from splitknit.simulator.finger.finger import SimulatedFinger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, ink_print
 from splitknit.simulator.population.people import DIGITS, FINGERS, Person, class_fractions
 from splitknit.simulator.population.sessions import (
@@ -166,7 +166,7 @@ def _edges(settings: PopulationSettings, person: Person, name: str, session: int
     return np.asarray(lines - np.median(lines.mean(axis=0)[7:]))
 
 
-def _smooth_skin(finger: Finger) -> MasterPrint:
+def _smooth_skin(finger: SimulatedFinger) -> MasterPrint:
     """A print without ridges: the outline does not need them."""
     u, v = np.arange(-22.0, 22.1, 1.0), np.arange(44.0, -25.0, -1.0)
     return MasterPrint(

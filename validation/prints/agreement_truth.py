@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from splitknit.io.npz import read_npz
 from splitknit.prints.sources import Source
 from splitknit.simulator.finger.deformation import Deformation, deformed_minutiae
-from splitknit.simulator.finger.finger import Pose, placement_of
+from splitknit.simulator.finger.finger import FingerPose, placement_of
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.population.sessions import PopulationSettings, draw_impression, finger_of_today
 
@@ -90,7 +90,7 @@ def read_truth(folder: Path, subject: str, session: int, finger: str) -> Truth:
 class Charts:
     """Chart (u, v) of points of a picture under parallel rays."""
 
-    def __init__(self, body: FingerBody, pose: Pose, camera, pitch: float, size: tuple[int, int]) -> None:
+    def __init__(self, body: FingerBody, pose: FingerPose, camera, pitch: float, size: tuple[int, int]) -> None:
         self.body, self.placed, self.pitch, self.size = body, placement_of(body, pose, camera), pitch, size
 
     def at(self, places: Array, heights: Array) -> Array:

@@ -18,7 +18,7 @@ from scipy.interpolate import LinearNDInterpolator
 from splitknit.errors import require
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.finger.deformation import Deformation, deformed, deformed_minutiae, draw_deformation
-from splitknit.simulator.finger.finger import Finger, Pose
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
 from splitknit.simulator.finger.shape import FingerBody
@@ -101,7 +101,7 @@ class PressedPrint:
 
 
 def press_finger(
-    finger: Finger, seed: int, settings: PressSettings | None = None, *, master: MasterPrint | None = None
+    finger: SimulatedFinger, seed: int, settings: PressSettings | None = None, *, master: MasterPrint | None = None
 ) -> PressedPrint:
     """Press a finger on glass.
 
@@ -126,7 +126,7 @@ def press_finger(
     rng = np.random.default_rng([finger.seed, seed, 0x9E55])
     master = master or finger.master()
     roll, pitch, turn = (float(np.clip(rng.standard_normal(), -2.0, 2.0)) for _ in range(3))
-    pose = Pose(
+    pose = FingerPose(
         roll_rad=float(np.deg2rad(s.roll_sd_deg * roll)),
         pitch_rad=float(np.deg2rad(_PITCH_DEG + s.pitch_sd_deg * pitch)),
     )
@@ -157,7 +157,7 @@ def press_finger(
 
 
 def _touching(
-    body: FingerBody, pose: Pose, depth_mm: float, deformation: Deformation
+    body: FingerBody, pose: FingerPose, depth_mm: float, deformation: Deformation
 ) -> tuple[LinearNDInterpolator, Array, Array]:
     """Depth below the highest point over the chart where the deformed skin lies; middle and size of the patch, mm."""
     shape = body.shape

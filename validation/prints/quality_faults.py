@@ -15,7 +15,7 @@ import numpy as np
 from splitknit.io.npz import write_npz
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.camera.sensor import SensorSettings
-from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger
+from splitknit.simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.skin import SkinRanges
 from splitknit.simulator.scene import TwinSettings
@@ -34,7 +34,7 @@ DRY_DEPTH = 0.3
 """Depth of a dry finger's ridges and pores relative to its own."""
 
 
-def finger_of(seed: int, fault: str) -> Finger:
+def finger_of(seed: int, fault: str) -> SimulatedFinger:
     """The finger of a seed; a dry one is shallow."""
     finger = draw_finger(seed)
     if fault != "dry":

@@ -21,8 +21,8 @@ from splitknit.simulator.light.skin import (
     Channel,
     ChannelOptics,
     Profile,
+    SkinOptics,
     SkinRanges,
-    SkinSettings,
     diffusion_profile,
     fresnel,
 )
@@ -61,7 +61,7 @@ class Check:
 
 def jensen() -> Iterator[Check]:
     """Coefficients against the range of what is drawn."""
-    usual, fingers = replace(SkinSettings(), scattering_factor=1.0), drawn_fingers()
+    usual, fingers = replace(SkinOptics(), scattering_factor=1.0), drawn_fingers()
     factors = np.array([finger.scattering_factor for finger in fingers])
     for skin, coefficients in JENSEN.items():
         scattering = dict(zip(VISIBLE, coefficients["scattering"], strict=True))
@@ -111,7 +111,7 @@ WHY_NIST = (
 
 def face() -> Check:
     """Slopes left in red over those left in green behind scattering, from coarse to fine."""
-    usual, (low, high) = SkinSettings(), FACE_RED_OVER_GREEN
+    usual, (low, high) = SkinOptics(), FACE_RED_OVER_GREEN
 
     def ratios(red: ChannelOptics, green: ChannelOptics) -> NDArray[np.float64]:
         """Light left of a pattern in red over that in green, relative to the mean of each."""
@@ -143,7 +143,7 @@ def _profile(optics: ChannelOptics) -> Profile:
     return diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
 
 
-def drawn_fingers() -> list[SkinSettings]:
+def drawn_fingers() -> list[SkinOptics]:
     """The skin of many fingers."""
     rng = np.random.default_rng(SEED)
     return [SkinRanges().draw(rng) for _ in range(FINGERS)]

@@ -13,9 +13,9 @@ from splitknit.imaging.band import GREY_WEIGHTS, linear_channels, linear_stack
 from splitknit.model import Band, Capture, FloatArray, default_rig
 from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 from splitknit.simulator.light.separation import separate_truth
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import SkinOptics, SkinRanges
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 from splitknit.simulator.twin import photograph
 
 BLACK, GAIN = 0.1, 0.85
@@ -28,8 +28,8 @@ class Twin:
 
     capture: Capture
     truth: Mapping[str, NDArray[Any]]
-    surface: Surface
-    skin: SkinSettings
+    surface: FingerSurface
+    skin: SkinOptics
 
 
 def twin_of(seed: int, scale: float) -> Twin:

@@ -48,10 +48,10 @@ from splitknit.separation.checkerboard import checkerboard
 from splitknit.separation.stacks import Separation, StackSettings
 from splitknit.separation.states import estimate_patterns
 from splitknit.separation.symmetry import by_symmetry
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.finger.palm import draw_palm, palm_surface
 from splitknit.simulator.light.separation import Checkerboard, Separated
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 
 HERE = Path(__file__).resolve().parent
 CHECKS_MM = (0.11, 0.21, 0.42, 0.85)
@@ -174,13 +174,13 @@ def _estimates(
 def ratios(smoke: bool) -> list[dict[str, Any]]:
     """Direct light over surface reflection for the default skin, summed over a surface and the white LEDs."""
     camera = Camera(20.0 if smoke else PX_PER_MM, (200, 200) if smoke else (1060, 720))
-    finger = finger_surface(draw_finger(500, "whorl"), Pose(insertion_mm=26.0), camera, workers=1)
+    finger = finger_surface(draw_finger(500, "whorl"), FingerPose(insertion_mm=26.0), camera, workers=1)
     rows = []
     for name, surface in (("finger", finger), ("palm", palm_surface(draw_palm(500), camera))):
         for check in CHECKS_MM:
             total = np.zeros((2, 3))
             for led in LEDS[:7]:
-                truth = truth_of((surface, led, SkinSettings()), check, phases="centred")
+                truth = truth_of((surface, led, SkinOptics()), check, phases="centred")
                 total += truth.direct.sum(axis=(1, 2), dtype=np.float64), np.full(3, truth.glare.sum(dtype=np.float64))
             rows.append({"surface": name, "check_mm": check, "direct_over_glare": (total[0] / total[1]).tolist()})
     return rows

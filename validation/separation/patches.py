@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from splitknit.model import Camera, Led, default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.finger.palm import draw_palm, palm_surface
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.separation import (
@@ -19,8 +19,8 @@ from splitknit.simulator.light.separation import (
     pattern_states,
     separate_truth,
 )
-from splitknit.simulator.light.skin import ChannelOptics, Medium, SkinRanges, SkinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.light.skin import ChannelOptics, Medium, SkinOptics, SkinRanges
+from splitknit.simulator.surface import FingerSurface
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)
@@ -30,7 +30,7 @@ OPAQUE = (ChannelOptics(scattering_per_mm=1e6, absorption_per_mm=1e5, relief_gai
 RENDER: dict[str, Any] = {"settings": RenderSettings(reach_mm=3.0, workers=1)}
 """A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
 
-Patch = tuple[Surface, Led, SkinSettings | Medium]
+Patch = tuple[FingerSurface, Led, SkinOptics | Medium]
 """What is looked at, where the projector stands, and the skin: the first arguments of the twin's separation."""
 
 
@@ -43,7 +43,7 @@ def draw_patches(smoke: bool) -> dict[str, Patch]:
         skin = SkinRanges().draw(np.random.default_rng([17, k]))
         result[f"palm {k}"] = (palm_surface(draw_palm(500 + k), camera), LEDS[k], skin)
         # the pad fills most of the crop, its flank and outline the rest
-        pose = Pose(x_mm=3.5 * (-1) ** k, insertion_mm=size[0] / PX_PER_MM + 6.0, roll_rad=0.1)
+        pose = FingerPose(x_mm=3.5 * (-1) ** k, insertion_mm=size[0] / PX_PER_MM + 6.0, roll_rad=0.1)
         finger = finger_surface(draw_finger(500 + k, ("whorl", "left_loop")[k]), pose, camera, workers=1)
         result[f"finger {k}"] = (finger, LEDS[k + 3], skin)
     return result
@@ -52,7 +52,7 @@ def draw_patches(smoke: bool) -> dict[str, Patch]:
 def opaque(patch: Patch) -> Patch:
     """The same patch, whose light leaves where it entered."""
     surface, led, skin = patch
-    assert isinstance(skin, SkinSettings)
+    assert isinstance(skin, SkinOptics)
     return surface, led, replace(skin.medium(led.band), optics=OPAQUE)
 
 
@@ -66,7 +66,7 @@ def photograph(patch: Patch, pattern: Checkerboard) -> np.ndarray:
     return np.moveaxis(checkerboard_stack(*patch, pattern, **RENDER), 1, -1)
 
 
-def inner(surface: Surface, truth: Separated) -> np.ndarray:
+def inner(surface: FingerSurface, truth: Separated) -> np.ndarray:
     """Pixels that are judged: on the skin, not on its outline, not grazing, lit."""
     mask = cv2.erode(surface.mask[truth.window].astype(np.uint8), np.ones((5, 5))) > 0
     slope = surface.shape_normals[truth.window][..., 2] > 0.5

@@ -24,7 +24,7 @@ from scipy import ndimage
 
 from splitknit.model import default_rig
 from splitknit.pipeline import metric_skin
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.skin.diffusion import SkinSettings as AssumedSkin
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.images import MetricSettings
@@ -110,7 +110,7 @@ def drifted(volume: Any, drift: float) -> Any:
     _, around = lights("red")
     result = np.empty_like(volume)
     for c, name in enumerate(CHANNELS):
-        way = drift * drift_mm(SkinSettings().channel(name)) / PIXEL_MM
+        way = drift * drift_mm(SkinOptics().channel(name)) / PIXEL_MM
         for k, (x, y) in enumerate(around):
             result[c, k] = ndimage.shift(volume[c, k], (y * way, -x * way), order=3, mode="nearest")
     return result

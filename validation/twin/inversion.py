@@ -34,7 +34,7 @@ from run import HERE, OUT, source_hash
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import Channel, Medium, SkinSettings
+from splitknit.simulator.light.skin import Channel, Medium, SkinOptics
 from splitknit.skin.diffusion import diffusion
 
 CHANNELS: tuple[Channel, ...] = ("red", "green", "blue")
@@ -70,7 +70,7 @@ def rendered(crop: Crop, folder: Path) -> dict[str, Array]:
         window = middle(surface, 2 * crop.side_px)
         settings = ReferenceSettings(samples=crop.samples, seed=4)
         scene = reference_scene(surface, window, rig.leds[:7], settings)
-        skin = SkinSettings(scattering_factor=crop.factor)
+        skin = SkinOptics(scattering_factor=crop.factor)
         images = [render_volume(scene, skin.channel(name), settings) for name in CHANNELS]
         glare = render_glare(scene, skin.roughness, settings, samples=64)
         partial = path.with_suffix(".part.npz")
@@ -92,7 +92,7 @@ def painted(crop: Crop, folder: Path) -> Array:
     path = folder / f"{crop.name()}-twin.npz"
     if not path.exists():
         surface = ridged_patch(crop.depth_um, crop.side_px * PIXEL_MM + 8.2, radius_mm=crop.radius_mm)
-        skin = SkinSettings(scattering_factor=crop.factor)
+        skin = SkinOptics(scattering_factor=crop.factor)
         media = [skin.channel(name) for name in CHANNELS]
         leds = default_rig().leds[:7]
         light = render_band(surface, leds, Medium(media, skin.roughness, 1.0))
@@ -164,7 +164,7 @@ def likeness(estimate_mm: Array, truth_mm: Array) -> dict[str, float]:
 
 def measured(crop: Crop, data: dict[str, Array], assumed: float) -> dict[str, Any]:
     """All ways of one crop; `assumed` is the scattering factor that the inversion takes for true."""
-    skin = SkinSettings(scattering_factor=crop.factor)
+    skin = SkinOptics(scattering_factor=crop.factor)
     result: dict[str, Any] = {
         "depth_um": crop.depth_um, "factor": crop.factor, "assumed_factor": assumed, "radius_mm": crop.radius_mm,
         "noise_of_a_pixel": float((data["standard_error"] / data["radiance"]).mean()),

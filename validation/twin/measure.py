@@ -15,10 +15,10 @@ from reference import ReferenceSettings, reference_scene, render_glare, render_v
 from reference_scene import ReferenceScene
 
 from splitknit.model import FloatArray, Led, default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import Channel, ChannelOptics, Medium, SkinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.light.skin import Channel, ChannelOptics, Medium, SkinOptics
+from splitknit.simulator.surface import FingerSurface
 
 FIELD_MM = 10.0
 CROP_PX = 128
@@ -49,13 +49,13 @@ def lights(channel: str) -> tuple[tuple[Led, ...], Array]:
 
 
 @lru_cache(maxsize=1)
-def _scene(depth_um: float, seed: int, nir: bool, crop_px: int) -> tuple[Surface, ReferenceScene]:
+def _scene(depth_um: float, seed: int, nir: bool, crop_px: int) -> tuple[FingerSurface, ReferenceScene]:
     surface = ridged_patch(depth_um, FIELD_MM, seed=seed)
     leds, _ = lights("nir" if nir else "red")
     return surface, reference_scene(surface, middle(surface, crop_px), leds, ReferenceSettings())
 
 
-def _twin(surface: Surface, leds: Sequence[Led], optics: ChannelOptics) -> FloatArray:
+def _twin(surface: FingerSurface, leds: Sequence[Led], optics: ChannelOptics) -> FloatArray:
     """The twin's light without and with its relief term, (2, L, H, W)."""
     both = [replace(optics, relief_gain_per_um=0.0), optics]
     light = render_band(surface, leds, Medium(both, 0.25, 0.0))
@@ -67,7 +67,7 @@ def compare_ridges(case: Ridges, crop_px: int = CROP_PX, seed: int = 1) -> dict[
     surface, scene = _scene(case.depth_um, case.print_seed, case.channel == "nir", crop_px)
     leds, around = lights(case.channel)
     window = middle(surface, crop_px)
-    optics = SkinSettings(scattering_factor=case.factor).channel(case.channel)
+    optics = SkinOptics(scattering_factor=case.factor).channel(case.channel)
     settings = ReferenceSettings(boundary=case.boundary, samples=case.samples, seed=seed)
     image = render_volume(scene, optics, settings)
     batches = image.batches.astype(np.float64)
@@ -138,7 +138,7 @@ def compare_glare(depth_um: float, roughness: float, samples: int = 64, crop_px:
     window = middle(surface, crop_px)
     image = render_glare(scene, roughness, ReferenceSettings(seed=1), samples)
     batches = image.batches.astype(np.float64)
-    light = render_band(surface, leds, Medium([SkinSettings().channel("red")], roughness, 1.0))
+    light = render_band(surface, leds, Medium([SkinOptics().channel("red")], roughness, 1.0))
     twin = binned(light.glare[(slice(None), *window)])
     reference = batches.mean(axis=0)
     level, level_error = spread(lambda one: np.asarray(twin.mean() / one.mean()), batches)
@@ -159,7 +159,7 @@ def compare_finger(channels: Sequence[tuple[Channel, int]], boundary: str, scale
     """Relative rms difference of the low frequencies on the pad of a whole, closed finger, one scale a channel."""
     rig = default_rig(scale)
     finger = draw_finger(3, "whorl")
-    surface = finger_surface(finger, Pose(), rig.camera)
+    surface = finger_surface(finger, FingerPose(), rig.camera)
     surface = replace(surface, pigment=np.ones_like(surface.pigment))
     factor = 4
     rows, columns = np.nonzero(surface.mask)
@@ -174,7 +174,7 @@ def compare_finger(channels: Sequence[tuple[Channel, int]], boundary: str, scale
     slant = np.rad2deg(np.arccos(binned(surface.shape_normals[window][..., 2], factor)))
     result = []
     for channel, samples in channels:
-        optics = SkinSettings().channel(channel)
+        optics = SkinOptics().channel(channel)
         image = render_volume(scene, optics, replace(settings, samples=samples))
         band = render_band(surface, rig.leds[:7], Medium([optics], 0.25, 0.0))
         full = np.zeros((7, *surface.mask.shape), dtype=np.float32)

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 
 from splitknit.model import Led, default_rig
 from splitknit.simulator.camera.lens import pixels_of_points
-from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
 from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.renderer import render_band
-from splitknit.simulator.light.skin import CHANNELS, Medium, SkinSettings, fresnel
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.light.skin import CHANNELS, Medium, SkinOptics, fresnel
+from splitknit.simulator.surface import FingerSurface
 
 SCALE = 0.25
 SLANTS = ((0, 30), (30, 40), (40, 50), (50, 60), (60, 70))
 Array32 = NDArray[np.float32]
 
 
-def light(surface: Surface, leds: tuple[Led, ...], skin: SkinSettings) -> Array32:
+def light(surface: FingerSurface, leds: tuple[Led, ...], skin: SkinOptics) -> Array32:
     """(L, C, H, W) light inside the skin before it leaves towards the camera."""
     patch = cut_out(surface)
     optics = [skin.channel(channel) for channel in CHANNELS]
@@ -39,14 +39,14 @@ def light(surface: Surface, leds: tuple[Led, ...], skin: SkinSettings) -> Array3
     return result
 
 
-def compare(finger: Finger, scale: float = SCALE) -> tuple[Array32, Array32, NDArray[np.bool_]]:
+def compare(finger: SimulatedFinger, scale: float = SCALE) -> tuple[Array32, Array32, NDArray[np.bool_]]:
     """Ratio (L, C, N) of perspective to orthographic light at points of the skin, slants (N,), and which count."""
     rig = default_rig(scale)
     rows, columns = rig.camera.image_size
     focal_px = rig.camera.px_per_mm * rig.camera.height_mm
     matrix = np.array([[focal_px, 0.0, (columns - 1) / 2], [0.0, focal_px, (rows - 1) / 2], [0.0, 0.0, 1.0]])
     near = replace(rig.camera, model="perspective", matrix=matrix)
-    pose, master, skin, leds = Pose(insertion_mm=26.5), finger.master(), SkinSettings(), rig.leds[:7]
+    pose, master, skin, leds = FingerPose(insertion_mm=26.5), finger.master(), SkinOptics(), rig.leds[:7]
     flat, spread = (finger_surface(replace(finger, printed=master), pose, camera) for camera in (rig.camera, near))
     assert spread.x_mm is not None and spread.y_mm is not None
     x, y, z = (np.nan_to_num(a).astype(np.float64) for a in (spread.x_mm, spread.y_mm, spread.height_mm))

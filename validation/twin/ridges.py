@@ -14,7 +14,7 @@ from splitknit.simulator.light.skin import (
     REFRACTIVE_INDEX,
     Channel,
     ChannelOptics,
-    SkinSettings,
+    SkinOptics,
     diffusion_profile,
     fresnel,
 )
@@ -131,7 +131,7 @@ def main() -> None:
         relief = ridges(kind, depth_um)
         h = (relief[0] - relief[0].mean())[:: SAMPLES // PLACES, None] * 1e3
         for channel in channels:
-            optics = SkinSettings().channel(channel)
+            optics = SkinOptics().channel(channel)
             volume = np.stack([walked(float(x), optics, relief, rng) for x in places])
             plain = convolved(optics, relief)
             ratio = volume / plain

@@ -15,11 +15,11 @@ from splitknit.simulator.light.skin import (
     CHANNELS,
     REFRACTIVE_INDEX,
     Medium,
-    SkinSettings,
+    SkinOptics,
     diffuse_transmittance,
     fresnel,
 )
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 Array = NDArray[np.float64]
 HALF_WIDTH_MM, HALF_HEIGHT_MM = 8.0, 5.5
@@ -82,7 +82,7 @@ def volume_radiance(x_mm: float, scattering: float, absorption: float, rng: np.r
     return total / WALKS * out_share / (np.pi * diffuse_transmittance())
 
 
-def cylinder(px_per_mm: float = 10.0) -> Surface:
+def cylinder(px_per_mm: float = 10.0) -> FingerSurface:
     """The cylinder as the twin sees it."""
     camera = Camera(px_per_mm=px_per_mm, image_size=(200, 221))
     x = (np.arange(221) - 110.0) / px_per_mm
@@ -94,7 +94,7 @@ def cylinder(px_per_mm: float = 10.0) -> Surface:
     row = np.where(inside[:, None], _normals(np.stack([x, 0.0 * x, z])).T, 0.0)
     normals = np.broadcast_to(row, (*shape, 3)).astype(np.float32)
     zero, one = np.zeros(shape, dtype=np.float32), np.ones(shape, dtype=np.float32)
-    return Surface(camera, height, height, normals, normals, zero, mask, one)
+    return FingerSurface(camera, height, height, normals, normals, zero, mask, one)
 
 
 def main() -> None:
@@ -105,7 +105,7 @@ def main() -> None:
     leds = [Led("white", position_mm=light) for light in LIGHTS]
     print("twin / volume, relative to the middle, at x =", places.round(1))
     for channel in CHANNELS:
-        optics = SkinSettings().channel(channel)
+        optics = SkinOptics().channel(channel)
         settings = RenderSettings(reach_mm=20.0)
         image = render_band(surface, leds, Medium([optics], 0.25, 0.0), settings)
         x = (np.arange(*image.window[1].indices(221)[:2]) - 110.0) / 10.0

@@ -26,11 +26,18 @@ from splitknit.rig.candidates import (
     examine,
 )
 from splitknit.rig.photography import LAMPS, ExposedCapture, intensity_w_sr, photograph_candidate
-from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, draw_finger, finger_surface, placement_of
+from splitknit.simulator.finger.finger import (
+    FingerPose,
+    PoseRanges,
+    SimulatedFinger,
+    draw_finger,
+    finger_surface,
+    placement_of,
+)
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.light.skin import SkinOptics, SkinRanges
+from splitknit.simulator.surface import FingerSurface
 
 # The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
 
@@ -53,13 +60,13 @@ class _Points:
 
 
 @functools.lru_cache(maxsize=16)
-def _person(seed: int) -> tuple[Finger, MasterPrint]:
+def _person(seed: int) -> tuple[SimulatedFinger, MasterPrint]:
     """A finger and its master print; drawing the print is what takes long."""
     finger = draw_finger(seed)
     return finger, finger.master()
 
 
-def _pose_of(seed: int, camera: Camera) -> Pose:
+def _pose_of(seed: int, camera: Camera) -> FingerPose:
     """How this finger lies: in the same place under any camera, whose rows are only about `FIELD_MM` long."""
     even = Camera(px_per_mm=100.0, image_size=(round(100 * FIELD_MM[0]), round(100 * FIELD_MM[1])))
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0x0C]))
@@ -68,13 +75,13 @@ def _pose_of(seed: int, camera: Camera) -> Pose:
     return replace(pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm))
 
 
-def _view_of(seed: int, camera: Camera) -> Surface:
+def _view_of(seed: int, camera: Camera) -> FingerSurface:
     """The finger on the pixels of `camera`."""
     finger, master = _person(seed)
     return finger_surface(replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1)
 
 
-def _phalange(seed: int, surface: Surface) -> BoolArray:
+def _phalange(seed: int, surface: FingerSurface) -> BoolArray:
     """(H, W) pixels of the distal phalange: the finger above its first crease."""
     finger, _ = _person(seed)
     placement = placement_of(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
@@ -84,12 +91,12 @@ def _phalange(seed: int, surface: Surface) -> BoolArray:
     return np.asarray(surface.mask & (along >= ABOVE_CREASE_MM))
 
 
-def _printed(surface: Surface, where: BoolArray) -> BoolArray:
+def _printed(surface: FingerSurface, where: BoolArray) -> BoolArray:
     """(H, W) pixels of `where` whose shape is flat enough to carry the print."""
     return np.asarray(where & (surface.shape_normals[..., 2] > np.cos(np.deg2rad(MAX_SLANT_DEG))))
 
 
-def _places(surface: Surface) -> tuple[Array, Array]:
+def _places(surface: FingerSurface) -> tuple[Array, Array]:
     """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the finger."""
     x, y = _grid_places(surface.camera)
     if surface.x_mm is not None and surface.y_mm is not None:
@@ -209,7 +216,7 @@ def _rigs(candidate: RigCandidate, study: Study) -> tuple[Rig, Rig]:
 
 
 def _compare_surfaces(
-    result: Reconstruction, surface: Surface, whole: BoolArray, seed: int, truth_px_per_mm: float
+    result: Reconstruction, surface: FingerSurface, whole: BoolArray, seed: int, truth_px_per_mm: float
 ) -> dict[str, float]:
     """Distances between the true and the reconstructed surface.
 
@@ -256,14 +263,14 @@ def _ridge_correlation(
 
 
 @functools.lru_cache(maxsize=32)
-def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> Surface:
+def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> FingerSurface:
     """The finger under this height's camera: the LEDs do not change it."""
     standing = RigCandidate(height_mm, 50.0, 1.0, None, px_per_mm)
     return _view_of(seed, candidate_rig(standing, build, {"white": 1.0}).camera)
 
 
 @functools.lru_cache(maxsize=64)
-def _skin(seed: int) -> SkinSettings:
+def _skin(seed: int) -> SkinOptics:
     return SkinRanges().draw(np.random.default_rng(np.random.SeedSequence([seed, 0x51])))
 
 

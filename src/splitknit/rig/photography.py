@@ -22,9 +22,9 @@ from splitknit.simulator.camera.lens import blur_sigma_px, defocus
 from splitknit.simulator.camera.sensor import SensorSettings, record
 from splitknit.simulator.light.lighting import render_opaque, white_card
 from splitknit.simulator.light.renderer import RenderSettings, render_band
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics
 from splitknit.simulator.scene import finger_depth
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 PLANCK_LIGHT = 1.98645e-25
 """Planck's constant times the speed of light, J m."""
@@ -164,12 +164,12 @@ class ExposedCapture:
 
 
 def photograph_candidate(
-    surface: Surface,
+    surface: FingerSurface,
     rig: Rig,
     *,
     known_rig: Rig,
     mask: BoolArray,
-    skin: SkinSettings | None,
+    skin: SkinOptics | None,
     photons: PhotonSettings,
     seed: np.random.SeedSequence,
     rendered: bool = False,
@@ -237,7 +237,9 @@ def photograph_candidate(
     )
 
 
-def _frames(surface: Surface, leds: list[Led], name: str, skin: SkinSettings | None) -> tuple[list[FloatArray], float]:
+def _frames(
+    surface: FingerSurface, leds: list[Led], name: str, skin: SkinOptics | None
+) -> tuple[list[FloatArray], float]:
     """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without specular light."""
     if skin is None:
         window, matt = render_opaque(surface, leds, OPAQUE_ALBEDO)
@@ -258,7 +260,7 @@ def _frames(surface: Surface, leds: list[Led], name: str, skin: SkinSettings | N
     return frames, brightest
 
 
-def _defocus(surface: Surface, photons: PhotonSettings) -> FloatArray:
+def _defocus(surface: FingerSurface, photons: PhotonSettings) -> FloatArray:
     """(H, W) width of the defocus in pixels; beyond the outline that of the outline goes on."""
     camera = surface.camera
     depth, top = finger_depth(surface)

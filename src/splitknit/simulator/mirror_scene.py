@@ -19,7 +19,7 @@ from splitknit.simulator.light.renderer import (
     render_ambient,
     render_lights,
 )
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.mirror_view import Coverage, Light, ReflectedView, lights_of, outline_coverage
 from splitknit.simulator.rigs import HolderProfile, MirrorSettings
 from splitknit.simulator.scene import (
@@ -33,7 +33,7 @@ from splitknit.simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class MirrorScene:
 
     def __init__(
         self,
-        subject: tuple[Surface, Rig, SkinSettings],
+        subject: tuple[FingerSurface, Rig, SkinOptics],
         seen: Sequence[ReflectedView],
         settings: TwinSettings,
         seed: np.random.SeedSequence,
@@ -115,7 +115,7 @@ class MirrorScene:
         band = self.front.take(name, [(k,) for k in members], shoot, ambient * exposure, seed)
         return band, glare, np.array(float(exposure))
 
-    def _render(self, surface: Surface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
+    def _render(self, surface: FingerSurface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
         """Light of a finger, or its reflection, in as many images as there are groups of `lights`.
 
         With one light without a gate in each group it is that of
@@ -202,7 +202,11 @@ class MirrorScene:
 
 
 def _put(
-    frame: FloatArray, surface: Surface, window: tuple[slice, slice], diffuse: FloatArray, glare: FloatArray | None
+    frame: FloatArray,
+    surface: FingerSurface,
+    window: tuple[slice, slice],
+    diffuse: FloatArray,
+    glare: FloatArray | None,
 ) -> None:
     """Write the light of a finger (C, h, w) over `frame` (H, W, 3) where the finger is seen, in place."""
     mask, some = surface.mask[window], frame[window]

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, Capture, Mirror, Rig
 from splitknit.simulator.camera.lens import picture_on_plane
-from splitknit.simulator.finger.finger import Finger, Pose, PoseRanges, finger_surface, placement_of
+from splitknit.simulator.finger.finger import FingerPose, PoseRanges, SimulatedFinger, finger_surface, placement_of
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.mirror_scene import MirrorScene
 from splitknit.simulator.mirror_view import ReflectedView, as_built, mirror_view
 from splitknit.simulator.rigs import mirror_rig, stop_y_mm
@@ -51,9 +51,9 @@ def rig_with_mirrors(settings: TwinSettings) -> Rig:
     return replace(rig, leds=leds, mirrors=mirrors)
 
 
-def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator) -> Pose:
+def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator) -> FingerPose:
     """Draw a pose as without mirrors, but with the tip at its stop."""
-    if isinstance(settings.pose, Pose):
+    if isinstance(settings.pose, FingerPose):
         return settings.pose
     ranges, views = settings.pose, settings.mirrors
     if settings.rig is None and ranges.insertion_mm == PoseRanges().insertion_mm:
@@ -68,10 +68,10 @@ def mirror_pose(settings: TwinSettings, camera: Camera, rng: np.random.Generator
 class Drawn:
     """What a seed stands for."""
 
-    finger: Finger
-    pose: Pose
+    finger: SimulatedFinger
+    pose: FingerPose
     rig: Rig
-    skin: SkinSettings
+    skin: SkinOptics
     photo_seed: np.random.SeedSequence
     """Of background and noise."""
 

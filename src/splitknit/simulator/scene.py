@@ -18,13 +18,13 @@ from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit.simulator.finger.conditions import Condition
-from splitknit.simulator.finger.finger import Pose, PoseRanges
+from splitknit.simulator.finger.finger import FingerPose, PoseRanges
 from splitknit.simulator.finger.motion import HandMotion
 from splitknit.simulator.light.lighting import finger_window, white_card
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
-from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit.simulator.rigs import MirrorSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 BACKGROUND_MM = 10.0
 """Distance of the background below the finger plane."""
@@ -120,9 +120,9 @@ class TwinSettings(Checked):
     """Seed of the LEDs' individual intensities; None makes them equal."""
     intensity_spread: float = 0.1
     """Standard deviation of the LEDs' intensities."""
-    skin: SkinSettings | SkinRanges = field(default_factory=SkinRanges)
+    skin: SkinOptics | SkinRanges = field(default_factory=SkinRanges)
     """The skin itself, or the ranges from which each finger's is drawn."""
-    pose: Pose | PoseRanges = field(default_factory=PoseRanges)
+    pose: FingerPose | PoseRanges = field(default_factory=PoseRanges)
     """The pose itself, or the ranges from which each impression's is drawn."""
     render: RenderSettings = field(default_factory=RenderSettings)
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
@@ -165,7 +165,7 @@ class TwinSettings(Checked):
 # What is known about a capture, as plain arrays by name.
 
 
-def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
+def surface_truth(surface: FingerSurface) -> dict[str, NDArray[Any]]:
     """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and y, and its lens."""
     truth: dict[str, NDArray[Any]] = {
         "height_mm": surface.height_mm,
@@ -182,7 +182,7 @@ def surface_truth(surface: Surface) -> dict[str, NDArray[Any]]:
     return truth | _flat("landmark", surface.landmarks)
 
 
-def optics_truth(skin: SkinSettings) -> dict[str, NDArray[Any]]:
+def optics_truth(skin: SkinOptics) -> dict[str, NDArray[Any]]:
     """Return the coefficients by channel, in the order red, green, blue, NIR, and the parameters they come from."""
     media = [skin.channel(channel) for channel in CHANNELS]
     truth: dict[str, NDArray[Any]] = {
@@ -213,7 +213,7 @@ class Scene:
 
     def __init__(
         self,
-        subject: tuple[Surface, Rig, SkinSettings],
+        subject: tuple[FingerSurface, Rig, SkinOptics],
         settings: TwinSettings,
         rng: np.random.Generator,
     ) -> None:
@@ -429,7 +429,7 @@ def take_capture(
     return Capture(rig=rig, bands=bands, encoding=encoding, material="skin", subject={"id": "anonymous"})
 
 
-def finger_depth(surface: Surface) -> tuple[FloatArray, float]:
+def finger_depth(surface: FingerSurface) -> tuple[FloatArray, float]:
     """(H, W) z of the finger's shape in mm, and that of its highest point.
 
     Beyond the outline that of the outline goes on: the dark background shows no blur of its own.

@@ -21,12 +21,12 @@ from splitknit.io.targets import check_capture
 from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Progress, Rig, default_rig, no_progress
 from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
-from splitknit.simulator.finger.finger import Finger, Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
 from splitknit.simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
-from splitknit.simulator.light.skin import BAND_CHANNELS, SkinSettings
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics
 from splitknit.simulator.mirror_twin import Drawn, mirror_pose, photograph_between_mirrors, rig_with_mirrors
 from splitknit.simulator.rigs import coloured_rig
 from splitknit.simulator.scene import (
@@ -40,7 +40,7 @@ from splitknit.simulator.scene import (
     surface_truth,
     take_capture,
 )
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
@@ -130,7 +130,7 @@ def simulate_capture(
     settings: TwinSettings | Mapping[str, Any] | None = None,
     *,
     impression: int = 0,
-    finger: Finger | None = None,
+    finger: SimulatedFinger | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Simulate one capture of one person's finger.
 
@@ -180,9 +180,9 @@ def simulate_capture(
 class _LaidDown:
     """A finger under a rig."""
 
-    surface: Surface
+    surface: FingerSurface
     rig: Rig
-    skin: SkinSettings
+    skin: SkinOptics
     photo_seed: np.random.SeedSequence
     """Of background and noise."""
 
@@ -193,7 +193,7 @@ def lay_down(
     settings: TwinSettings | None = None,
     *,
     impression: int = 0,
-    finger: Finger | None = None,
+    finger: SimulatedFinger | None = None,
 ) -> _LaidDown:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
@@ -208,7 +208,9 @@ def lay_down(
     return _LaidDown(surface, drawn.rig, skin, drawn.photo_seed)
 
 
-def _drawn(seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None) -> Drawn:
+def _drawn(
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
+) -> Drawn:
     """Draw what a seed stands for."""
     require(seed >= 0 and impression >= 0, "seed and impression must not be negative.")
     between = settings.between_mirrors
@@ -219,9 +221,9 @@ def _drawn(seed: int, pattern: str | None, settings: TwinSettings, impression: i
     finger = finger or draw_finger(seed, pattern)
     person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
-    skin = settings.skin if isinstance(settings.skin, SkinSettings) else settings.skin.draw(person)
+    skin = settings.skin if isinstance(settings.skin, SkinOptics) else settings.skin.draw(person)
     pose_rng = np.random.default_rng(pose_seed)
-    if isinstance(settings.pose, Pose):
+    if isinstance(settings.pose, FingerPose):
         pose = settings.pose
     else:
         pose = mirror_pose(settings, rig.camera, pose_rng) if between else settings.pose.draw(pose_rng, rig.camera)
@@ -229,9 +231,9 @@ def _drawn(seed: int, pattern: str | None, settings: TwinSettings, impression: i
 
 
 def photograph(
-    surface: Surface,
+    surface: FingerSurface,
     rig: Rig,
-    skin: SkinSettings,
+    skin: SkinOptics,
     seed: np.random.SeedSequence,
     *,
     settings: TwinSettings | None = None,
@@ -271,7 +273,7 @@ def photograph(
 
 
 def _photograph_moving(
-    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: Finger | None
+    seed: int, pattern: str | None, settings: TwinSettings, impression: int, finger: SimulatedFinger | None
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
     """Photograph a finger that moves from shot to shot, the white band first.
 
@@ -399,7 +401,7 @@ class FingerScene:
         settings: TwinSettings | None = None,
         *,
         impression: int = 0,
-        finger: Finger | None = None,
+        finger: SimulatedFinger | None = None,
     ) -> None:
         """Lay a finger down.
 
@@ -420,8 +422,8 @@ class FingerScene:
         laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         self.settings = settings
         self.rig: Rig = laid.rig
-        self.skin: SkinSettings = laid.skin
-        self.surface: Surface = laid.surface
+        self.skin: SkinOptics = laid.skin
+        self.surface: FingerSurface = laid.surface
         rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, _Rendered] = {}

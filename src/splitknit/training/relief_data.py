@@ -27,9 +27,9 @@ from splitknit.settings import Limits
 from splitknit.simulator.camera.sensor import record
 from splitknit.simulator.finger.finger import PoseRanges, finger_surface
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_band
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
@@ -252,9 +252,9 @@ def _white_rig(rng: np.random.Generator, scale: float, data: ReliefData) -> Rig:
 
 
 def _piece(  # noqa: PLR0917
-    surface: Surface,
+    surface: FingerSurface,
     window: tuple[slice, slice],
-    scene: tuple[SkinSettings, Rig, float],
+    scene: tuple[SkinOptics, Rig, float],
     data: ReliefData,
     name: tuple[int, int],
     rng: np.random.Generator,

@@ -22,11 +22,11 @@ from splitknit.imaging.band import Window, bin_mean
 from splitknit.model import BoolArray, Capture, FloatArray, Rig
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.camera.sensor import SensorSettings
-from splitknit.simulator.finger.finger import Finger, PoseRanges, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import PoseRanges, SimulatedFinger, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings
-from splitknit.simulator.light.skin import CHANNELS, Boundary, SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import CHANNELS, Boundary, SkinOptics, SkinRanges
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import Surface, Texture
+from splitknit.simulator.surface import FingerSurface, Texture
 from splitknit.simulator.twin import master_of_print_file, photograph
 from splitknit.skin.grid import Grid
 
@@ -117,9 +117,9 @@ class SceneRanges(Checked):
                 object.__setattr__(self, name, (float(value[0]), float(value[1])))
                 require(value[0] <= value[1], f"data.{name} must be (low, high), but it is {list(value)}.")
         check_fields(self)
-        self.skin(SkinSettings())
+        self.skin(SkinOptics())
 
-    def skin(self, base: SkinSettings) -> SkinRanges:
+    def skin(self, base: SkinOptics) -> SkinRanges:
         """The simulator's own ranges around a base skin."""
         names = ("scattering_factor", "melanin", "blood", "oxygenation", "roughness", "glare", "relief_gain")
         ranges: dict[str, Any] = {name: getattr(self, name) for name in names}
@@ -133,7 +133,7 @@ class TrainingScene:
     """One finger, before it is photographed."""
 
     number: int
-    finger: Finger
+    finger: SimulatedFinger
     rig: Rig
     settings: TwinSettings
     textured_by: SceneRanges | None = None
@@ -153,7 +153,7 @@ class TrainingScene:
         }
 
 
-def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
+def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinOptics:
     """The parts of the skin that the simulator's own ranges do not draw; matt skin has no glare in it."""
     layers = np.exp(np.clip(rng.normal(0.0, data.layers_spread, 4), -1.2, 1.2))
     if rng.random() < data.blurred_share:
@@ -163,7 +163,7 @@ def draw_base(rng: np.random.Generator, data: SceneRanges) -> SkinSettings:
         boundary = Boundary(
             refraction=low + (high - low) * float(rng.random()) ** 2, entry_power=float(rng.uniform(*data.entry_power))
         )
-    return SkinSettings(
+    return SkinOptics(
         yellow_per_mm=float(rng.uniform(*data.yellow_per_mm)),
         baseline_per_mm=_log_uniform(rng, data.baseline_per_mm),
         scattering_power=float(rng.uniform(*data.scattering_power)),
@@ -183,7 +183,7 @@ def drawn_sensor(rng: np.random.Generator, data: SceneRanges) -> SensorSettings:
     return SensorSettings(full_well_e=_log_uniform(rng, data.full_well_e))
 
 
-def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> Surface:
+def textured(surface: FingerSurface, rng: np.random.Generator, data: SceneRanges) -> FingerSurface:
     """The surface with pigment at the scale of ridges, mottled blood, patches of sweat and a fixed pattern."""
     px_per_mm = surface.camera.px_per_mm
 
@@ -205,7 +205,7 @@ def textured(surface: Surface, rng: np.random.Generator, data: SceneRanges) -> S
     return replace(surface, pigment=marked, texture=Texture(gloss=gloss, blood=blood, grain=grain))
 
 
-def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> Finger:
+def draw_finger_of(number: int, rng: np.random.Generator, data: SceneRanges) -> SimulatedFinger:
     """The finger `number` with ridges of any depth in the range."""
     finger = draw_finger(number, print_settings=MasterPrintSettings(steepness=data.steepness, duty=data.duty))
     depth_um = 0.0 if rng.random() < data.ridgeless_share else float(rng.uniform(*data.ridge_depth_um))

@@ -28,8 +28,8 @@ from splitknit.simulator.camera.sensor import SensorSettings, record
 from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
 from splitknit.simulator.finger.palm import draw_palm, palm_surface
 from splitknit.simulator.light.separation import Checkerboard, Separated, checkerboard_stack, separate_truth
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.light.skin import SkinOptics, SkinRanges
+from splitknit.simulator.surface import FingerSurface
 
 _FULL_PX_PER_MM = 75.7
 _FINGER_PITCH_UM = 20.0
@@ -130,7 +130,7 @@ def enhanced_contrast(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> Fl
     return clahe(grey, px_per_mm, mask=mask)
 
 
-def drawn_surface(kind: str, index: int, seed: int, settings: SeparationData) -> Surface:
+def drawn_surface(kind: str, index: int, seed: int, settings: SeparationData) -> FingerSurface:
     """The palm or finger itself, before its camera: what :func:`photographs` takes pictures of."""
     require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
     rng = np.random.default_rng(_root(kind, index, seed).spawn(1)[0])
@@ -141,12 +141,12 @@ def _root(kind: str, index: int, seed: int) -> np.random.SeedSequence:
     return np.random.SeedSequence([seed, 0x7A, kind == "finger", index])
 
 
-def _palm(rng: np.random.Generator, settings: SeparationData) -> Surface:
+def _palm(rng: np.random.Generator, settings: SeparationData) -> FingerSurface:
     camera = Camera(px_per_mm=1000.0 / _pitch_um(rng, settings.pitch_um), image_size=settings.image_size)
     return palm_surface(draw_palm(int(rng.integers(2**31))), camera)
 
 
-def _finger(rng: np.random.Generator, settings: SeparationData) -> Surface:
+def _finger(rng: np.random.Generator, settings: SeparationData) -> FingerSurface:
     low, high = (max(pitch, _FINGER_PITCH_UM) for pitch in settings.pitch_um)
     camera = default_rig(1000.0 / _pitch_um(rng, (low, high)) / _FULL_PX_PER_MM).camera
     finger = draw_finger(int(rng.integers(2**31)))
@@ -158,7 +158,7 @@ def _pitch_um(rng: np.random.Generator, limits: tuple[float, float]) -> float:
 
 
 def _photograph(
-    surface: Surface,
+    surface: FingerSurface,
     name: tuple[str, int],
     seed: np.random.SeedSequence,
     settings: SeparationData,
@@ -193,7 +193,7 @@ def _light(rng: np.random.Generator, settings: SeparationData, camera: Camera) -
     return Led("white", position_mm=position)
 
 
-def _through_patterns(surface: Surface, led: Led, skin: SkinSettings, light: Separated) -> FloatArray:
+def _through_patterns(surface: FingerSurface, led: Led, skin: SkinOptics, light: Separated) -> FloatArray:
     """Direct light (3, h, w) from 25 shifted checkerboards, L_max - L_min of the noise-free images."""
     pattern = Checkerboard(light.check_mm, steps=5, alpha=0.5, dark=0.0)
     stack = checkerboard_stack(surface, led, skin, pattern).transpose(0, 2, 3, 1)
@@ -206,7 +206,7 @@ def _through_patterns(surface: Surface, led: Led, skin: SkinSettings, light: Sep
 
 
 def _record(
-    light: Separated, surface: Surface, sensor: SensorSettings, seed: np.random.SeedSequence, enhance: Enhance
+    light: Separated, surface: FingerSurface, sensor: SensorSettings, seed: np.random.SeedSequence, enhance: Enhance
 ) -> NDArray[np.float16]:
     """Photograph the white light, noise and clipping included, and bring image and direct light to one scale."""
     mask, px_per_mm = surface.mask[light.window], surface.camera.px_per_mm

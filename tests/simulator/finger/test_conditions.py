@@ -20,7 +20,7 @@ from splitknit.simulator.finger.conditions import (
     _water_of,
     conditioned_surface,
 )
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrintSettings, master_print
 from splitknit.simulator.light.coat import (
     DENSITY_MG_PER_MM3,
@@ -30,14 +30,14 @@ from splitknit.simulator.light.coat import (
     stamp,
 )
 from splitknit.simulator.light.renderer import RenderSettings, render_band
-from splitknit.simulator.light.skin import Medium, SkinSettings, fresnel
+from splitknit.simulator.light.skin import Medium, SkinOptics, fresnel
 from splitknit.simulator.surface import WATER, Coat, Film, Grains
 from surfaces import ridged_egg
 
 SMALL = MasterPrintSettings(half_width_mm=6, distal_mm=20, proximal_mm=2)
 CAMERA = Camera(12.0, (260, 280))
-POSE = Pose(insertion_mm=20.0)
-SKIN = SkinSettings()
+POSE = FingerPose(insertion_mm=20.0)
+SKIN = SkinOptics()
 
 
 @pytest.fixture(scope="module")

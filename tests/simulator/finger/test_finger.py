@@ -8,30 +8,37 @@ from scipy import ndimage
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera
-from splitknit.simulator.finger.finger import FREQUENCIES, Finger, Pose, draw_finger, finger_surface, placement_of
+from splitknit.simulator.finger.finger import (
+    FREQUENCIES,
+    FingerPose,
+    SimulatedFinger,
+    draw_finger,
+    finger_surface,
+    placement_of,
+)
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 from splitknit.simulator.finger.skin_map import FlexionCrease, SkinRelief
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
-POSE = Pose(yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5)
+POSE = FingerPose(yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5)
 CAMERA = Camera(20.0, (840, 580))
 SMALL = Camera(10.0, (420, 290))
 
 
 @pytest.fixture(scope="module")
-def finger() -> Finger:
+def finger() -> SimulatedFinger:
     return draw_finger(2, "left_loop", print_settings=SHORT)
 
 
 @pytest.fixture(scope="module")
-def master(finger: Finger) -> MasterPrint:
+def master(finger: SimulatedFinger) -> MasterPrint:
     return finger.master()
 
 
 @pytest.fixture(scope="module")
-def seen(finger: Finger, master: MasterPrint) -> Surface:
+def seen(finger: SimulatedFinger, master: MasterPrint) -> FingerSurface:
     return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
@@ -98,7 +105,7 @@ def test_the_chart_is_symmetric() -> None:
     np.testing.assert_allclose(v_left, v, atol=1e-12)
 
 
-def test_every_pixel_lies_on_the_skin(seen: Surface, finger: Finger) -> None:
+def test_every_pixel_lies_on_the_skin(seen: FingerSurface, finger: SimulatedFinger) -> None:
     """Relief is the distance from the smooth shape: on flat parts, the difference of heights times the cosine."""
     assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
     assert np.array_equal(np.isfinite(seen.height_mm), seen.mask)
@@ -118,7 +125,7 @@ def test_every_pixel_lies_on_the_skin(seen: Surface, finger: Finger) -> None:
     assert -1.4 * finger.skin.ridge_depth_um < np.percentile(ridges, 3) < -0.6 * finger.skin.ridge_depth_um
 
 
-def test_normals_are_those_of_the_heights(seen: Surface, finger: Finger, master: MasterPrint) -> None:
+def test_normals_are_those_of_the_heights(seen: FingerSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
     """A camera of 100 times the scale looks at single spots: finite differences of its heights give the normals.
 
     The finger is shifted so that the spot lies on the small camera's axis.
@@ -142,7 +149,7 @@ def test_normals_are_those_of_the_heights(seen: Surface, finger: Finger, master:
             assert angle < 0.6, (row, column, angle)
 
 
-def test_shape_normals_are_those_of_the_shape(seen: Surface) -> None:
+def test_shape_normals_are_those_of_the_shape(seen: FingerSurface) -> None:
     z = seen.shape_mm.astype(np.float64)
     slope_x = np.gradient(z, axis=1) * CAMERA.px_per_mm
     slope_y = -np.gradient(z, axis=0) * CAMERA.px_per_mm
@@ -157,13 +164,13 @@ def test_shape_normals_are_those_of_the_shape(seen: Surface) -> None:
     assert (seen.normals[seen.mask][:, 2] > 0).all()
 
 
-def test_smooth_shape_has_no_staircase(seen: Surface) -> None:
+def test_smooth_shape_has_no_staircase(seen: FingerSurface) -> None:
     rough = np.diff(seen.shape_mm[:, 290].astype(np.float64), 4)
     rough = rough[np.isfinite(rough)][60:-2]
     assert np.abs(rough).max() < 1e-5  # 10 nm, of heights that change by millimetres
 
 
-def test_the_same_finger_at_half_the_scale(finger: Finger, master: MasterPrint) -> None:
+def test_the_same_finger_at_half_the_scale(finger: SimulatedFinger, master: MasterPrint) -> None:
     """2 x 2 pixel centres surround each coarse one; the height there is their mean up to curvature."""
     flat = replace(finger, skin=replace(finger.skin, ridge_depth_um=0.0, pore_depth_um=0.0, creases=()))
     fine = finger_surface(replace(flat, printed=master), POSE, Camera(20.0, (840, 580)))
@@ -180,8 +187,8 @@ def test_the_same_finger_at_half_the_scale(finger: Finger, master: MasterPrint) 
     np.testing.assert_allclose(a.normals[1::3, 1::3][both], b.normals[both], atol=5e-3)
 
 
-def test_the_pose_is_where_it_says(finger: Finger, master: MasterPrint) -> None:
-    for pose in (Pose(), Pose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
+def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint) -> None:
+    for pose in (FingerPose(), FingerPose(roll_rad=-0.3, height_mm=-0.7, insertion_mm=28.0)):
         surface = finger_surface(replace(finger, printed=master), pose, CAMERA)
         tip = CAMERA.image_size[0] - pose.insertion_mm * CAMERA.px_per_mm
         assert surface.landmarks["tip_px"][1] == pytest.approx(tip, abs=3)
@@ -191,26 +198,26 @@ def test_the_pose_is_where_it_says(finger: Finger, master: MasterPrint) -> None:
         assert not surface.mask[0].any()
     rows = np.arange(450, 600)
 
-    def lean(surface: Surface) -> float:
+    def lean(surface: FingerSurface) -> float:
         columns = np.arange(CAMERA.image_size[1])
         middles = [columns[surface.mask[row]].mean() for row in rows]
         return float(np.arctan(np.polyfit(rows, middles, 1)[0]))
 
-    straight = lean(finger_surface(replace(finger, printed=master), Pose(), CAMERA))
-    turned = lean(finger_surface(replace(finger, printed=master), Pose(yaw_rad=0.2), CAMERA))
+    straight = lean(finger_surface(replace(finger, printed=master), FingerPose(), CAMERA))
+    turned = lean(finger_surface(replace(finger, printed=master), FingerPose(yaw_rad=0.2), CAMERA))
     assert turned - straight == pytest.approx(0.2, abs=0.02)  # the tip turns left: columns grow with the row
 
 
-def test_roll_turns_the_pad_to_the_right(finger: Finger, master: MasterPrint) -> None:
+def test_roll_turns_the_pad_to_the_right(finger: SimulatedFinger, master: MasterPrint) -> None:
     cores = [
-        finger_surface(replace(finger, printed=master), Pose(roll_rad=r), SMALL).landmarks["cores_px"][0, 0]
+        finger_surface(replace(finger, printed=master), FingerPose(roll_rad=r), SMALL).landmarks["cores_px"][0, 0]
         for r in (-0.2, 0.0, 0.2)
     ]
     assert cores[0] < cores[1] < cores[2]
 
 
-def test_the_creases_are_grooves_where_the_landmarks_say(finger: Finger, master: MasterPrint) -> None:
-    pose = Pose(insertion_mm=58.0)
+def test_the_creases_are_grooves_where_the_landmarks_say(finger: SimulatedFinger, master: MasterPrint) -> None:
+    pose = FingerPose(insertion_mm=58.0)
     camera = Camera(12.0, (744, 360))
     settings = SkinRelief(creases=(FlexionCrease(side_lines=0), FlexionCrease(v_mm=-11.5, depth_mm=0.5, side_lines=0)))
     surface = finger_surface(replace(finger, skin=settings, printed=master), pose, camera)
@@ -223,7 +230,9 @@ def test_the_creases_are_grooves_where_the_landmarks_say(finger: Finger, master:
     assert surface.landmarks["crease_px"][0][:, 1].mean() < surface.landmarks["crease_px"][1][:, 1].mean()
 
 
-def test_landmarks_show_the_chart_points_they_name(seen: Surface, finger: Finger, master: MasterPrint) -> None:
+def test_landmarks_show_the_chart_points_they_name(
+    seen: FingerSurface, finger: SimulatedFinger, master: MasterPrint
+) -> None:
     body = FingerBody(finger.shape)
     named = np.concatenate([master.cores_mm, master.deltas_mm])
     pixels = np.concatenate([seen.landmarks["cores_px"], seen.landmarks["deltas_px"]])
@@ -236,13 +245,13 @@ def test_landmarks_show_the_chart_points_they_name(seen: Surface, finger: Finger
     assert 60 < len(seen.landmarks["minutiae_px"]) < 250
 
 
-def test_without_a_crease_in_view_there_is_no_landmark(finger: Finger, master: MasterPrint) -> None:
-    surface = finger_surface(replace(finger, printed=master), Pose(insertion_mm=20.0), SMALL)
+def test_without_a_crease_in_view_there_is_no_landmark(finger: SimulatedFinger, master: MasterPrint) -> None:
+    surface = finger_surface(replace(finger, printed=master), FingerPose(insertion_mm=20.0), SMALL)
     assert all(len(line) == 0 for line in surface.landmarks["crease_px"])
     assert np.isfinite(surface.landmarks["tip_px"]).all()
 
 
-def test_workers_do_not_change_the_result(finger: Finger, master: MasterPrint, seen: Surface) -> None:
+def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: FingerSurface) -> None:
     again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     assert again.height_mm.tobytes() == seen.height_mm.tobytes()
     assert again.normals.tobytes() == seen.normals.tobytes()
@@ -263,15 +272,15 @@ def test_the_population_stays_in_its_ranges() -> None:
     assert draw_finger(3, "whorl").shape == draw_finger(3, "arch").shape
 
 
-def test_bad_input_is_refused(finger: Finger, master: MasterPrint) -> None:
+def test_bad_input_is_refused(finger: SimulatedFinger, master: MasterPrint) -> None:
     wild = Camera(20.0, (840, 580), model="perspective", matrix=np.eye(3))
     with pytest.raises(BadInput, match="sees nothing"):
-        finger_surface(replace(finger, printed=master), Pose(), wild)
+        finger_surface(replace(finger, printed=master), FingerPose(), wild)
     with pytest.raises(BadInput, match="height_mm"):
-        finger_surface(replace(finger, printed=master), Pose(), replace(wild, height_mm=4.0))
+        finger_surface(replace(finger, printed=master), FingerPose(), replace(wild, height_mm=4.0))
     with pytest.raises(BadInput, match="sees nothing"):
-        finger_surface(replace(finger, printed=master), Pose(x_mm=200.0), CAMERA)
+        finger_surface(replace(finger, printed=master), FingerPose(x_mm=200.0), CAMERA)
     with pytest.raises(BadInput, match="insertion_mm"):
-        Pose(insertion_mm=-1.0)
+        FingerPose(insertion_mm=-1.0)
     with pytest.raises(BadInput, match="width_mm"):
         FingerShape(width_mm=3.0)

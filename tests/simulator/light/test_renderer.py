@@ -19,12 +19,12 @@ from splitknit.simulator.light.skin import (
     Boundary,
     ChannelOptics,
     Medium,
-    SkinSettings,
+    SkinOptics,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import Surface, Texture
+from splitknit.simulator.surface import FingerSurface, Texture
 from surfaces import plane, ridged_egg
 
 OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
@@ -38,7 +38,7 @@ def egg():
 
 
 def _all_channels():
-    return [SkinSettings().channel(c) for c in CHANNELS]
+    return [SkinOptics().channel(c) for c in CHANNELS]
 
 
 def test_flat_even_skin_reflects_its_albedo():
@@ -142,7 +142,7 @@ def test_near_light_falls_with_distance_and_lobe():
 
 def test_relief_term_brightens_ridges(egg):
     """Under even light from everywhere above, ridges are brighter than valleys by 1 + k h."""
-    medium = SkinSettings().channel("blue")
+    medium = SkinOptics().channel("blue")
     with_term = render_ambient(egg, 1.0, Medium([medium], 0.25))
     without = render_ambient(egg, 1.0, Medium([replace(medium, relief_gain_per_um=0.0)], 0.25))
     inside = with_term[0] > 0
@@ -158,7 +158,7 @@ def test_skin_goes_on_beyond_the_picture():
     surface = plane((96, 128))
     mask = surface.mask.copy()
     mask[:, :40] = mask[:, 88:] = False
-    image = render_band(replace(surface, mask=mask), [OVERHEAD], Medium([SkinSettings().channel("nir")], 0.25, 0))
+    image = render_band(replace(surface, mask=mask), [OVERHEAD], Medium([SkinOptics().channel("nir")], 0.25, 0))
     column = image.diffuse[0, 0][:, image.diffuse.shape[3] // 2]
     assert column[0] == pytest.approx(column[48], rel=0.02)
 
@@ -195,7 +195,7 @@ def test_a_finger_outside_the_picture_is_refused():
         RenderSettings(workers=0)
 
 
-def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264) -> Surface:
+def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264) -> FingerSurface:
     """A plane that is tilted about y by its slope along x, with a wave of `height` (mm) every 0.45 mm across x."""
     x = (np.arange(size) - size / 2) * pitch_mm
     period = 0.45
@@ -209,7 +209,7 @@ def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float =
     def full(row: np.ndarray) -> np.ndarray:
         return np.broadcast_to(row, (size, size)).astype(np.float32).copy()
 
-    return Surface(
+    return FingerSurface(
         camera=Camera(1 / pitch_mm, (size, size)),
         height_mm=full(slope * x + relief),
         shape_mm=full(slope * x),
@@ -221,7 +221,7 @@ def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float =
     )
 
 
-def _diffuse(surface: Surface, led: Led, boundary: Boundary | None) -> np.ndarray:
+def _diffuse(surface: FingerSurface, led: Led, boundary: Boundary | None) -> np.ndarray:
     media = [replace(one, relief_gain_per_um=0.0) for one in _all_channels()[:3]]
     settings = RenderSettings(rim_exponent=0.0, reach_mm=1.0)
     image = render_band(surface, [led], Medium(media, 0.25, 0.0, boundary), settings)
@@ -235,7 +235,7 @@ def test_ridges_flatten_a_slope_in_a_blurred_image_only(slope):
     ridged = _wave(slope)
     smooth = replace(ridged, normals=ridged.shape_normals, height_mm=ridged.shape_mm)
 
-    def contrast(surface: Surface, blurred: bool) -> float:
+    def contrast(surface: FingerSurface, blurred: bool) -> float:
         boundary = Boundary(blurred=blurred, entry_power=0.0)
         near, far = (float(_diffuse(surface, led, boundary).mean()) for led in leds)
         return (near - far) / (near + far)
@@ -328,7 +328,7 @@ def test_light_beside_a_cylinder_is_that_of_random_walks_in_it():
     """On the side away from the LED, where a blurred image has a third too much; the walks share no code with it."""
     with scripts_of(VALIDATION / "twin") as script:
         volume = script("volume")
-        optics = SkinSettings().channel("red")
+        optics = SkinOptics().channel("red")
         led = Led("white", position_mm=volume.LIGHTS[0])
         settings = RenderSettings(reach_mm=20.0)
 

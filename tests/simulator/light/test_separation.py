@@ -24,14 +24,14 @@ from splitknit.simulator.light.skin import (
     Boundary,
     ChannelOptics,
     Medium,
-    SkinSettings,
+    SkinOptics,
     diffusion_profile,
 )
 from surfaces import plane, ridged_egg
 
 LED = default_rig().leds[1]
 COAXIAL = Led("white", direction=(0.0, 0.0, 1.0))
-SKIN = SkinSettings()
+SKIN = SkinOptics()
 OPAQUE = Medium([ChannelOptics(1e6, 1e5, relief_gain_per_um=0.0)], SKIN.roughness, SKIN.glare)
 SHORT = RenderSettings(reach_mm=3.0)
 

@@ -15,8 +15,8 @@ from splitknit.simulator.light.skin import (
     CHANNELS,
     RADIUS_EDGES,
     Boundary,
+    SkinOptics,
     SkinRanges,
-    SkinSettings,
     diffuse_transmittance,
     diffusion_profile,
     fresnel,
@@ -34,7 +34,7 @@ def maker():
 
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_defaults_give_the_measured_coefficients(channel):
-    optics = SkinSettings().channel(channel)
+    optics = SkinOptics().channel(channel)
     scattering, absorption = REFERENCE[channel]
     assert optics.scattering_per_mm == pytest.approx(scattering, rel=0.01)
     assert optics.absorption_per_mm == pytest.approx(absorption, rel=0.1)
@@ -52,17 +52,17 @@ def test_brightness_of_heights_follows_the_reference_walks():
 
 
 def test_melanin_and_blood_absorb_where_they_should():
-    light, dark = SkinSettings(melanin=0.0002), SkinSettings(melanin=0.02)
+    light, dark = SkinOptics(melanin=0.0002), SkinOptics(melanin=0.02)
     rise = {c: dark.channel(c).absorption_per_mm - light.channel(c).absorption_per_mm for c in CHANNELS}
     assert rise["blue"] > rise["green"] > rise["red"] > rise["nir"] > 0
-    pale, flushed = SkinSettings(blood=0.003), SkinSettings(blood=0.012)
+    pale, flushed = SkinOptics(blood=0.003), SkinOptics(blood=0.012)
     ratio = {c: flushed.channel(c).absorption_per_mm / pale.channel(c).absorption_per_mm for c in CHANNELS}
     assert ratio["green"] > 2 > ratio["red"] > 1
 
 
 def test_settings_and_ranges_are_checked():
     with pytest.raises(BadInput, match="melanin"):
-        SkinSettings(melanin=0.3)
+        SkinOptics(melanin=0.3)
     with pytest.raises(BadInput, match="glare"):
         SkinRanges(glare=(2.0, 1.0))
 

@@ -11,7 +11,7 @@ import pytest
 from splitknit.capture import enrolment
 from splitknit.errors import BadInput
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, finger_surface
 from splitknit.simulator.population.people import DIGITS, FINGERS, PeopleRanges, class_fractions, draw_person
 from splitknit.simulator.population.sessions import (
     LARGE,
@@ -180,8 +180,10 @@ def test_a_roll_changes_the_outline_and_turns_the_print_with_it(people):
     own = people[3].fingers["right_index"].finger
     camera = default_rig(0.15).camera
     master = own.master()
-    still = finger_surface(replace(own, printed=master), Pose(insertion_mm=26.0), camera)
-    rolled = finger_surface(replace(own, printed=master), Pose(insertion_mm=26.0, roll_rad=np.deg2rad(15)), camera)
+    still = finger_surface(replace(own, printed=master), FingerPose(insertion_mm=26.0), camera)
+    rolled = finger_surface(
+        replace(own, printed=master), FingerPose(insertion_mm=26.0, roll_rad=np.deg2rad(15)), camera
+    )
     overlaps = []
     for shift in range(-20, 21):
         moved = np.roll(rolled.mask, shift, axis=1)

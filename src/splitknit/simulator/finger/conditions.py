@@ -14,13 +14,13 @@ from scipy import ndimage
 from splitknit.errors import require
 from splitknit.model import BoolArray, Camera, FloatArray
 from splitknit.settings import Checked, Limits
-from splitknit.simulator.finger.finger import Finger, Pose, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.ridges import smooth_noise
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
 from splitknit.simulator.light.coat import draw_grains, stamp
-from splitknit.simulator.light.skin import CHANNELS, SkinSettings, diffusion_profile
-from splitknit.simulator.surface import Coat, Film, Surface
+from splitknit.simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
+from splitknit.simulator.surface import Coat, Film, FingerSurface
 
 Array = NDArray[np.float64]
 
@@ -234,7 +234,7 @@ def _parabolic(values: Array, pitch_mm: float, radius_mm: float, reach: int, sig
 # From the map of the skin to the picture: values at the points that the camera sees, and directions in space.
 
 
-def _on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
+def _on_chart(values: Array, surface: FingerSurface, laid: SkinMap) -> FloatArray:
     """(H, W) values of the skin's map at the points of the picture, zero beside the finger."""
     assert surface.chart is not None
     chart = np.nan_to_num(surface.chart).astype(np.float64)
@@ -243,7 +243,7 @@ def _on_chart(values: Array, surface: Surface, laid: SkinMap) -> FloatArray:
     return np.asarray(np.where(surface.mask, found, 0.0), dtype=np.float32)
 
 
-def _ridges_in_space(angle_rad: Array, surface: Surface, master: MasterPrint) -> FloatArray:
+def _ridges_in_space(angle_rad: Array, surface: FingerSurface, master: MasterPrint) -> FloatArray:
     """(H, W, 3) unit vectors along the ridges, in the skin's surface.
 
     A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes the ridges' direction
@@ -326,15 +326,15 @@ class Condition(Checked):
 
 
 def conditioned_surface(  # noqa: PLR0917
-    finger: Finger,
-    pose: Pose,
+    finger: SimulatedFinger,
+    pose: FingerPose,
     camera: Camera,
-    skin: SkinSettings,
+    skin: SkinOptics,
     condition: Condition,
     seed: np.random.SeedSequence,
     *,
     workers: int = 2,
-) -> Surface:
+) -> FingerSurface:
     """Show a posed finger whose skin is in some condition, with its coat.
 
     Parameters
@@ -402,7 +402,7 @@ def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | Non
     return replace(skin, coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"), pigment=pigment)
 
 
-def _wet(surface: Surface, water: Surface, skin: SkinSettings, severity: float) -> Coat:
+def _wet(surface: FingerSurface, water: FingerSurface, skin: SkinOptics, severity: float) -> Coat:
     mask = surface.mask & water.mask
     thickness = np.where(mask, water.relief_um - surface.relief_um, 0.0)
     fraction = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)  # a micrometre covers skin's own roughness
@@ -415,7 +415,7 @@ def _wet(surface: Surface, water: Surface, skin: SkinSettings, severity: float) 
 
 
 def _weathered(
-    surface: Surface, laid: SkinMap, weathered: _Weathered, skin: SkinSettings, condition: Condition
+    surface: FingerSurface, laid: SkinMap, weathered: _Weathered, skin: SkinOptics, condition: Condition
 ) -> Coat:
     fraction = _on_chart(weathered.fraction, surface, laid)
     if condition.kind == "dry":
@@ -429,22 +429,22 @@ def _weathered(
     return Coat("scarred", condition.severity, fraction, smooth.astype(np.float32), tint=tint)
 
 
-def _bounded(skin: SkinSettings, name: str, factor: float) -> float:
+def _bounded(skin: SkinOptics, name: str, factor: float) -> float:
     most = {"blood": 0.1, "scattering_factor": 3.0, "melanin": 0.05}[name]
     return min(factor * float(getattr(skin, name)), most)
 
 
-def _tint(skin: SkinSettings, other: SkinSettings) -> dict[str, float]:
+def _tint(skin: SkinOptics, other: SkinOptics) -> dict[str, float]:
     """Diffuse reflectance of another medium over that of the skin, for every channel."""
 
-    def albedo(settings: SkinSettings, name: str) -> float:
+    def albedo(settings: SkinOptics, name: str) -> float:
         optics = settings.channel(name)  # type: ignore[arg-type]
         return float(diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm).albedo)
 
     return {name: albedo(other, name) / albedo(skin, name) for name in CHANNELS}
 
 
-def _glossy(surface: Surface, master: MasterPrint, skin: SkinSettings, severity: float) -> Coat:
+def _glossy(surface: FingerSurface, master: MasterPrint, skin: SkinOptics, severity: float) -> Coat:
     """Sebum that was wiped along the ridges: smooth along them, less so across.
 
     Along the ridges alpha falls to 0.05, across them by two fifths.

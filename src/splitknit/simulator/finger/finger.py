@@ -18,7 +18,7 @@ from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSett
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 from splitknit.simulator.finger.skin_map import FlexionCrease, SkinMap, SkinRelief, skin_map
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ FREQUENCIES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Finger:
+class SimulatedFinger:
     """Everything of one finger that does not depend on its pose."""
 
     seed: int
@@ -53,7 +53,7 @@ class Finger:
 
 
 @dataclass(frozen=True, slots=True)
-class Pose(Checked):
+class FingerPose(Checked):
     """How a finger lies under the camera. It enters from the lower image border, tip towards row 0.
 
     The finger turns about its axis (roll), then about x (pitch), then about the camera's axis (yaw).
@@ -178,7 +178,9 @@ def relief_of(trait: Callable[[str], float], creases: tuple[FlexionCrease, ...])
     )
 
 
-def draw_finger(seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None) -> Finger:
+def draw_finger(
+    seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None
+) -> SimulatedFinger:
     """Draw one finger of the population.
 
     Parameters
@@ -218,26 +220,25 @@ def draw_finger(seed: int, pattern: str | None = None, *, print_settings: Master
     v_mm = -around(23.0, 1.5, 19.5, 26.0, shared=0.7)
     second = crease_of(trait, "second", v_mm, lambda: int(rng.integers(1, 5)))
     skin = relief_of(trait, (first, second))
-    return Finger(seed, pattern, shape, skin, print_settings or MasterPrintSettings())
+    return SimulatedFinger(seed, pattern, shape, skin, print_settings or MasterPrintSettings())
 
 
 def finger_surface(
-    finger: Finger,
-    pose: Pose,
+    finger: SimulatedFinger,
+    pose: FingerPose,
     camera: Camera,
     *,
     workers: int = 2,
     skin: SkinMap | None = None,
-) -> Surface:
+) -> FingerSurface:
     """Show one posed finger to a camera.
 
     The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
     through the pixels, lens distortion included. Every pixel's ray is intersected with the smooth body and then with
     the displaced skin (distance from the body equal to the displacement at that point of the chart); normals are the
     gradient of that implicit skin, so they are those of the heights, exact at steep slants too, not differences of
-    neighbours. The finger's frame and the pose are
-    those of :class:`Pose` and :mod:`splitknit.simulator.finger.shape`; a print made of this finger is the mirror image
-    of what the camera sees.
+    neighbours. The finger's frame and the pose are those of :class:`FingerPose` and
+    :mod:`splitknit.simulator.finger.shape`; a print made of this finger is the mirror image of what the camera sees.
 
     Parameters
     ----------
@@ -265,7 +266,7 @@ def finger_surface(
     return replace(surface, landmarks=_find_landmarks(finger, pose, surface, skin))
 
 
-def placement_of(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
+def placement_of(body: FingerBody, pose: FingerPose, camera: Camera) -> Placement:
     """Turn and shift a finger: its tip at the insertion length, the pad's highest point at the pose's height."""
     shape = body.shape
     rotation = pose.rotation()
@@ -288,7 +289,7 @@ def placement_of(body: FingerBody, pose: Pose, camera: Camera) -> Placement:
 # What the simulated finger knows about itself, in pixels.
 
 
-def _find_landmarks(finger: Finger, pose: Pose, surface: Surface, skin: SkinMap) -> dict[str, Any]:
+def _find_landmarks(finger: SimulatedFinger, pose: FingerPose, surface: FingerSurface, skin: SkinMap) -> dict[str, Any]:
     """Collect landmarks; pixel positions are (column, row), NaN or absent where not in view."""
     mask, chart, master, camera = surface.mask, surface.chart, finger.master(), surface.camera
     assert chart is not None
@@ -368,7 +369,7 @@ class _Lattice:
         return here, along_x, along_y
 
 
-def _tip(mask: BoolArray, pose: Pose) -> Array:
+def _tip(mask: BoolArray, pose: FingerPose) -> Array:
     """(column, row) of the outline's farthest point along the finger."""
     top = np.argmax(mask, axis=0)
     columns = np.nonzero(mask.any(axis=0))[0]
@@ -403,14 +404,14 @@ class PoseRanges:
             low, high = getattr(self, name)
             require(bool(np.isfinite([low, high]).all()) and low <= high, f"pose range {name} must be (low, high).")
 
-    def draw(self, rng: np.random.Generator, camera: Camera) -> Pose:
+    def draw(self, rng: np.random.Generator, camera: Camera) -> FingerPose:
         """Return one pose; every range takes one number from `rng`, in a fixed order."""
         yaw, pitch, roll, x, insertion, height = (
             float(low + (high - low) * rng.random())
             for low, high in (self.yaw_deg, self.pitch_deg, self.roll_deg, self.x_mm, self.insertion_mm, self.height_mm)
         )
         _, lower, upper = picture_on_plane(camera)
-        return Pose(
+        return FingerPose(
             yaw_rad=float(np.deg2rad(yaw)),
             pitch_rad=float(np.deg2rad(pitch)),
             roll_rad=float(np.deg2rad(roll)),

@@ -18,11 +18,11 @@ from splitknit.model import Camera
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.deformation import Deformation, deformed, draw_deformation
-from splitknit.simulator.finger.finger import Finger, Pose, finger_surface, placement_of
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface, placement_of
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.raycast import Placement
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.surface import Surface
+from splitknit.simulator.surface import FingerSurface
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ class HandMotion(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionPath:
+class _MotionPath:
     """Where the finger is in each of N shots, against the reference shot, whose values are zero."""
 
     time_s: Array
@@ -74,7 +74,7 @@ class MotionPath:
     reference: int
 
 
-def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> MotionPath:
+def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> _MotionPath:
     """Draw a path.
 
     `rng`: of the path; `shots`: N, in the order in which they are taken; `settings`: of the motion; `reference`: shot
@@ -100,7 +100,7 @@ def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, refere
         return np.asarray(values - values[reference])
 
     turned = np.deg2rad(settings.amplitude_mm)
-    return MotionPath(
+    return _MotionPath(
         time_s=time,
         shift_mm=against(path * scale),
         speed_mm_per_s=speed * scale,
@@ -132,15 +132,15 @@ TRUTH_STEP_MM = 0.5
 class _MovingFinger:
     """A finger, its pose in the reference shot, and its path."""
 
-    finger: Finger
-    pose: Pose
+    finger: SimulatedFinger
+    pose: FingerPose
     camera: Camera
     master: MasterPrint
-    path: MotionPath
+    path: _MotionPath
     slips: tuple[Deformation, Deformation]
     """Fields of slip whose weights are in `path.slip`; their largest shift is 1 mm."""
 
-    def pose_of(self, shot: int) -> Pose:
+    def pose_of(self, shot: int) -> FingerPose:
         """How the finger lies in a shot."""
         x, y = self.path.shift_mm[shot]
         return replace(
@@ -157,7 +157,7 @@ class _MovingFinger:
         shift = self.path.slip[shot, 0] * first.shift_mm + self.path.slip[shot, 1] * second.shift_mm
         return Deformation(first.u_mm, first.v_mm, shift)
 
-    def surfaces(self, workers: int = 2) -> Iterator[Surface]:
+    def surfaces(self, workers: int = 2) -> Iterator[FingerSurface]:
         """Yield the surface of every shot, in the order in which they are taken; the threads do not change them."""
         for shot in range(len(self.path.time_s)):
             master = self.master
@@ -166,7 +166,7 @@ class _MovingFinger:
             worn = replace(self.finger, printed=master)
             yield finger_surface(worn, self.pose_of(shot), self.camera, workers=workers)
 
-    def truth(self, reference: Surface) -> dict[str, NDArray[Any]]:
+    def truth(self, reference: FingerSurface) -> dict[str, NDArray[Any]]:
         """Arrays by name: the path, and where the skin of the reference shot lies in every other picture.
 
         ``motion_flow_px`` (N, 2, h, w): columns and rows by which the skin that the reference shows at the pixels
@@ -200,7 +200,7 @@ class _MovingFinger:
 
 
 def moving_finger(
-    finger: Finger, pose: Pose, camera: Camera, path: MotionPath, seed: np.random.SeedSequence
+    finger: SimulatedFinger, pose: FingerPose, camera: Camera, path: _MotionPath, seed: np.random.SeedSequence
 ) -> _MovingFinger:
     """Draw the motion of a finger that lies in `pose` in its reference shot.
 
@@ -218,7 +218,7 @@ def moving_finger(
     return _MovingFinger(finger, pose, camera, master, path, (first, second))
 
 
-def _points(surface: Surface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
+def _points(surface: FingerSurface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
     """x, y and z (N,) of the smooth skin at some pixels; of a perspective camera, of the skin itself."""
     camera = surface.camera
     if surface.x_mm is not None and surface.y_mm is not None:

@@ -92,7 +92,7 @@ class SkinMap:
 
 
 _UNDULATION_MM = 1.6
-"""Standard deviation of the Gaussian mean behind :attr:`SkinSettings.undulation_mm`."""
+"""Standard deviation of the Gaussian mean behind :attr:`SkinRelief.undulation_mm`."""
 
 
 def skin_map(master: MasterPrint, settings: SkinRelief | None = None) -> SkinMap:

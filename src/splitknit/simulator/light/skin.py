@@ -134,7 +134,7 @@ SLOPE_LOSS: Mapping[Channel, float] = {"red": 2.3, "green": 1.65, "blue": 1.0, "
 
 
 @dataclass(frozen=True, slots=True)
-class SkinSettings(Checked):
+class SkinOptics(Checked):
     """One finger's skin. The defaults give the coefficients measured on the reference renders."""
 
     scattering_factor: Annotated[float, Limits(0.15, 3.0)] = 1.0
@@ -192,6 +192,10 @@ class SkinSettings(Checked):
         )
 
 
+SkinSettings = SkinOptics
+"""The name that it had; :mod:`splitknit.skin` has settings of that name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Medium:
     """A finger's skin as the light of one band meets it."""
@@ -215,7 +219,7 @@ class Medium:
 class SkinRanges:
     """Ranges from which one finger's skin is drawn."""
 
-    base: SkinSettings = field(default_factory=SkinSettings)
+    base: SkinOptics = field(default_factory=SkinOptics)
     """What is not drawn."""
     scattering_factor: tuple[float, float] = (0.7, 1.4)
     """Log-uniform."""
@@ -239,7 +243,7 @@ class SkinRanges:
             replace(self.base, **{name: low})
             replace(self.base, **{name: high})
 
-    def draw(self, rng: np.random.Generator) -> SkinSettings:
+    def draw(self, rng: np.random.Generator) -> SkinOptics:
         """Return the skin of one finger; every range takes one number from `rng`, in a fixed order."""
         drawn: dict[str, Any] = {}
         for name, logarithmic in (

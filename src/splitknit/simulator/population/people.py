@@ -15,11 +15,11 @@ from scipy.special import ndtr
 
 from splitknit.errors import require
 from splitknit.settings import Checked, Limits, check_fields
-from splitknit.simulator.finger.finger import TRAITS, Finger, crease_of, relief_of, shape_of
+from splitknit.simulator.finger.finger import TRAITS, SimulatedFinger, crease_of, relief_of, shape_of
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.finger.shape import FingerShape
 from splitknit.simulator.finger.skin_map import SkinRelief as ReliefSettings
-from splitknit.simulator.light.skin import SkinRanges, SkinSettings
+from splitknit.simulator.light.skin import SkinOptics, SkinRanges
 
 Five = tuple[float, float, float, float, float]
 
@@ -140,9 +140,9 @@ class OwnFinger:
     """One finger of a person."""
 
     name: str
-    finger: Finger
+    finger: SimulatedFinger
     """Shape at rest, print, relief."""
-    optics: SkinSettings
+    optics: SkinOptics
     habit_roll_deg: float
 
 
@@ -192,7 +192,7 @@ def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> P
         settings = _large_enough(settings, shape)
         fingers[name] = OwnFinger(
             name,
-            Finger(prints[place], pattern, shape, relief, settings),
+            SimulatedFinger(prints[place], pattern, shape, relief, settings),
             _own_optics(own, optics, ranges),
             float(np.clip(own.standard_normal(), -2, 2)) * ranges.habit_roll_sd_deg,
         )
@@ -277,7 +277,7 @@ def _large_enough(settings: MasterPrintSettings, shape: FingerShape) -> MasterPr
     )
 
 
-def _own_optics(rng: np.random.Generator, skin: SkinSettings, ranges: PeopleRanges) -> SkinSettings:
+def _own_optics(rng: np.random.Generator, skin: SkinOptics, ranges: PeopleRanges) -> SkinOptics:
     draws: NDArray[np.float64] = np.clip(rng.standard_normal(2), -2, 2)
     blood = skin.blood * float(np.exp(ranges.blood_own_spread * draws[0]))
     gain = skin.relief_gain * float(np.exp(ranges.relief_gain_own_spread * draws[1]))

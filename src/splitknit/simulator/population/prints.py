@@ -11,7 +11,7 @@ import numpy as np
 
 from splitknit.errors import naming, require
 from splitknit.io.provenance import file_hash
-from splitknit.simulator.finger.finger import Finger
+from splitknit.simulator.finger.finger import SimulatedFinger
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.twin import master_of_print_file
 
@@ -50,7 +50,7 @@ class RealPrints:
     of_finger: Mapping[str, RealPrint] = field(default_factory=dict)
     """By the finger's name in the world, such as ``S01/right_index``."""
 
-    def master(self, name: str, finger: Finger) -> tuple[MasterPrint, str]:
+    def master(self, name: str, finger: SimulatedFinger) -> tuple[MasterPrint, str]:
         """The master print of a finger, and the real print that it is from: '' where it is drawn.
 
         Raises

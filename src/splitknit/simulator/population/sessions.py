@@ -19,10 +19,10 @@ from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import picture_on_plane
 from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.deformation import deformed, draw_deformation
-from splitknit.simulator.finger.finger import Finger, Pose, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.light.renderer import RenderSettings
-from splitknit.simulator.light.skin import SkinSettings
+from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.population.people import FINGERS, OwnFinger, PeopleRanges, Person, draw_person
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings
 from splitknit.simulator.twin import photograph
@@ -95,7 +95,7 @@ class SessionRanges(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class Impression:
+class _Impression:
     """One finger in one session."""
 
     yaw_deg: float
@@ -122,13 +122,13 @@ class Impression:
     hand_shadow: float
     dust_per_cm2: float
 
-    def pose(self) -> Pose:
+    def pose(self) -> FingerPose:
         """How the finger lies."""
         yaw, pitch, roll = (float(np.deg2rad(angle)) for angle in (self.yaw_deg, self.pitch_deg, self.roll_deg))
-        return Pose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
+        return FingerPose(yaw, pitch, roll, self.x_mm, self.insertion_mm, self.height_mm)
 
 
-def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]) -> Impression:
+def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place: tuple[int, int, int]) -> _Impression:
     """Draw how a finger is laid down; `place`: seed of the population, number of the person, session from 1.
 
     What a person's fingers share in a session (swelling, moisture, gain of the camera) is drawn for the person.
@@ -159,7 +159,7 @@ def draw_impression(own: OwnFinger, ranges: SessionRanges, camera: Camera, place
     partial = bool(rng.random() < ranges.partial_share)
     full, short = even(ranges.insertion_mm), even(ranges.partial_insertion_mm)
     _, lower, upper = picture_on_plane(camera)
-    return Impression(
+    return _Impression(
         yaw_deg=ranges.yaw_sd_deg * normal(),
         pitch_deg=ranges.pitch_sd_deg * normal(),
         roll_deg=own.habit_roll_deg + ranges.roll_sd_deg * normal(),
@@ -278,7 +278,7 @@ def population_capture(
     return _Shown(replace(capture, rig=rig, subject=subject), truth, facts)
 
 
-def finger_of_today(finger: Finger, impression: Impression) -> Finger:
+def finger_of_today(finger: SimulatedFinger, impression: _Impression) -> SimulatedFinger:
     """The finger, swollen and pressed as in this impression, its ridges as deep as its moisture makes them."""
     shape, skin = finger.shape, finger.skin
     return replace(
@@ -296,7 +296,7 @@ def finger_of_today(finger: Finger, impression: Impression) -> Finger:
     )
 
 
-def _skin_of_today(own: OwnFinger, impression: Impression) -> SkinSettings:
+def _skin_of_today(own: OwnFinger, impression: _Impression) -> SkinOptics:
     """The optics of the finger's skin, as moist and as full of blood as in this impression."""
     return replace(
         own.optics,
@@ -316,7 +316,7 @@ def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
     return replace(rig, leds=leds)
 
 
-def _twin_settings(settings: PopulationSettings, impression: Impression) -> TwinSettings:
+def _twin_settings(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
     return TwinSettings(
         render=settings.render,
         background=BackgroundSettings(
@@ -329,7 +329,7 @@ def _twin_settings(settings: PopulationSettings, impression: Impression) -> Twin
 
 
 def _facts(
-    person: Person, own: OwnFinger, today: Finger, master: MasterPrint, impression: Impression
+    person: Person, own: OwnFinger, today: SimulatedFinger, master: MasterPrint, impression: _Impression
 ) -> dict[str, Any]:
     return {
         "sex": person.sex,
