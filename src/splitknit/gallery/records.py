@@ -300,11 +300,11 @@ def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:
     if holds_minutiae(payload):
         view = finger_view(unpack_minutiae(payload), 0, finger, impression)
         return _Item(name, "template", view=view, names=names)
-    made = template_print(unpack(payload))
+    made = _template_print(unpack(payload))
     return _Item(name, "template", PrintFile(made.image, PPI, {}, finger, impression), made=made, names=names)
 
 
-def template_print(template: Template) -> Print:
+def _template_print(template: Template) -> Print:
     """Print of 500 ppi that a template's ridges make: dark, mirrored, four grey levels made smooth, paper elsewhere.
 
     Raises

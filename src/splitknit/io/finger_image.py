@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.io.fmr_bytes import Cursor
 from splitknit.io.images import ImageSettings, decode_image
-from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
+from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
 from splitknit.io.prints import PrintFile, encode_print_png
 from splitknit.io.wsq_image import decode_wsq, encode_wsq
 
@@ -85,7 +85,7 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
         ppi in _LEVELS and same,
         "the images of a finger image record have 500 ppi, or all of them 1000; resample the prints.",
     )
-    codes = [code_of(one.finger, FINGER_CODES, "finger") for one in prints]
+    codes = [standard_code(one.finger, FINGER_CODES, "finger") for one in prints]
     of_finger, number, views = Counter(codes), Counter[int](), []
     for one, code in zip(prints, codes, strict=True):
         number[code] += 1
@@ -95,7 +95,7 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
             f"a print must be (H, W) uint8, at most 65535 pixels each way, not {one.image.shape} {one.image.dtype}.",
         )
         impression = _NEAREST.get(one.impression, one.impression)
-        kind = code_of(impression, ANSI_2004_IMPRESSIONS, "impression type")
+        kind = standard_code(impression, ANSI_2004_IMPRESSIONS, "impression type")
         data = encode_print(one.image, float(ppi), compression)
         head = (_VIEW.size + len(data), code, of_finger[code], number[code], _NO_QUALITY, kind, columns, rows, 0)
         views.append(_VIEW.pack(*head) + data)

@@ -46,7 +46,7 @@ def evaluate_to_folder(
     check_target(out, "report.json", "an earlier evaluation", form=FORMAT)
     found = evaluate_scores(files, settings, exclusions=exclusions, gallery=gallery, progress=progress)
     progress("report", 1.0)
-    html = page(found.facts, found.results)
+    html = _page(found.facts, found.results)
     with atomic_folder(out) as folder:
         for name, data in found.tables.items():
             (folder / name).write_bytes(data)
@@ -59,7 +59,7 @@ def evaluate_to_folder(
 DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 
 
-def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
+def _page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
     """Return the report of `facts`; the charts come from the scores themselves."""
     systems = facts["systems"]
     bootstrap = systems[facts["system"]]["bootstrap"]
@@ -74,15 +74,15 @@ def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
         drawn_by=DRAWN_BY,
         pictures=_pictures(results, systems),
         turned=facts["settings"]["dissimilarity"],
-        rate=rate,
+        rate=_rate,
         interval=interval,
-        change=change,
-        number=number,
+        change=_change,
+        number=_number,
         far=lambda key: f"{100 * float(key):g} %",
     )
 
 
-def rate(value: float | None) -> str:
+def _rate(value: float | None) -> str:
     """A fraction in percent: two decimals, more where it is small."""
     if value is None:
         return "-"
@@ -96,15 +96,15 @@ def interval(found: Mapping[str, float] | None) -> str:
     """A fraction with its interval."""
     if found is None:
         return "-"
-    return f"{rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
+    return f"{_rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
 
 
-def change(found: Mapping[str, float]) -> str:
+def _change(found: Mapping[str, float]) -> str:
     """A difference of fractions in percentage points, with its interval."""
     return f"{100 * found['value']:+.2f} ({100 * found['low']:+.2f} to {100 * found['high']:+.2f})"
 
 
-def number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
+def _number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
     """A plain number with its interval."""
     if found is None:
         return "-"
@@ -112,7 +112,7 @@ def number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
 
 
 def _bare(value: float) -> str:
-    return rate(value).removesuffix(" %")
+    return _rate(value).removesuffix(" %")
 
 
 def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str, list[Markup]]:
@@ -185,13 +185,15 @@ class Curve:
 
 def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | None]], lowest: float) -> Markup:
     """GAR over FAR, the latter on a logarithmic axis down to `lowest`, with bands of FAR, low and high GAR."""
-    marks = tuple((10.0**k, percent(10.0**k)) for k in range(int(np.ceil(np.log10(lowest) - 1e-9)), 1))
+    marks = tuple((10.0**k, short_percent(10.0**k)) for k in range(int(np.ceil(np.log10(lowest) - 1e-9)), 1))
     drawn = [Curve(name, *_stairs(roc.far, roc.gar), band) for name, roc, band in curves]
     least = min(float(curve.y[curve.x <= lowest].max()) for curve in drawn)
     floor = float(np.floor(min(least, 0.9) * 10) / 10)
-    y_marks = tuple((v, percent(v)) for v in _round_marks(floor, 1.0, 6))
+    y_marks = tuple((v, short_percent(v)) for v in _round_marks(floor, 1.0, 6))
     x = Axis("FAR (log), fraction of impostors accepted", lowest, 1.0, marks, np.log10)
-    return plot(drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR")
+    return plot_curves(
+        drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR"
+    )
 
 
 def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
@@ -199,10 +201,10 @@ def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     worst = max(float(np.min(np.maximum(roc.far, roc.frr))) for _, roc in curves)
     high = next(tick for tick in (0.5, 0.8, 0.95, 0.99, 0.999) if tick > worst or tick == 0.999)
     low = min(0.01, max((tick for tick in PROBIT_TICKS if tick <= max(lowest, 1e-5)), default=1e-5))
-    marks = tuple((tick, percent(tick)) for tick in PROBIT_TICKS if low <= tick <= high)
+    marks = tuple((tick, short_percent(tick)) for tick in PROBIT_TICKS if low <= tick <= high)
     drawn = [Curve(name, *_stairs(roc.far, roc.frr)) for name, roc in curves]
     axes = (Axis(label, low, high, marks, ndtri) for label in ("FAR (probit)", "FRR"))
-    return plot(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
+    return plot_curves(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
 
 
 def _histogram_chart(name: str, fractions: Histograms, threshold: float | None) -> Markup:
@@ -216,8 +218,8 @@ def _histogram_chart(name: str, fractions: Histograms, threshold: float | None) 
     steps = _round_marks(0.0, top, 5)
     x_marks = tuple((v, f"{v:g}") for v in _round_marks(float(edges[0]), float(edges[-1]), 7))
     x = Axis("score", float(edges[0]), float(edges[-1]), x_marks)
-    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, percent(v)) for v in steps))
-    return plot(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
+    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, short_percent(v)) for v in steps))
+    return plot_curves(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
 
 
 def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
@@ -226,11 +228,11 @@ def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
     floor = float(np.floor(min([*(float(rate[0]) for _, rate in curves), 0.95]) * 10) / 10)
     drawn = [Curve(name, np.arange(1.0, 1 + rate[:20].size), rate[:20]) for name, rate in curves]
     x = Axis("rank", 1.0, float(longest), tuple((float(k), str(k)) for k in _whole_marks(longest)))
-    y = Axis("found", floor, 1.0, tuple((v, percent(v)) for v in _round_marks(floor, 1.0, 6)))
-    return plot(drawn, x, y, height=260, title="CMC: identification among all", dots=True)
+    y = Axis("found", floor, 1.0, tuple((v, short_percent(v)) for v in _round_marks(floor, 1.0, 6)))
+    return plot_curves(drawn, x, y, height=260, title="CMC: identification among all", dots=True)
 
 
-def plot(
+def plot_curves(
     curves: Sequence[Curve],
     x: Axis,
     y: Axis,
@@ -283,7 +285,7 @@ def plot(
     return Markup("".join(parts) + "</svg>")
 
 
-def percent(value: float) -> str:
+def short_percent(value: float) -> str:
     """A fraction as a percentage, as short as it can be said."""
     return f"{100 * value:.6g} %"
 
