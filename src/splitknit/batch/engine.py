@@ -44,7 +44,7 @@ from splitknit.evaluation.scores import Ids, Scores, ids_of
 from splitknit.io.atomic import hold, private_modes, sweep
 from splitknit.io.csv_table import csv_text
 from splitknit.io.targets import check_file
-from splitknit.model import Progress
+from splitknit.model import Progress, no_progress
 
 _KINDS = ("finger", "subject", "session")
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
@@ -117,10 +117,6 @@ def _numbers(table: Any, column: str, compared: list[bool]) -> list[str]:
     return [repr(float(value)) if known else "" for value, known in zip(values, compared, strict=True)]
 
 
-def _no_progress(stage: str, fraction: float) -> None:
-    """Report nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Run:
     """One call of :func:`run_batch`."""
@@ -156,7 +152,7 @@ def run_batch(
     cluster: str | Cluster | None = None,
     csv: Path | None = None,
     device: str = "cpu",
-    progress: Progress = _no_progress,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Do what the store lacks; return the facts.
 

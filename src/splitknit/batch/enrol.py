@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -79,7 +79,8 @@ def enroll_population(
         unread: list[dict[str, str]] = []
         failures: list[dict[str, str]] = []
         enrolled = 0
-        for done, (place, made) in enumerate(_made(waiting, settings, workers), start=1):
+        jobs = run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
+        for done, (place, made) in enumerate(jobs, start=1):
             if isinstance(made, str):
                 unread.append({"path": str(place.path), "reason": made})
             else:
@@ -148,11 +149,6 @@ def _waiting(gallery: Gallery | None, places: Sequence[_Source], *, replace: boo
             )
             waiting.append(place)
     return waiting
-
-
-def _made(waiting: Sequence[_Source], settings: Enrolling, workers: int) -> Iterator[tuple[_Source, Made | str]]:
-    """Make all templates, in order with one worker, as they come with several."""
-    yield from run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
 
 
 def _template_of(place: _Source, settings: Enrolling) -> Made | str:

@@ -84,7 +84,8 @@ def _run(options: argparse.Namespace) -> Outcome:
 
     if options.what == "population":
         return _run_population(options)
-    _refuse_population_options(options)
+    unused = [name for name in _OPTIONS if getattr(options, name) is not None]
+    require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
     changes = read_changes(options.settings, options.assignments)
     if options.motion is not None:
         require(not options.bench, "--bench and --motion do not go together: the bench has no finger.")
@@ -190,12 +191,6 @@ def _add_population_options(verb: argparse.ArgumentParser) -> None:
         "the fingers, one print for each; with mirror images where they are too few",
     )
     group.add_argument("--workers", type=natural, metavar="N", help=f"processes (default: {DEFAULT_WORKERS})")
-
-
-def _refuse_population_options(options: argparse.Namespace) -> None:
-    """Refuse a population's options where one finger is simulated. Raises BadInput."""
-    unused = [name for name in _OPTIONS if getattr(options, name) is not None]
-    require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
 
 
 def _run_population(options: argparse.Namespace) -> Outcome:

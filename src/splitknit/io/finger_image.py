@@ -147,7 +147,7 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        found.append(_print(image, ppi, finger, _IMPRESSIONS, impression, f"{what} of {name}"))
+        found.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
     return tuple(found)
 
 
@@ -182,7 +182,7 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         )
         cursor.take(start + length - cursor.place, f"the extended data of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        found.append(_print(image, ppi, finger, ITL_IMPRESSIONS, impression, f"{what} of {name}"))
+        found.append(_print(image, ppi, finger, _impression(impression, ITL_IMPRESSIONS), f"{what} of {name}"))
     require(
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
@@ -253,12 +253,12 @@ def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: s
     return image
 
 
-def _print(  # noqa: PLR0917
-    image: NDArray[np.uint8], ppi: float, finger: int, codes: dict[str, int], impression: int, name: str
-) -> PrintFile:
-    position = name_of(finger, FINGER_CODES, f"finger position of {name}")
-    known = next((words for words, code in codes.items() if code == impression), "unknown")  # latent ones, for example
-    return PrintFile(image, ppi, {}, position, known)
+def _print(image: NDArray[np.uint8], ppi: float, finger: int, impression: str, name: str) -> PrintFile:
+    return PrintFile(image, ppi, {}, name_of(finger, FINGER_CODES, f"finger position of {name}"), impression)
+
+
+def _impression(code: int, codes: dict[str, int]) -> str:
+    return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
 
 
 def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -21,7 +21,7 @@ from splitknit.io.provenance import plain_json
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.report import render
-from splitknit.report.charts import INK, SERIES_COLOURS, text_at
+from splitknit.report.charts import SERIES_COLOURS, open_svg, round_ticks, segment, text_at
 
 if TYPE_CHECKING:
     from splitknit.evaluation.gallery_scores import GalleryScores
@@ -189,7 +189,7 @@ def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | N
     drawn = [Curve(name, *_stairs(roc.far, roc.gar), band) for name, roc, band in curves]
     least = min(float(curve.y[curve.x <= lowest].max()) for curve in drawn)
     floor = float(np.floor(min(least, 0.9) * 10) / 10)
-    y_marks = tuple((v, short_percent(v)) for v in _round_marks(floor, 1.0, 6))
+    y_marks = tuple((v, short_percent(v)) for v in round_ticks(floor, 1.0, 6))
     x = Axis("FAR (log), fraction of impostors accepted", lowest, 1.0, marks, np.log10)
     return plot_curves(
         drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR"
@@ -215,8 +215,8 @@ def _histogram_chart(name: str, fractions: Histograms, threshold: float | None) 
         for label, side in (("genuine", fractions.genuine), ("impostor", fractions.impostor))
     ]
     top = max(float(fractions.genuine.max()), float(fractions.impostor.max()))
-    steps = _round_marks(0.0, top, 5)
-    x_marks = tuple((v, f"{v:g}") for v in _round_marks(float(edges[0]), float(edges[-1]), 7))
+    steps = round_ticks(0.0, top, 5)
+    x_marks = tuple((v, f"{v:g}") for v in round_ticks(float(edges[0]), float(edges[-1]), 7))
     x = Axis("score", float(edges[0]), float(edges[-1]), x_marks)
     y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, short_percent(v)) for v in steps))
     return plot_curves(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
@@ -228,7 +228,7 @@ def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
     floor = float(np.floor(min([*(float(rate[0]) for _, rate in curves), 0.95]) * 10) / 10)
     drawn = [Curve(name, np.arange(1.0, 1 + rate[:20].size), rate[:20]) for name, rate in curves]
     x = Axis("rank", 1.0, float(longest), tuple((float(k), str(k)) for k in _whole_marks(longest)))
-    y = Axis("found", floor, 1.0, tuple((v, short_percent(v)) for v in _round_marks(floor, 1.0, 6)))
+    y = Axis("found", floor, 1.0, tuple((v, short_percent(v)) for v in round_ticks(floor, 1.0, 6)))
     return plot_curves(drawn, x, y, height=260, title="CMC: identification among all", dots=True)
 
 
@@ -252,34 +252,31 @@ def plot_curves(
     def points(xs: Values, ys: Values) -> Values:
         return np.stack([LEFT + wide * x.place(xs), top + tall * (1 - y.place(ys))], axis=1)
 
-    parts = [
-        f'<svg viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="12" fill="{INK}">'
-    ]
+    parts = [open_svg(WIDTH, height, title, 12)]
     for k, row in enumerate(rows):
         offset = float(LEFT)
         for index, label, long in row:
             level = TOP + 18 * k
-            parts.append(_segment(offset, level, offset + 22, level, COLOURS[index % 6], DASHES[index % 4], 2))
+            parts.append(segment((offset, level), (offset + 22, level), COLOURS[index % 6], DASHES[index % 4], 2))
             parts.append(text_at(offset + 27, level + 4, label, "start"))
             offset += long
     for value, words in x.marks:
         place = LEFT + wide * float(x.place(value))
-        parts.append(_segment(place, top, place, height - BOTTOM, "#e2e2e2"))
+        parts.append(segment((place, top), (place, height - BOTTOM)))
         parts.append(text_at(place, height - BOTTOM + 15, words, "middle"))
     for value, words in y.marks:
         place = top + tall * (1 - float(y.place(value)))
-        parts.append(_segment(LEFT, place, WIDTH - RIGHT, place, "#e2e2e2"))
+        parts.append(segment((LEFT, place), (WIDTH - RIGHT, place)))
         parts.append(text_at(LEFT - 5, place + 4, words, "end"))
     parts.append(text_at(LEFT + wide / 2, height - 6, x.label, "middle"))
     parts.append(text_at(6, top - 9, y.label, "start"))
     if diagonal:
-        parts.append(_segment(LEFT, height - BOTTOM, WIDTH - RIGHT, top, "#999999", "3 4"))
+        parts.append(segment((LEFT, height - BOTTOM), (WIDTH - RIGHT, top), "#999999", "3 4"))
     for k, curve in enumerate(curves):
         parts += _drawn(curve, k, points, height - BOTTOM, dots)
     if upright is not None and x.low < upright < x.high:
         place = LEFT + wide * float(x.place(upright))
-        parts.append(_segment(place, top, place, height - BOTTOM, "#555555", "4 3"))
+        parts.append(segment((place, top), (place, height - BOTTOM), "#555555", "4 3"))
         near = place > LEFT + 0.8 * wide
         parts.append(text_at(place + (-4 if near else 4), top + 11, "EER", "end" if near else "start"))
     return Markup("".join(parts) + "</svg>")
@@ -334,29 +331,9 @@ def _legend_rows(labels: Sequence[str]) -> list[list[tuple[int, str, float]]]:
     return rows
 
 
-def _round_marks(low: float, high: float, count: int) -> list[float]:
-    span = high - low
-    if not span > 0:
-        return [low]
-    step = 10.0 ** np.floor(np.log10(span / count))
-    step *= next((m for m in (1, 2, 5, 10) if span / (m * step) <= count), 10)
-    first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
-    return [float(k * step) for k in range(first, last + 1)]
-
-
 def _whole_marks(longest: int) -> list[int]:
     return sorted({1, *range(5, longest + 1, 5)}) if longest > 6 else list(range(1, longest + 1))
 
 
 def _written(points: Values) -> str:
     return " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
-
-
-def _segment(  # noqa: PLR0917 - two points, then what paints them
-    x1: float, y1: float, x2: float, y2: float, paint: str, dash: str = "", width: float = 1
-) -> str:
-    dashes = f' stroke-dasharray="{dash}"' if dash else ""
-    return (
-        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{paint}" '
-        f'stroke-width="{width:g}"{dashes}/>'
-    )

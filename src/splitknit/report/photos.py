@@ -60,11 +60,6 @@ LONGEST_PX = 700
 """Longer side of a picture."""
 
 
-def _titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
-    """A photograph with a caption and a scale bar."""
-    return captioned(title, image, caption, pitch_mm=pitch_mm, photo=True)
-
-
 def small_images(band: Band) -> PixelArray:
     """The images (L, h, w, C) of a band as small as a picture of the report shows them."""
     rows, columns = band.pixels.shape[1:3]
@@ -165,7 +160,7 @@ def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
         "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
         "rig file has the mirrors. Good: the dots lie on the orange lines."
     )
-    return [_titled("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale)]
+    return [captioned("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True)]
 
 
 def _line(
