@@ -33,7 +33,7 @@ from splitknit.batch.execution import AHEAD, Cluster, connected, run_tasks
 from splitknit.batch.matchers import matcher
 from splitknit.batch.objects import MOVED, Location, Objects, files_below, location, stored_bytes, whole_file
 from splitknit.batch.population import CaptureRef, all_pairs, blocks_of, read_population
-from splitknit.batch.reading import Place, forget, small_column
+from splitknit.batch.reading import Place, drop_cached, small_column
 from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.simulate import simulate_population
 from splitknit.batch.store import Store
@@ -187,7 +187,7 @@ def on_paper(options: argparse.Namespace, made_each: Cost, store: Store, cases: 
 def cost_of_a_chunk(store: Store) -> Cost:
     """What a worker reads of a chunk to compare its captures, if it kept nothing: requests, and bytes for ten."""
     files = store.files("features", store.cases()[0])
-    forget()
+    drop_cached()
     with counted(len(files)) as cost:
         for file in files:
             small_column(Place(file, 0), "input_sha256")

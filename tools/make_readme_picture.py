@@ -15,7 +15,7 @@ import numpy as np
 
 import splitknit
 from splitknit.imaging.band import linear_image
-from splitknit.io.pictures import Frame, grey, on_paper, to_frame, upright_frame
+from splitknit.io.pictures import PictureFrame, grey, on_paper, to_frame, upright_frame
 from splitknit.model import Capture, Reconstruction
 from splitknit.prints.ridges import PrintSettings, relief_print
 from splitknit.report.figures import oblique_view, small_fields, upright_surface
@@ -29,7 +29,7 @@ MAX_BYTES = 400_000
 Picture = np.ndarray
 
 
-def photograph(capture: Capture, result: Reconstruction, frame: Frame) -> Picture:
+def photograph(capture: Capture, result: Reconstruction, frame: PictureFrame) -> Picture:
     """One white image as it is stored, upright, on its own background."""
     band = capture.bands["white"]
     light = linear_image(band.pixels[0], capture.encoding)
@@ -40,7 +40,7 @@ def photograph(capture: Capture, result: Reconstruction, frame: Frame) -> Pictur
     return on_paper(np.round(255 * shown), weight, (0, 0, 0))
 
 
-def relief(result: Reconstruction, frame: Frame) -> Picture:
+def relief(result: Reconstruction, frame: PictureFrame) -> Picture:
     """The ridges alone, valleys dark."""
     values, weight = to_frame(1000.0 * result.ridge_mm, result.mask, frame)
     return on_paper(grey(values, -45.0, 45.0), weight)

@@ -44,7 +44,7 @@ def read_photographs(
         Directions point towards the lights: x right, y up, z to the camera.
     px_per_mm : pixels a millimetre on the object; without it results are in pixels
     **options
-        Of :func:`splitknit.io.plain.capture_from_photographs`: ``mask``, ``material`` (``opaque`` or ``skin``),
+        Fields of :class:`splitknit.io.plain.PhotographOptions`: ``mask``, ``material`` (``opaque`` or ``skin``),
         ``encoding``, ``background``, ``tip_direction_deg``, ``max_megapixels``.
 
     Returns
@@ -63,9 +63,9 @@ def read_photographs(
     >>> splitknit.reconstruct(capture).height_mm.shape  # doctest: +SKIP
     (1500, 2000)
     """
-    from splitknit.io.plain import capture_from_photographs
+    from splitknit.io.plain import PhotographOptions, capture_from_photographs
 
-    found = capture_from_photographs(folder, lights, px_per_mm, announce=_LOG.warning, **options)
+    found = capture_from_photographs(folder, lights, px_per_mm, PhotographOptions(**options), _LOG.warning)
     for note in found.notes:
         _LOG.info("%s", note)
     return found.capture

@@ -232,8 +232,8 @@ def test_a_damaged_capture_is_named(population: Path, tmp_path: Path, capsys: Ca
 def test_a_finger_is_one_job(tmp_path: Path) -> None:
     enrolment = open_enrolment(tmp_path / "plan", subjects=2, sessions=3, fingers=("left_ring", "right_ring"))
     jobs = _jobs_of(enrolment.waiting())
-    assert [len(job.places) for job in jobs] == [3] * 4
-    assert [(job.places[0].subject, job.places[0].finger) for job in jobs] == [
+    assert [len(job) for job in jobs] == [3] * 4
+    assert [(job[0].subject, job[0].finger) for job in jobs] == [
         ("S01", "left_ring"), ("S01", "right_ring"), ("S02", "left_ring"), ("S02", "right_ring"),
     ]  # fmt: skip
 

@@ -12,7 +12,7 @@ from splitknit.imaging.band import linear_stack, srgb_code
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.light_list import read_named_lights
-from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, capture_from_photographs, capture_from_plain_images
 from splitknit.model import Band, Camera, Capture, Led, Rig
 
 pytestmark = pytest.mark.external
@@ -32,7 +32,7 @@ def test_blender_phalange(data_dir: Path, tmp_path: Path) -> None:
     folder = data_dir / "blender_finger" / "phalange"
     images = [folder / f"light_{k:02d}.png" for k in range(12)]
     capture = capture_from_plain_images(
-        images, read_named_lights(folder / "lights.txt")[0], 40.0, mask=folder / "mask.png", background=71
+        images, read_named_lights(folder / "lights.txt")[0], 40.0, PhotographOptions(folder / "mask.png", background=71)
     )
     write_capture(capture, tmp_path / "capture")
     again = read_capture(tmp_path / "capture")
@@ -49,7 +49,7 @@ def test_spheres_and_the_lights_that_their_shading_shows(data_dir: Path, tmp_pat
     lights = read_named_lights(folder / "lights.txt")[0]
     assert lights.shape == (12, 3)
     images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
-    capture = capture_from_plain_images(images, lights, 5.0, mask=folder / "gray" / "gray.mask.png")
+    capture = capture_from_plain_images(images, lights, 5.0, PhotographOptions(folder / "gray" / "gray.mask.png"))
     write_capture(capture, tmp_path / "capture", image_format="tiff")
     again = read_capture(tmp_path / "capture")
     assert again.mask is not None
@@ -112,5 +112,5 @@ def test_renders_without_a_tone_curve_stay_linear(data_dir):
     folder = data_dir / "blender_finger" / "phalange"
     if not folder.is_dir():
         pytest.skip(f"{folder} is absent")
-    assert capture_from_photographs(folder, background=71).capture.encoding == "linear"
+    assert capture_from_photographs(folder, options=PhotographOptions(background=71)).capture.encoding == "linear"
     assert capture_from_photographs(folder).capture.encoding == "linear"

@@ -13,7 +13,7 @@ from splitknit.cli.main import main
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import write_capture
 from splitknit.io.light_list import read_named_lights
-from splitknit.io.plain import capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, capture_from_plain_images
 from splitknit.model import Band, BoolArray, Camera, Capture, Led, Reconstruction, Rig
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
@@ -50,7 +50,7 @@ def ball(data_dir: Path) -> tuple[Capture, np.ndarray]:
     folder = needed(data_dir / "psm_spheres")
     images = [folder / "gray" / f"gray.{k}.png" for k in range(12)]
     lights = read_named_lights(folder / "lights.txt")[0]
-    capture = capture_from_plain_images(images, lights, 5.0, mask=folder / "gray" / "gray.mask.png")
+    capture = capture_from_plain_images(images, lights, 5.0, PhotographOptions(folder / "gray" / "gray.mask.png"))
     assert capture.mask is not None
     rows, columns = np.nonzero(capture.mask)
     radius = (np.ptp(columns) + np.ptp(rows) + 2) / 4
@@ -66,7 +66,7 @@ def phalange(data_dir: Path) -> Capture:
     folder = needed(data_dir / "blender_finger" / "phalange")
     images = [folder / f"light_{k:02d}.png" for k in range(12)]
     lights = read_named_lights(folder / "lights.txt")[0]
-    return capture_from_plain_images(images, lights, 40.0, mask=folder / "mask.png", background=71)
+    return capture_from_plain_images(images, lights, 40.0, PhotographOptions(folder / "mask.png", background=71))
 
 
 def sound(result: Reconstruction, mask: BoolArray) -> None:

@@ -15,7 +15,7 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import write_image
 from splitknit.io.light_list import read_named_lights
 from splitknit.io.photos import encoding_of
-from splitknit.io.plain import capture_from_photographs, capture_from_plain_images
+from splitknit.io.plain import PhotographOptions, capture_from_photographs, capture_from_plain_images
 from splitknit.io.rig import write_rig
 from splitknit.model import Camera, Led, Rig
 from splitknit.steps import IN_MEMORY, large_array
@@ -34,8 +34,9 @@ def plain(tmp_path: Path) -> Path:
 LIGHTS = np.array([[1.0, 0, 2], [-1, 0, 2], [0, 1, 2], [0, -1, 3]])
 
 
-def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, **options: Any) -> Any:
-    return capture_from_plain_images([plain / f"{k}.png" for k in range(count)], lights, 12.5, **options)
+def convert(plain: Path, lights: Any = LIGHTS, count: int = 4, intensities: Any = None, **options: Any) -> Any:
+    files = [plain / f"{k}.png" for k in range(count)]
+    return capture_from_plain_images(files, lights, 12.5, PhotographOptions(**options), intensities)
 
 
 def test_plain_images_become_a_capture(plain: Path) -> None:
@@ -216,7 +217,9 @@ def test_reduced_photographs_are_means_of_linear_light(tmp_path: Path) -> None:
     lights = ball_photographs(tmp_path, srgb_code)
     write_image(tmp_path / "mask.png", np.pad(np.full((60, 120), 255, np.uint8), ((0, 60), (0, 0))))
     whole, small = (
-        capture_from_photographs(tmp_path, px_per_mm=10.0, encoding="srgb", background=13, max_megapixels=limit)
+        capture_from_photographs(
+            tmp_path, None, 10.0, PhotographOptions(encoding="srgb", background=13, max_megapixels=limit)
+        )
         for limit in (None, 120 * 120 / 4e6)
     )
     assert any("of 0.0144 megapixels were reduced to 0.0036 (--max-size)" in note for note in small.notes)
@@ -276,4 +279,4 @@ def test_a_link_to_itself_is_no_traceback(plain: Path) -> None:
     with pytest.raises(BadInput, match=r"3\.png"):
         capture_from_photographs(plain, px_per_mm=12.5)
     with pytest.raises(BadInput, match=r"3\.png"):
-        capture_from_photographs(plain, px_per_mm=12.5, mask=plain / "3.png")
+        capture_from_photographs(plain, None, 12.5, PhotographOptions(mask=plain / "3.png"))

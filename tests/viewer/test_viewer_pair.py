@@ -15,8 +15,8 @@ from splitknit.model import default_rig
 from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.viewer.catalogue import make_catalogue
 from splitknit.viewer.marks import Marks
-from splitknit.viewer.pair import Alignment, _fitted, _turned, align, difference, matched_marks
-from splitknit.viewer.surface import read_surface
+from splitknit.viewer.pair import Alignment, _fitted, _turned, align_results, difference, matched_marks
+from splitknit.viewer.surface import read_shown_surface
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +36,8 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def aligned(first: Path, second: Path) -> tuple[Alignment, np.ndarray, np.ndarray]:
     """Return how `second` is laid on `first`, and the places of the same pixels in both."""
     entries = make_catalogue([first, second]).entries
-    surfaces = [read_surface(entry.folder) for entry in entries]
-    found = align(entries[0], surfaces[0], entries[1], surfaces[1])
+    surfaces = [read_shown_surface(entry.folder) for entry in entries]
+    found = align_results(entries[0], surfaces[0], entries[1], surfaces[1])
     points = [np.stack([s.x_mm, s.y_mm, s.height_mm], axis=-1)[s.mask][::50] for s in surfaces]
     return found, points[0], points[1]
 
@@ -80,7 +80,7 @@ def test_minutiae_are_matched_where_place_and_direction_fit() -> None:
 
 def test_a_tilted_finger_is_laid_down_again(fingers: Path) -> None:
     """A finger is tilted and raised; what is found undoes it, and what is left of the difference is small."""
-    surface = read_surface(fingers / "a")
+    surface = read_shown_surface(fingers / "a")
     rotation = _turned(0.03, -0.06, 0.01)
     middle = np.array([field[surface.mask].mean() for field in (surface.x_mm, surface.y_mm, surface.height_mm)])
     motion = Alignment("ridges", rotation, middle - rotation @ middle + np.array([0.06, -0.05, 0.4]))
@@ -98,7 +98,7 @@ def test_a_tilted_finger_is_laid_down_again(fingers: Path) -> None:
 
 
 def test_a_difference_is_in_um_and_has_its_sign(shown: Path) -> None:
-    surface = read_surface(shown / "metric")
+    surface = read_shown_surface(shown / "metric")
     bump = np.zeros_like(surface.height_mm)
     rows, columns = np.argwhere(surface.mask).mean(axis=0).astype(int)
     bump[rows - 10 : rows + 10, columns - 10 : columns + 10] = 0.05

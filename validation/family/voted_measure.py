@@ -15,7 +15,7 @@ from agreement_measure import against_truth
 from agreement_truth import Truth, read_truth
 
 from splitknit.batch.chunks import read_chunk
-from splitknit.batch.reading import places_of
+from splitknit.batch.reading import stored_places
 from splitknit.batch.store import Store
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.io.capture import read_capture
@@ -45,7 +45,7 @@ def lists_of(population: Path, capture: tuple[str, int, str], **options: Any) ->
 
 def plain_of(store: Path, case: str, capture: tuple[str, int, str]) -> Minutiae | None:
     """Minutiae of a reconstruction's relief print; None where the store lacks it."""
-    place = places_of(Store(store).files("features", case)).get(name_of(capture))
+    place = stored_places(Store(store).files("features", case)).get(name_of(capture))
     data = None if place is None else read_chunk(place.file, ["print"]).column("print").to_pylist()[place.row]
     return None if data is None else extract(decode_png(data, "print")[..., 0])
 

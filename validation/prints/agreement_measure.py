@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pressed_finger import press_finger
 
 from splitknit.batch.chunks import read_chunk
-from splitknit.batch.reading import places_of
+from splitknit.batch.reading import stored_places
 from splitknit.batch.store import Store
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput
@@ -44,7 +44,7 @@ class Surfaces:
     def source(self, case: str, capture: str) -> Source | None:
         """A reconstruction as prints need it; its height is shape and relief together."""
         if case not in self.places:
-            self.places[case] = places_of(self.store.files("features", case))
+            self.places[case] = stored_places(self.store.files("features", case))
         where = self.places[case].get(capture)
         payload = None if where is None else _payloads(where.file)[where.row]
         if payload is None:

@@ -21,7 +21,7 @@ import numpy as np
 from quality_measure import capture_facts, facts_of
 from scipy.stats import spearmanr
 
-from splitknit.batch.reading import places_of
+from splitknit.batch.reading import stored_places
 from splitknit.batch.store import Store
 from splitknit.io.npz import read_npz
 from splitknit.prints.folder import advice
@@ -39,7 +39,7 @@ OUT = Path(__file__).with_name("quality.json")
 
 def drawn(store: Store, count: int, seed: int = 2) -> list[str]:
     """Names of captures to report on."""
-    names = sorted(places_of(store.files("features", "metric")))
+    names = sorted(stored_places(store.files("features", "metric")))
     usable = [name for name in names if name.split("/")[0] not in CHOSEN_ON and name not in LOOKED_AT]
     return [str(name) for name in np.random.default_rng(seed).choice(usable, min(count, len(usable)), replace=False)]
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from splitknit.batch.chunks import read_chunk
-from splitknit.batch.reading import places_of
+from splitknit.batch.reading import stored_places
 from splitknit.batch.store import Store
 from splitknit.batch.surfaces import unpack_surface
 from splitknit.io.npz import read_npz
@@ -64,7 +64,7 @@ def recall(made: Print, minutiae_px: np.ndarray) -> float | None:
 
 def capture_facts(store: Store, population: Path, names: list[str], case: str = "metric") -> list[dict]:
     """Facts of captures, with the mean similarity of each with the finger's other sessions."""
-    places = places_of(store.files("features", case))
+    places = stored_places(store.files("features", case))
     rows = []
     for name in names:
         chunk = read_chunk(places[name].file, ["images"]).column("images")

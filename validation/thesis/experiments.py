@@ -19,7 +19,7 @@ from trials import ATTRIBUTES, Captures, Table, Trial, read_captures, read_table
 from variants import PASSING, PLAIN, THESIS, THESIS_WHOLE, WHOLE, Variant, judged, known_of, passing_everywhere, spreads
 
 from splitknit import __version__
-from splitknit.batch.reading import places_of
+from splitknit.batch.reading import stored_places
 from splitknit.evaluation.intervals import BootstrapSettings
 from splitknit.io.provenance import settings_hash
 
@@ -216,7 +216,7 @@ def run_descriptors(options: argparse.Namespace, store: Any, truth: Mapping[str,
 
     case = "snk"
     captures = read_captures(store, (case,))
-    read = reader(places_of(store.files("features", case)))
+    read = reader(stored_places(store.files("features", case)))
     scratch = _scratch(options, "descriptors", [store.document()["cases"][case], __version__])
     table = descriptors_table(store, case, captures, read, scratch, options.fraction, options.seed, options.jobs)
     work = _work(options, table, truth)

@@ -11,7 +11,7 @@ from tables import Row
 from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit.evaluation.rates import roc
 from splitknit.evaluation.scores import Scores
-from splitknit.report.evaluation import Axis, Curve, percent, plot, roc_chart
+from splitknit.report.evaluation import Axis, Curve, plot_curves, roc_chart, short_percent
 
 
 def save(chart: str, file: Path) -> None:
@@ -55,6 +55,6 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
     y_marks = np.arange(round(floor * 10), 11, 2 if floor < 0.45 else 1) / 10
     axes = (
         Axis(x_label, *ends, tuple((float(v), f"{v:g}") for v in np.round(marks, 6))),
-        Axis(y_label, floor, 1.0, tuple((float(v), percent(float(v))) for v in y_marks)),
+        Axis(y_label, floor, 1.0, tuple((float(v), short_percent(float(v))) for v in y_marks)),
     )
-    return str(plot(curves, *axes, height=260, title=f"{y_label} over {x_label}", dots=True))
+    return str(plot_curves(curves, *axes, height=260, title=f"{y_label} over {x_label}", dots=True))

@@ -33,18 +33,18 @@ from splitknit.batch.population import (
     missing_pairs,
     read_population,
 )
-from splitknit.batch.reading import Place, forget, places_of
+from splitknit.batch.reading import Place, drop_cached, stored_places
 from splitknit.batch.scores import ScoreTask, score_block
 from splitknit.batch.settings import BatchSettings, Case
 from splitknit.batch.solids import SOLIDS, ExtractionTask, extract_features
-from splitknit.batch.store import Store, check_target, open_store
+from splitknit.batch.store import Store, check_store_target, open_store
 from splitknit.errors import BadInput, given_folders, open_at_once, require
 from splitknit.evaluation.protocol import Comparisons
 from splitknit.evaluation.scores import Ids, Scores, ids_of
 from splitknit.io.atomic import hold, private_modes, sweep
 from splitknit.io.csv_table import csv_text
 from splitknit.io.targets import check_file
-from splitknit.model import Progress
+from splitknit.model import Progress, no_progress
 
 _KINDS = ("finger", "subject", "session")
 _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,session_b"
@@ -71,7 +71,7 @@ def to_scores(table: Any, column: str = "similarity", name: str | None = None) -
     return Scores(_flags(table, "genuine"), score, **_ids(table), name=name or column)
 
 
-def write_csv(path: Location, table: Any) -> None:
+def _write_csv(path: Location, table: Any) -> None:
     """Write comparisons as a score file: ``label``, ``score``, names of both sides, and the matcher's own columns."""
     a, b = table.column("a").to_pylist(), table.column("b").to_pylist()
     own = [name for name in table.column_names if name not in ("a", "b", "genuine", "similarity", "compared")]
@@ -117,10 +117,6 @@ def _numbers(table: Any, column: str, compared: list[bool]) -> list[str]:
     return [repr(float(value)) if known else "" for value, known in zip(values, compared, strict=True)]
 
 
-def _no_progress(stage: str, fraction: float) -> None:
-    """Report nothing."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Run:
     """One call of :func:`run_batch`."""
@@ -156,7 +152,7 @@ def run_batch(
     cluster: str | Cluster | None = None,
     csv: Path | None = None,
     device: str = "cpu",
-    progress: Progress = _no_progress,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Do what the store lacks; return the facts.
 
@@ -199,7 +195,7 @@ def run_batch(
                 check_file(table, "a score file of a batch", lambda data: data.startswith(_CSV_BEGINS))
         there = read_population(people)
         client = None if cluster is None else stack.enter_context(connected(cluster))
-        check_target(folder)
+        check_store_target(folder)
         if isinstance(folder, Path):
             folder = folder.resolve()
             stack.enter_context(alone(folder))
@@ -256,7 +252,7 @@ def _match(run: _Run) -> list[dict[str, Any]]:
                 }
             )
     READY.forget()
-    forget()
+    drop_cached()
     return facts
 
 
@@ -270,7 +266,7 @@ def _tables(settings: BatchSettings, folder: Location) -> dict[tuple[str, str], 
 def _export(run: _Run, tables: Mapping[tuple[str, str], Location]) -> list[str]:
     for (case, name), file in tables.items():
         run.progress(f"{case}: {name}, CSV", 1.0)
-        write_csv(file, run.store.scores(case, name))
+        _write_csv(file, run.store.scores(case, name))
     return [str(file) for file in tables.values()]
 
 
@@ -357,8 +353,8 @@ def _score_tasks(
     store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
 ) -> _ScoreTasks:
     """Comparisons that are not in the store. Raises BadInput if there are captures of one session only."""
-    features = places_of(store.files("features", case.name))
-    places = features if matcher.source == "features" else places_of(store.files(matcher.source, case.name))
+    features = stored_places(store.files("features", case.name))
+    places = features if matcher.source == "features" else stored_places(store.files(matcher.source, case.name))
     captures = [capture for capture in population.captures if capture.name in places]
     pairs = missing_pairs(
         all_pairs(captures, settings.impostors, settings.seed),

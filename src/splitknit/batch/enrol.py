@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -33,7 +33,7 @@ _SESSION = "session_"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class _Source:
     """A capture, result, print or template of an enrolment folder."""
 
     person: str
@@ -79,7 +79,8 @@ def enroll_population(
         unread: list[dict[str, str]] = []
         failures: list[dict[str, str]] = []
         enrolled = 0
-        for done, (place, made) in enumerate(_made(waiting, settings, workers), start=1):
+        jobs = run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
+        for done, (place, made) in enumerate(jobs, start=1):
             if isinstance(made, str):
                 unread.append({"path": str(place.path), "reason": made})
             else:
@@ -110,18 +111,18 @@ def enroll_population(
     return facts
 
 
-def _found_in(folder: Path) -> list[Found]:
+def _found_in(folder: Path) -> list[_Source]:
     """What an enrolment folder holds, by person, session and finger. Raises BadInput if that is nothing, a folder has a
     name that no finger or session has, or a finger of a session is there twice.
     """
     require(folder.is_dir(), f"there is no folder '{folder}'; name an enrolment or a simulated population.")
-    found: dict[tuple[str, str, str], Found] = {}
+    found: dict[tuple[str, str, str], _Source] = {}
     for path in folder.glob(f"*/{_SESSION}*/*"):
         is_file = path.is_file() and path.stem in FINGERS
         if not (is_file or (path / "capture.json").is_file() or (path / "height.npz").is_file()):
             continue
         session = check_session(path.parent.name.removeprefix(_SESSION))
-        one = Found(path.parent.parent.name, known_finger(path.stem if is_file else path.name), session, path)
+        one = _Source(path.parent.parent.name, known_finger(path.stem if is_file else path.name), session, path)
         other = found.setdefault((one.person, one.session, one.finger), one)
         require(other is one, f"'{other.path}' and '{path}' are of one finger and session; remove one of them.")
     expected = "captures in S01/session_1/right_index (or prints, right_index.png) and so on are expected"
@@ -129,7 +130,7 @@ def _found_in(folder: Path) -> list[Found]:
     return sorted(found.values(), key=lambda one: (one.person, session_order(one.session), one.finger))
 
 
-def _waiting(gallery: Gallery | None, places: Sequence[Found], *, replace: bool) -> list[Found]:
+def _waiting(gallery: Gallery | None, places: Sequence[_Source], *, replace: bool) -> list[_Source]:
     """What is not in the gallery; of what is, the files are compared by their hash."""
     earlier = {}
     if gallery is not None:
@@ -150,10 +151,5 @@ def _waiting(gallery: Gallery | None, places: Sequence[Found], *, replace: bool)
     return waiting
 
 
-def _made(waiting: Sequence[Found], settings: Enrolling, workers: int) -> Iterator[tuple[Found, Made | str]]:
-    """Make all templates, in order with one worker, as they come with several."""
-    yield from run_jobs(partial(_template_of, settings=settings), waiting, workers, "what is enrolled")
-
-
-def _template_of(place: Found, settings: Enrolling) -> Made | str:
+def _template_of(place: _Source, settings: Enrolling) -> Made | str:
     return made_or_failed(place.path, settings)

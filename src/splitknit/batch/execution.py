@@ -148,7 +148,7 @@ def _on_one_thread(device: str) -> None:
     use_device(device, threads=1)
 
 
-def on_cluster(work: Callable[[Task], Done], task: Task, version: str, device: str) -> Done:
+def _in_cluster_worker(work: Callable[[Task], Done], task: Task, version: str, device: str) -> Done:
     """Do a task in a worker of a cluster, which must have the same software."""
     import splitknit
 
@@ -261,7 +261,7 @@ def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any
     def submit() -> list[Any]:
         room = AHEAD * max(sum(client.nthreads().values()), 1) - len(waiting)
         new = [
-            client.submit(on_cluster, work, task, version, device, pure=False, retries=0)
+            client.submit(_in_cluster_worker, work, task, version, device, pure=False, retries=0)
             for task in islice(rest, max(room, 0))
         ]
         waiting.update((future.key, future) for future in new)

@@ -46,7 +46,7 @@ def images_of(place: Place) -> FingerImages | None:
         raise BadInput(f"'{place.file}': {error}") from error
 
 
-def places_of(files: list[Location]) -> Mapping[str, Place]:
+def stored_places(files: list[Location]) -> Mapping[str, Place]:
     """Where each capture lies; of one that lies in two chunks, the first."""
     found: dict[str, Place] = {}
     for file in files:
@@ -55,7 +55,7 @@ def places_of(files: list[Location]) -> Mapping[str, Place]:
     return found
 
 
-def forget() -> None:
+def drop_cached() -> None:
     """Let go of all that this process keeps."""
     _column.cache_clear()
     _surfaces.cache_clear()

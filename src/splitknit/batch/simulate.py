@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,11 +33,8 @@ POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.js
 _FORMAT, _VERSION = "splitknit-population", 1
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    """The waiting captures of one finger: its print is drawn once for all of them."""
-
-    places: tuple[EnrolledFinger, ...]
+_Job = tuple[EnrolledFinger, ...]
+"""The waiting captures of one finger: its print is drawn once for all of them."""
 
 
 def simulate_population(
@@ -126,28 +123,28 @@ def _population_hash(settings: PopulationSettings, real: RealPrints | None = Non
     return settings_hash({"draws": DRAWS, "settings": replace(settings, render=render)} | prints)
 
 
-def _simulate_job(job: Job, settings: PopulationSettings, real: RealPrints, folder: Path) -> int:
+def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, folder: Path) -> int:
     """Simulate the captures of one finger into the enrolment `folder`; return how many."""
-    place = job.places[0]
+    place = job[0]
     person = settings.person(int(place.subject.removeprefix("S")))
     finger = person.fingers[place.finger].finger
     master, printed = real.master(f"{place.subject}/{place.finger}", finger)
-    for place in job.places:
+    for place in job:
         target = folder / place.folder
         shown = population_capture(settings, person, place.finger, place.session, master=master)
         with atomic_folder(target, overwrite=False) as made:
             write_capture(shown.capture, made, shown.truth, overwrite=True)
             text = json_text(shown.facts | {"print": printed})
             (made / IMPRESSION_FILE).write_text(text, encoding="ascii")
-    return len(job.places)
+    return len(job)
 
 
-def _jobs_of(waiting: Sequence[EnrolledFinger]) -> list[Job]:
+def _jobs_of(waiting: Sequence[EnrolledFinger]) -> list[_Job]:
     """The waiting captures by finger, subject by subject."""
     by_finger: dict[tuple[str, str], list[EnrolledFinger]] = {}
     for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
         by_finger.setdefault((place.subject, place.finger), []).append(place)
-    return [Job(tuple(places)) for places in by_finger.values()]
+    return [tuple(places) for places in by_finger.values()]
 
 
 def _simulated(
@@ -159,11 +156,11 @@ def _simulated(
 ) -> Iterator[tuple[int, str]]:
     """Do all jobs; yield how many captures are done, and which finger was the last."""
     jobs = _jobs_of(waiting)
-    work: Callable[[Job], int] = partial(_simulate_job, settings=settings, real=real, folder=enrolment.folder)
+    work: Callable[[_Job], int] = partial(_simulate_job, settings=settings, real=real, folder=enrolment.folder)
     done = 0
     for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):
         done += captures
-        yield done, f"{job.places[0].subject} {job.places[0].finger}"
+        yield done, f"{job[0].subject} {job[0].finger}"
 
 
 def _earlier(out: Path) -> dict[str, Any] | None:

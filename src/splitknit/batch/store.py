@@ -11,7 +11,7 @@ from splitknit.batch.chunks import chunk_files, load, read_chunk
 from splitknit.batch.matchers import matcher
 from splitknit.batch.objects import Location, files_below, stored_bytes, there, whole_file
 from splitknit.batch.population import Population
-from splitknit.batch.reading import images_of, places_of
+from splitknit.batch.reading import images_of, stored_places
 from splitknit.batch.scores import score_schema
 from splitknit.batch.settings import BatchSettings
 from splitknit.errors import BadInput, refusing, require
@@ -127,7 +127,7 @@ class Store:
         BadInput
             If the store holds no surface of it.
         """
-        place = places_of(self.files("features", case)).get(capture)
+        place = stored_places(self.files("features", case)).get(capture)
         found = None if place is None else images_of(place)
         if found is None:
             raise BadInput(f"the store '{self.folder}' holds no surface of '{capture}' in case '{case}'.")
@@ -202,7 +202,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
     return store
 
 
-def check_target(folder: Location) -> None:
+def check_store_target(folder: Location) -> None:
     """Refuse a folder that holds something else than a store.
 
     Raises

@@ -22,7 +22,7 @@ def add_batch(verbs: Any) -> None:
         metavar="STORE",
         help="folder of the results, or its URL (s3://BUCKET/PLACE); may be there",
     )
-    verb.add_argument("--cases", default=None, metavar="LIST", help="presets with commas (default: metric,snk,pr,ea)")
+    verb.add_argument("--cases", metavar="LIST", help="presets with commas (default: metric,snk,pr,ea)")
     verb.add_argument(
         "--case",
         action="append",
@@ -49,17 +49,13 @@ def add_batch(verbs: Any) -> None:
         action="store_true",
         help="keep no surfaces, which only the matcher thesis needs: a tenth of the disk",
     )
-    verb.add_argument(
-        "--csv", type=Path, default=None, metavar="DIR", help="folder of score files (default: csv in STORE)"
-    )
+    verb.add_argument("--csv", type=Path, metavar="DIR", help="folder of score files (default: csv in STORE)")
     verb.add_argument("--jobs", type=natural, default=2, metavar="N", help="processes (default: 2)")
     add_device(verb)
-    verb.add_argument(
-        "--cluster", default=None, metavar="tls://HOST:PORT", help="Dask scheduler whose workers do it instead"
-    )
-    verb.add_argument("--cluster-ca", type=Path, default=None, metavar="FILE", help="CA of the cluster's certificates")
-    verb.add_argument("--cluster-cert", type=Path, default=None, metavar="FILE", help="certificate of this computer")
-    verb.add_argument("--cluster-key", type=Path, default=None, metavar="FILE", help="key of that certificate")
+    verb.add_argument("--cluster", metavar="tls://HOST:PORT", help="Dask scheduler whose workers do it instead")
+    verb.add_argument("--cluster-ca", type=Path, metavar="FILE", help="CA of the cluster's certificates")
+    verb.add_argument("--cluster-cert", type=Path, metavar="FILE", help="certificate of this computer")
+    verb.add_argument("--cluster-key", type=Path, metavar="FILE", help="key of that certificate")
     verb.add_argument(
         "--insecure-cluster",
         action="store_true",

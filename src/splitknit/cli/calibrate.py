@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, add_settings, group, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_settings, from_options, group, new_verb
 
 
 def add_calibrate(verbs: Any) -> None:
@@ -28,10 +27,9 @@ def _add_camera(kinds: Any) -> None:
         "folder", type=Path, nargs="?", metavar="FOLDER", help="photographs of one board, tilted differently in each"
     )
     verb.add_argument("--out", type=Path, required=True, metavar="FILE", help="rig file to write")
-    verb.add_argument("--rig", type=Path, default=None, metavar="FILE", help="rig file whose other parts are kept")
+    verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file whose other parts are kept")
     verb.add_argument(
         "--pattern",
-        default=None,
         metavar="GLOB",
         help="only files of this name, such as 'left*.jpg', or 'board_*/white_0.png' in capture folders (default: all)",
     )
@@ -46,14 +44,13 @@ def _add_camera(kinds: Any) -> None:
         metavar="IMAGE",
         help="photograph of the board lying on the finger plane: camera height, scale, tilt; may be repeated",
     )
-    board.add_argument("--disc", type=Path, default=None, metavar="IMAGE", help="the same from the calibration disc")
+    board.add_argument("--disc", type=Path, metavar="IMAGE", help="the same from the calibration disc")
     _add_number(board, "--dot-mm", 10.0, "spacing of the disc's dots")
     lens = verb.add_argument_group("depth of field")
     _add_number(lens, "--sensor-pixel-um", 1.12, "side of a pixel on the sensor; the IMX219's by default")
     lens.add_argument(
         "--binning",
         type=float,
-        default=None,
         metavar="N",
         help="sensor pixels along a pixel of the image (default: 1 from 1920 columns, else 3280 / columns, rounded)",
     )
@@ -65,22 +62,8 @@ def _calibrate_camera(options: argparse.Namespace) -> Outcome:
     """Calibrate."""
     from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # only this verb pays
 
-    job = CameraJob(
-        out=options.out,
-        folder=options.folder,
-        board=options.board,
-        square_mm=options.square_mm,
-        pattern=options.pattern,
-        rig=options.rig,
-        plane=tuple(options.plane),
-        disc=options.disc,
-        dot_mm=options.dot_mm,
-        sensor_pixel_um=options.sensor_pixel_um,
-        binning=options.binning,
-        f_number=options.aperture,
-        finger_depth_mm=options.finger_depth_mm,
-        calibrated_at=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
-    )
+    now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+    job = from_options(CameraJob, options, plane=tuple(options.plane), f_number=options.aperture, calibrated_at=now)
     with Progress(options) as progress:
         facts = calibrate_to_rig(job, progress.update)
     return facts, _camera_lines(facts)
@@ -178,38 +161,29 @@ def _add_radiometry(kinds: Any) -> None:
         _calibrate_radiometry,
     )
     verb.add_argument("folder", type=Path, metavar="FOLDER", help="capture folder of a white card under every LED")
-    verb.add_argument(
-        "--rig", type=Path, default=None, metavar="RIG", help="rig file with camera and LED places (default: FOLDER's)"
-    )
+    verb.add_argument("--rig", type=Path, metavar="RIG", help="rig file with camera and LED places (default: FOLDER's)")
     what = verb.add_mutually_exclusive_group(required=True)
-    what.add_argument("--out", type=Path, default=None, metavar="RIG2", help="rig file to write")
-    what.add_argument(
-        "--check", type=Path, default=None, metavar="RIG", help="compare with the calibration in RIG; writes nothing"
-    )
+    what.add_argument("--out", type=Path, metavar="RIG2", help="rig file to write")
+    what.add_argument("--check", type=Path, metavar="RIG", help="compare with the calibration in RIG; writes nothing")
     verb.add_argument(
         "--limit",
         type=_positive,
-        default=None,
         metavar="PERCENT",
         help="of an LED's residuals (rms, default: 1), or with --check of its departure (default: 3)",
     )
     verb.add_argument(
         "--card-height-mm",
         type=_number,
-        default=None,
         metavar="MM",
         help="height of the card's surface above the finger plane (default: 0)",
     )
     verb.add_argument(
         "--card-tilt-deg",
         type=_pair,
-        default=None,
         metavar="X,Y",
         help="turn of the card about x and y (default: the base's, where 'calibrate camera' found it, else 0,0)",
     )
-    verb.add_argument(
-        "--residuals", type=Path, default=None, metavar="PNG", help="picture to write: residuals under every LED"
-    )
+    verb.add_argument("--residuals", type=Path, metavar="PNG", help="picture to write: residuals under every LED")
 
 
 def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
@@ -354,7 +328,6 @@ def _add_lights(kinds: Any) -> None:
     nail.add_argument(
         "--nail-seen",
         choices=("tip", "base"),
-        default=None,
         help="what the nail's pixel is (default: tip, the part of a cone that a camera above it sees)",
     )
     nail.add_argument(
@@ -401,8 +374,7 @@ def _calibrate_lights(options: argparse.Namespace) -> Outcome:
     changes = dict(read_changes(options.settings, options.assignments))
     settings = override(LightSettings(), changes)
     settings = override(settings, {name: value for name, value in given.items() if value is not None})
-    names = [one.name for one in fields(LightsJob) if one.name != "settings"]
-    job = LightsJob(**{name: getattr(options, name) for name in names}, settings=settings)
+    job = from_options(LightsJob, options, settings=settings)
     with Progress(options) as progress:
         facts = lights_to_rig(job, progress.update)
     return facts, _light_lines(facts)

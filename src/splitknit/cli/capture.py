@@ -27,13 +27,12 @@ def add_capture(verbs: Any) -> None:
     verb.add_argument(
         "--device", choices=("pi", "twin"), required=True, help="pi: the Raspberry Pi's rig; twin: simulated"
     )
-    verb.add_argument("--out", type=Path, default=None, metavar="DIR", help="capture folder to write")
-    verb.add_argument("--rig", type=Path, default=None, metavar="FILE", help="rig file (default: the nominal rig)")
+    verb.add_argument("--out", type=Path, metavar="DIR", help="capture folder to write")
+    verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the nominal rig)")
     verb.add_argument(
         "--target",
         nargs="?",
         const="card",
-        default=None,
         metavar="WHAT",
         help="photograph a calibration target: no finger is looked for; the twin puts a card (default), disc, nail, "
         "board or sphere there",
@@ -41,19 +40,19 @@ def add_capture(verbs: Any) -> None:
     verb.add_argument("--keep", action="store_true", help="write a capture even if it must be taken again")
     add_overwrite(verb)
     who = verb.add_argument_group("who (ids only, never names)")
-    who.add_argument("--subject", default=None, metavar="ID", help="such as S01: letters, digits, - and _")
-    who.add_argument("--finger", default=None, metavar="NAME", help="right_thumb ... right_little, left_thumb ...")
-    who.add_argument("--session", type=natural, default=None, metavar="K", help="number of the session, from 1")
+    who.add_argument("--subject", metavar="ID", help="such as S01: letters, digits, - and _")
+    who.add_argument("--finger", metavar="NAME", help="right_thumb ... right_little, left_thumb ...")
+    who.add_argument("--session", type=natural, metavar="K", help="number of the session, from 1")
     many = verb.add_argument_group("many fingers")
-    many.add_argument("--enrolment", type=Path, default=None, metavar="DIR", help="go on with the enrolment in DIR")
-    many.add_argument("--subjects", type=natural, default=None, metavar="N", help="to be captured (default: 17)")
-    many.add_argument("--sessions", type=natural, default=None, metavar="N", help="of every subject (default: 4)")
-    many.add_argument("--fingers", default=None, metavar="LIST", help="all (default), or names with commas")
-    many.add_argument("--next", type=natural, default=None, metavar="N", help="fingers to take now (default: all)")
+    many.add_argument("--enrolment", type=Path, metavar="DIR", help="go on with the enrolment in DIR")
+    many.add_argument("--subjects", type=natural, metavar="N", help="to be captured (default: 17)")
+    many.add_argument("--sessions", type=natural, metavar="N", help="of every subject (default: 4)")
+    many.add_argument("--fingers", metavar="LIST", help="all (default), or names with commas")
+    many.add_argument("--next", type=natural, metavar="N", help="fingers to take now (default: all)")
     twin = verb.add_argument_group("twin")
-    twin.add_argument("--seed", type=natural, default=None, help="which simulated finger (default: 0)")
-    twin.add_argument("--pattern", default=None, help="loop, whorl, arch ... (default: drawn)")
-    twin.add_argument("--scale", type=scale, default=None, help="size of the images, 1 = 3200 x 2200 (default: 0.5)")
+    twin.add_argument("--seed", type=natural, help="which simulated finger (default: 0)")
+    twin.add_argument("--pattern", help="loop, whorl, arch ... (default: drawn)")
+    twin.add_argument("--scale", type=scale, help="size of the images, 1 = 3200 x 2200 (default: 0.5)")
     add_settings(verb)
 
 

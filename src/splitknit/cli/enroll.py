@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
-from splitknit.cli.verb import FINGERS, Outcome, Progress, add_input_ppi, add_preset, add_settings, natural, new_verb
+from splitknit.cli.verb import (
+    FINGERS,
+    Outcome,
+    Progress,
+    add_input_ppi,
+    add_preset,
+    add_settings,
+    from_options,
+    natural,
+    new_verb,
+)
 from splitknit.errors import require
 
 
@@ -17,20 +27,17 @@ def add_enroll(verbs: Any) -> None:
     add_gallery(verb)
     what = f"{FINGERS}; several are sessions of one finger"
     verb.add_argument("sources", type=Path, metavar="SOURCE", nargs="*", help=what)
-    verb.add_argument("--person", default=None, metavar="NAME", help="whose finger it is")
-    verb.add_argument("--finger", default=None, metavar="FINGER", help="which, such as right_index")
-    verb.add_argument("--session", default=None, metavar="S", help="which session (default: the next number)")
+    verb.add_argument("--person", metavar="NAME", help="whose finger it is")
+    verb.add_argument("--finger", metavar="FINGER", help="which, such as right_index")
+    verb.add_argument("--session", metavar="S", help="which session (default: the next number)")
     verb.add_argument(
         "--population",
         type=Path,
-        default=None,
         metavar="FOLDER",
         help="instead of sources: a whole enrolment, FOLDER/S01/session_1/right_index (or right_index.png) and so on; "
         "resumable",
     )
-    verb.add_argument(
-        "--workers", type=natural, default=None, metavar="N", help="processes for a population (default: 1)"
-    )
+    verb.add_argument("--workers", type=natural, metavar="N", help="processes for a population (default: 1)")
     verb.add_argument(
         "--keep-images",
         choices=("none", "thumbnail", "raw"),
@@ -48,18 +55,12 @@ def _run(options: argparse.Namespace) -> Outcome:
     """Enrol."""
     from splitknit.cli.options import read_changes
     from splitknit.gallery.enrol import Enrolling, enroll_files  # verbs import what they need
-    from splitknit.gallery.key import key_notes, key_of
+    from splitknit.gallery.key import key_of
     from splitknit.matching.surface import MatchingSettings
     from splitknit.settings import override
 
-    settings = Enrolling(
-        preset=options.preset,
-        matching=override(MatchingSettings(), read_changes(options.settings, options.assignments)),
-        keep=options.keep_images,
-        replace=options.replace,
-        with_time=options.with_time,
-        input_ppi=options.input_ppi,
-    )
+    matching = override(MatchingSettings(), read_changes(options.settings, options.assignments))
+    settings = from_options(Enrolling, options, matching=matching, keep=options.keep_images)
     key = key_of(options.key_file)
     with Progress(options) as progress:
         if options.population is not None:
@@ -78,7 +79,6 @@ def _run(options: argparse.Namespace) -> Outcome:
         f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
         f"{count(facts['people'], 'person', 'people')}{locked}."
     )
-    lines += [f"Please note: {note}" for note in key_notes(options.key_file)]
     return facts, lines
 
 

@@ -46,7 +46,6 @@ def add_evaluate(verbs: Any) -> None:
     verb.add_argument(
         "--exclude",
         type=Path,
-        default=None,
         metavar="FILE",
         help="CSV list of fingers (columns finger, and if wanted subject, session, reason); figures are given with "
         "and without them",
@@ -57,7 +56,6 @@ def add_evaluate(verbs: Any) -> None:
     verb.add_argument(
         "--fuse",
         choices=("linear", "trained"),
-        default=None,
         help="join the systems' scores into one more system: their mean after normalisation, or a logistic regression; "
         "cross-validated by subject (fingers where subjects are not named)",
     )

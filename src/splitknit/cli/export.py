@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.gallery_options import add_key, count
-from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, from_options, new_verb
 
 TO = ("iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "ansi-nist-itl", "wsq", "png", "tiff")
 MESHES = ("stl", "obj", "glb")
@@ -69,19 +69,10 @@ def _date(text: str) -> datetime.date:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Export."""
-    from splitknit.gallery.key import key_notes, key_of  # verbs import what they need
+    from splitknit.gallery.key import key_of  # verbs import what they need
     from splitknit.gallery.records import Exporting, export_records
 
-    settings = Exporting(
-        to=options.to,
-        finger=options.finger,
-        impression=options.impression,
-        compression=options.compression,
-        date=options.date,
-        minutiae=options.minutiae,
-        input_ppi=options.input_ppi,
-        preset=options.preset,
-    )
+    settings = from_options(Exporting, options)
     with Progress(options) as progress:
         facts = export_records(
             options.sources, options.out, settings, key=key_of(options.key_file), progress=progress.update
@@ -89,7 +80,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     lines = export_words(facts)
     if any("person" in one for one in facts["files"]):
         lines.append("Please note: they are personal data, and they are not encrypted there.")
-    return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.key_file))]
+    return facts, lines
 
 
 def export_words(facts: dict[str, Any]) -> list[str]:

@@ -16,34 +16,30 @@ def add_gallery_verbs(verbs: Any) -> None:
     """Add ``splitknit gallery`` and what follows it."""
     kinds = group(verbs, "gallery", "look into a gallery, remove from it, export, import, check and encrypt it")
     listed = _kind(kinds, "list", "list whose fingers are in it", _list)
-    listed.add_argument("--person", default=None, metavar="NAME", help="of this person only")
+    listed.add_argument("--person", metavar="NAME", help="of this person only")
     _kind(kinds, "info", "show numbers and sizes; needs no key", _info)
     removed = _kind(kinds, "remove", "remove a person or a finger, so that nothing of it remains in the file", _remove)
-    removed.add_argument("--person", default=None, metavar="NAME", help="whose fingers")
-    removed.add_argument("--finger", default=None, metavar="FINGER", help="this one only")
-    removed.add_argument("--session", default=None, metavar="S", help="this one only")
+    removed.add_argument("--person", metavar="NAME", help="whose fingers")
+    removed.add_argument("--finger", metavar="FINGER", help="this one only")
+    removed.add_argument("--session", metavar="S", help="this one only")
     removed.add_argument("--row", type=natural, action="append", default=[], metavar="N", help="a row that is damaged")
     exported = _kind(kinds, "export", "write all of it, not encrypted, into a folder of templates and a table", _export)
     exported.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     exported.add_argument("--images", action="store_true", help="write kept images as well")
-    exported.add_argument(
-        "--person", default=None, metavar="NAME", help="all that is kept of this person, images and codes included"
-    )
+    exported.add_argument("--person", metavar="NAME", help="all that is kept of this person, images and codes included")
     imported = _kind(
         kinds, "import", "put an exported folder into a gallery, which is made where there is none", _import
     )
     imported.add_argument("folder", type=Path, metavar="FOLDER", help="what 'splitknit gallery export' wrote")
     imported.add_argument("--replace", action="store_true", help="let captures take the place of others")
     checked = _kind(kinds, "check", "look for damage, and for rows that something else changed", _check)
-    checked.add_argument(
-        "--shards", type=Path, default=None, metavar="DIR", help="compare the codes here with the gallery's as well"
-    )
+    checked.add_argument("--shards", type=Path, metavar="DIR", help="compare the codes here with the gallery's as well")
     _kind(kinds, "repair", "take out rows that cannot be opened, and accept the others as they are", _repair)
     indexed = _kind(
         kinds, "index", "make the codes that a search through very many fingers needs, where they are missing", _index
     )
     indexed.add_argument(
-        "--shards", type=Path, default=None, metavar="DIR", help="keep them here as well, for searches through millions"
+        "--shards", type=Path, metavar="DIR", help="keep them here as well, for searches through millions"
     )
     indexed.add_argument(
         "--renew",
@@ -54,7 +50,6 @@ def add_gallery_verbs(verbs: Any) -> None:
     changed.add_argument(
         "--new-key-file",
         type=Path,
-        default=None,
         metavar="FILE",
         help=f"the new key: a passphrase, or 64 hexadecimal digits (or the variable {NEW_KEY_VARIABLE})",
     )
@@ -66,10 +61,9 @@ def _kind(
     kinds: Any, name: str, does: str, run: Callable[[argparse.Namespace, Any], Outcome]
 ) -> argparse.ArgumentParser:
     def with_key(options: argparse.Namespace) -> Outcome:
-        from splitknit.gallery.key import key_notes, key_of  # verbs import what they need
+        from splitknit.gallery.key import key_of  # verbs import what they need
 
-        facts, lines = run(options, key_of(options.key_file))
-        return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.key_file))]
+        return run(options, key_of(options.key_file))
 
     verb = new_verb(kinds, name, does, with_key)
     add_gallery(verb)
@@ -191,13 +185,12 @@ def _index(options: argparse.Namespace, key: Any) -> Outcome:
 
 
 def _rekey(options: argparse.Namespace, key: Any) -> Outcome:
-    from splitknit.gallery.key import key_notes, key_of
+    from splitknit.gallery.key import key_of
     from splitknit.gallery.manage import rekey_gallery
 
     new = None if options.plain else key_of(options.new_key_file, NEW_KEY_VARIABLE)
     facts = rekey_gallery(options.gallery, key=key, new=new, plain=options.plain)
     state = "encrypted under the new key" if facts["encrypted"] else "not encrypted any more"
-    lines = [
+    return facts, [
         f"{facts['gallery']} ({count(facts['captures'], 'capture')}) is {state}. Copies made before are as they were."
     ]
-    return facts, [*lines, *(f"Please note: {note}" for note in key_notes(options.new_key_file))]

@@ -19,7 +19,6 @@ def add_key(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "--key-file",
         type=Path,
-        default=None,
         metavar="FILE",
         help=f"key of an encrypted gallery: a passphrase, or 64 hexadecimal digits (or the variable {KEY_VARIABLE}); "
         f"FILE{COUNTER}, where it is there, remembers the last change, so that older copies of a gallery are refused",

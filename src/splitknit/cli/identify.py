@@ -8,7 +8,17 @@ from typing import Any
 
 from splitknit.cli.gallery_options import add_gallery, count
 from splitknit.cli.match import add_raw, basis_words, one_in
-from splitknit.cli.verb import FINGERS, Outcome, Progress, add_input_ppi, add_preset, add_settings, natural, new_verb
+from splitknit.cli.verb import (
+    FINGERS,
+    Outcome,
+    Progress,
+    add_input_ppi,
+    add_preset,
+    add_settings,
+    from_options,
+    natural,
+    new_verb,
+)
 
 
 def add_identify(verbs: Any) -> None:
@@ -17,8 +27,8 @@ def add_identify(verbs: Any) -> None:
     add_gallery(verb)
     verb.add_argument("probe", type=Path, metavar="PROBE", help=FINGERS)
     verb.add_argument("--top", type=natural, default=10, metavar="N", help="candidates that are reported (default: 10)")
-    verb.add_argument("--person", default=None, metavar="NAME", help="verification: whose finger it is said to be")
-    verb.add_argument("--finger", default=None, metavar="FINGER", help="which finger it is; others are left out")
+    verb.add_argument("--person", metavar="NAME", help="verification: whose finger it is said to be")
+    verb.add_argument("--finger", metavar="FINGER", help="which finger it is; others are left out")
     verb.add_argument(
         "--fmr",
         type=float,
@@ -41,7 +51,6 @@ def add_identify(verbs: Any) -> None:
     verb.add_argument(
         "--shards",
         type=Path,
-        default=None,
         metavar="DIR",
         help="compare the codes that 'splitknit gallery index --shards' keeps here, with the gallery's key",
     )
@@ -55,18 +64,11 @@ def _run(options: argparse.Namespace) -> Outcome:
     """Identify."""
     from splitknit.cli.options import read_changes
     from splitknit.gallery.identify import IdentifySettings, Question, identify_file
-    from splitknit.gallery.key import key_notes, key_of  # verbs import what they need
+    from splitknit.gallery.key import key_of  # verbs import what they need
     from splitknit.settings import override
 
     settings = override(IdentifySettings(), read_changes(options.settings, options.assignments))
-    question = Question(
-        top=options.top,
-        merge=options.merge,
-        fmr=options.fmr,
-        search=options.search,
-        person=options.person,
-        finger=options.finger,
-    )
+    question = from_options(Question, options)
     key = key_of(options.key_file)
     with Progress(options) as progress:
         facts = identify_file(
@@ -74,8 +76,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             key=key, preset=options.preset, progress=progress.update, input_ppi=options.input_ppi,
             shards=options.shards,
         )  # fmt: skip
-    lines = [*_words(facts, options.raw), *(f"Please note: {note}" for note in key_notes(options.key_file))]
-    return facts, lines
+    return facts, _words(facts, options.raw)
 
 
 def _words(facts: dict[str, Any], raw: bool) -> list[str]:

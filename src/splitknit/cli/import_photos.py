@@ -144,7 +144,7 @@ def check_scale_options(options: argparse.Namespace) -> None:
 
 def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[str]]:
     """The capture of the photographs that the options name, and notes on it."""
-    from splitknit.io.plain import capture_from_photographs  # verbs import what they need
+    from splitknit.io.plain import PhotographOptions, capture_from_photographs  # verbs import what they need
     from splitknit.model import UNKNOWN_SCALE
     from splitknit.photometric.frames import rig_of_frame
     from splitknit.pipeline import with_scale
@@ -164,12 +164,14 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
         options.images,
         lights,
         options.px_per_mm,
-        mask=options.mask,
-        material=options.material or "opaque",
-        encoding=options.encoding,
-        background=background,
-        tip_direction_deg=options.tip_direction,
-        max_megapixels=options.max_size,
+        PhotographOptions(
+            options.mask,
+            options.material or "opaque",
+            options.encoding,
+            background,
+            options.tip_direction,
+            options.max_size,
+        ),
         announce=lambda words: print(f"splitknit: note: {words}", file=sys.stderr),
     )
     taken = found.capture

@@ -17,7 +17,7 @@ def add_match(verbs: Any) -> None:
     """Add the verb."""
     verb = new_verb(verbs, "match", "report how similar two fingers are", _run)
     verb.add_argument("a", type=Path, metavar="A", help=FINGERS)
-    verb.add_argument("b", type=Path, metavar="B", nargs="?", default=None, help="the same; not needed for --template")
+    verb.add_argument("b", type=Path, metavar="B", nargs="?", help="the same; not needed for --template")
     verb.add_argument(
         "--method",
         choices=("auto", "ridge", "fusion", "thesis", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra"),
@@ -31,12 +31,11 @@ def add_match(verbs: Any) -> None:
     verb.add_argument(
         "--fmr",
         type=float,
-        default=None,
         metavar="RATE",
         help="false match rate at which is decided (default: 1e-4, or the smallest that the method's rates can state)",
     )
     add_raw(verb)
-    verb.add_argument("--template", type=Path, default=None, metavar="FILE", help="write the template of A (.skt)")
+    verb.add_argument("--template", type=Path, metavar="FILE", help="write the template of A (.skt)")
     add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)

@@ -24,7 +24,6 @@ def add_print(verbs: Any) -> None:
     verb.add_argument(
         "--method",
         choices=("relief", "unroll", "curvature", "photo", "rolled"),
-        default=None,
         help="unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's); "
         "curvature: the shape index; photo: the photograph (needs a capture); rolled: around the finger, by front "
         "and its mirrors (needs a capture with mirrors)",
@@ -32,7 +31,6 @@ def add_print(verbs: Any) -> None:
     verb.add_argument(
         "--surface",
         choices=("plane", "free", "arc", "tube", "cylinder"),
-        default=None,
         help="where it is printed: the finger plane (default, except for unroll), or the skin laid flat: free (least "
         "distortion, default for unroll), arc (row by row), tube or cylinder (best-fit bodies)",
     )

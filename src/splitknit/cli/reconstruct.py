@@ -35,14 +35,12 @@ def add_reconstruct(verbs: Any) -> None:
     verb.add_argument(
         "--rig",
         type=Path,
-        default=None,
         metavar="RIG",
         help="rig file instead of the capture's, such as a calibration; with --images its white LEDs and camera",
     )
     verb.add_argument(
         "--shape",
         choices=("nir", "white", "mirror"),
-        default=None,
         help="where the finger's shape comes from: near-infrared (nir, the default), white light, or its outlines in "
         "mirrors beside it (mirror)",
     )

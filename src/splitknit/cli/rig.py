@@ -126,7 +126,7 @@ def _add_optimise(kinds: Any) -> None:
     )
     axes.add_argument("--resolutions", metavar="LIST", help="of the camera, pixels per mm on the finger, 3 to 75.7")
     study = verb.add_argument_group("how they are compared")
-    study.add_argument("--fingers", type=natural, default=None, metavar="N", help="simulated fingers a rig")
+    study.add_argument("--fingers", type=natural, metavar="N", help="simulated fingers a rig")
     study.add_argument(
         "--method", choices=("ea", "ea-poisson", "metric"), default="ea", help="of reconstruction (default: ea)"
     )
@@ -145,11 +145,9 @@ def _add_optimise(kinds: Any) -> None:
         help="what is minimised: Hausdorff distance of the print (the default), its 95 %% variant, the rms distance, "
         "the Hausdorff distance of the whole phalange, or the error of the normals",
     )
-    study.add_argument("--f-number", type=float, default=None, metavar="N", help="of the lens (default: 4)")
-    study.add_argument(
-        "--half-angle-deg", type=float, default=None, metavar="N", help="of the LEDs' beams (default: 30)"
-    )
-    study.add_argument("--led-drop-mm", type=float, default=None, metavar="N", help="LEDs below the lens (default: 0)")
+    study.add_argument("--f-number", type=float, metavar="N", help="of the lens (default: 4)")
+    study.add_argument("--half-angle-deg", type=float, metavar="N", help="of the LEDs' beams (default: 30)")
+    study.add_argument("--led-drop-mm", type=float, metavar="N", help="LEDs below the lens (default: 0)")
     verb.add_argument("--workers", type=natural, default=2, metavar="N", help="processes (default: 2)")
 
 
@@ -256,14 +254,13 @@ def _add_circuit(kinds: Any) -> None:
         _design_circuit,
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
-    verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
+    verb.add_argument("--rig", type=Path, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
     verb.add_argument(
         "--topology",
         choices=("sink", "switch"),
-        default=None,
         help="sink: the current does not depend on supply and LED (the default); switch: the thesis's stage",
     )
-    verb.add_argument("--supply-v", type=float, default=None, help="voltage of the LEDs' supply (default: 9)")
+    verb.add_argument("--supply-v", type=float, help="voltage of the LEDs' supply (default: 9)")
     add_settings(verb)
 
 
@@ -312,9 +309,7 @@ def _add_cad(kinds: Any) -> None:
     """Add ``splitknit rig cad``."""
     verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _draw_parts)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
-    verb.add_argument(
-        "--rig", type=Path, default=None, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)"
-    )
+    verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)")
     verb.add_argument("--below", action="store_true", help="put the assembly together with the camera below the finger")
     verb.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
     add_settings(verb)

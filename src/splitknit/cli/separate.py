@@ -17,27 +17,24 @@ def add_separate(verbs: Any) -> None:
     verb.add_argument(
         "--method",
         choices=("checkerboard", "symmetry", "sinusoid", "occluder", "single"),
-        default=None,
         help="how the light was patterned (default: what separation.json states, else checkerboard); symmetry: "
         "checkerboards without noise, an odd number of equal steps a period each way",
     )
-    verb.add_argument("--alpha", type=float, default=None, help="fraction of the pattern that is lit (default: 0.5)")
-    verb.add_argument("--dark", type=float, default=None, help="brightness of its unlit part (default: 0)")
+    verb.add_argument("--alpha", type=float, help="fraction of the pattern that is lit (default: 0.5)")
+    verb.add_argument("--dark", type=float, help="brightness of its unlit part (default: 0)")
     verb.add_argument(
         "--patterns",
-        default=None,
         metavar="WHERE",
         help="folder of state images, white = lit, or 'estimate' to find the states in the images: no bias by noise",
     )
-    verb.add_argument("--encoding", choices=("linear", "srgb"), default=None, help="of the images (default: linear)")
+    verb.add_argument("--encoding", choices=("linear", "srgb"), help="of the images (default: linear)")
     verb.add_argument(
         "--check-px",
         type=float,
-        default=None,
         help="side of a check on the images: for one image, and for noisy checkerboards on skin (whose states are "
         "found in the images unless --patterns gives them)",
     )
-    verb.add_argument("--block", type=natural, default=None, help="side of a block of the result, for one image")
+    verb.add_argument("--block", type=natural, help="side of a block of the result, for one image")
 
 
 def _run(options: argparse.Namespace) -> Outcome:

@@ -35,25 +35,19 @@ def add_simulate(verbs: Any) -> None:
         action="store_true",
         help="not a finger, but all that calibrates the rig that person SEED built: board, disc, nail, white card",
     )
-    verb.add_argument("--rig", type=Path, default=None, metavar="RIG", help="rig file that photographs the finger")
-    verb.add_argument(
-        "--pattern", default=None, help="loop, whorl, arch or another master print the twin knows (default: drawn)"
-    )
+    verb.add_argument("--rig", type=Path, metavar="RIG", help="rig file that photographs the finger")
+    verb.add_argument("--pattern", help="loop, whorl, arch or another master print the twin knows (default: drawn)")
     verb.add_argument(
         "--print",
         dest="print_file",
         type=Path,
-        default=None,
         metavar="FILE",
         help="a real print of 500 pixels an inch, ridges dark, tip up: the finger that left it, instead of a drawn one",
     )
-    verb.add_argument(
-        "--scale", type=scale, default=None, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)"
-    )
+    verb.add_argument("--scale", type=scale, help="size of the images, 1 = 3200 x 2200 pixels (default: the twin's)")
     verb.add_argument(
         "--motion",
         type=float,
-        default=None,
         metavar="MM",
         help="the finger moves by MM during the capture, as a hand does that is held still (0.5 is much)",
     )
@@ -67,15 +61,11 @@ def add_simulate(verbs: Any) -> None:
     verb.add_argument(
         "--condition",
         choices=("none", "wet", "dry", "dusty", "scarred", "glossy"),
-        default=None,
         help="what is the matter with the finger's skin (default: none)",
     )
-    verb.add_argument(
-        "--severity", type=float, default=None, metavar="S", help="of the condition: 0 (nothing) to 1 (default: 1)"
-    )
+    verb.add_argument("--severity", type=float, metavar="S", help="of the condition: 0 (nothing) to 1 (default: 1)")
     verb.add_argument(
         "--mirrors",
-        default=None,
         metavar="NAMES",
         help="mirrors beside the finger, seen in the same picture: left, right, tip, or several with commas between",
     )
@@ -94,7 +84,8 @@ def _run(options: argparse.Namespace) -> Outcome:
 
     if options.what == "population":
         return _run_population(options)
-    _refuse_population_options(options)
+    unused = [name for name in _OPTIONS if getattr(options, name) is not None]
+    require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
     changes = read_changes(options.settings, options.assignments)
     if options.motion is not None:
         require(not options.bench, "--bench and --motion do not go together: the bench has no finger.")
@@ -189,28 +180,17 @@ _OPTIONS = ("subjects", "fingers", "sessions", "workers", "prints")
 def _add_population_options(verb: argparse.ArgumentParser) -> None:
     """Add what only a population knows."""
     group = verb.add_argument_group("population")
-    group.add_argument("--subjects", type=natural, default=None, metavar="N", help="people (default: 17)")
-    group.add_argument(
-        "--fingers", default=None, metavar="LIST", help="all (default), or names with commas, such as right_index"
-    )
-    group.add_argument("--sessions", type=natural, default=None, metavar="N", help="captures a finger (default: 4)")
+    group.add_argument("--subjects", type=natural, metavar="N", help="people (default: 17)")
+    group.add_argument("--fingers", metavar="LIST", help="all (default), or names with commas, such as right_index")
+    group.add_argument("--sessions", type=natural, metavar="N", help="captures a finger (default: 4)")
     group.add_argument(
         "--prints",
         type=Path,
-        default=None,
         metavar="FOLDER",
         help="real prints of 500 pixels an inch, FINGER_IMPRESSION.png, tip up, ridges dark: the ridges of a third of "
         "the fingers, one print for each; with mirror images where they are too few",
     )
-    group.add_argument(
-        "--workers", type=natural, default=None, metavar="N", help=f"processes (default: {DEFAULT_WORKERS})"
-    )
-
-
-def _refuse_population_options(options: argparse.Namespace) -> None:
-    """Refuse a population's options where one finger is simulated. Raises BadInput."""
-    unused = [name for name in _OPTIONS if getattr(options, name) is not None]
-    require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
+    group.add_argument("--workers", type=natural, metavar="N", help=f"processes (default: {DEFAULT_WORKERS})")
 
 
 def _run_population(options: argparse.Namespace) -> Outcome:

@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 PRESETS = ("metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng", "lin", "xie")
 
@@ -17,6 +17,7 @@ FINGERS = (
 )
 """What is matched, for help."""
 
+T = TypeVar("T")
 Outcome = tuple[dict[str, Any], list[str]]
 """Facts for ``--json``, and the same in lines for people."""
 
@@ -109,16 +110,34 @@ def run_verb(options: argparse.Namespace) -> Outcome:
     os.environ[GROUP_READABLE] = "1" if options.group_readable else earlier
     try:
         with given_folders(one for one in named if isinstance(one, Path)):
-            outcome: Outcome = options.run(options)
-        return outcome
+            facts, lines = options.run(options)
+            return facts, [*lines, *_key_notes(options)] if lines else lines
     finally:
         os.environ[GROUP_READABLE] = earlier
+
+
+def _key_notes(options: argparse.Namespace) -> list[str]:
+    """A warning of each key file that others can read."""
+    given = [getattr(options, name, None) for name in ("key_file", "new_key_file")]
+    return [
+        f"Please note: the key file '{file}' can be read by others on this computer (chmod 600 ends that)."
+        for file in given
+        if file is not None and os.name == "posix" and file.stat().st_mode & 0o077
+    ]
 
 
 def group(verbs: Any, name: str, does: str) -> Any:
     """A verb that is followed by another."""
     group = verbs.add_parser(name, help=does, description=does[0].upper() + does[1:] + ".")
     return group.add_subparsers(dest="kind", metavar="WHAT", title="what", required=True)
+
+
+def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
+    """Make a dataclass whose fields are those options that have their names, and `others`."""
+    from dataclasses import fields
+
+    named = {one.name: getattr(options, one.name) for one in fields(kind) if hasattr(options, one.name)}  # type: ignore[arg-type]
+    return kind(**(named | others))
 
 
 def add_preset(verb: argparse.ArgumentParser) -> None:
@@ -138,7 +157,7 @@ def add_settings(verb: argparse.ArgumentParser) -> None:
         dest="assignments",
         help="change one setting; may be repeated and wins over --settings",
     )
-    verb.add_argument("--settings", type=Path, default=None, metavar="FILE", help="JSON or TOML file of settings")
+    verb.add_argument("--settings", type=Path, metavar="FILE", help="JSON or TOML file of settings")
 
 
 def add_device(verb: argparse.ArgumentParser) -> None:
@@ -162,7 +181,6 @@ def add_input_ppi(verb: Any) -> None:
     verb.add_argument(
         "--input-ppi",
         type=float,
-        default=None,
         metavar="N",
         help="pixels per inch of prints whose files do not state it; where they do, N is taken all the same",
     )

@@ -24,7 +24,7 @@ def add_view(verbs: Any) -> None:
         help="a result, a folder of results, two results to compare, a capture or a folder of photographs, or a "
         "gallery; nothing: a page to drop results onto",
     )
-    verb.add_argument("--capture", type=Path, default=None, metavar="FOLDER", help="photographs the results are from")
+    verb.add_argument("--capture", type=Path, metavar="FOLDER", help="photographs the results are from")
     add_key(verb)
     verb.add_argument("--port", type=_port, default=0, metavar="N", help="port to listen on (default: any free one)")
     verb.add_argument("--no-browser", action="store_true", help="do not open the page, only print its address")

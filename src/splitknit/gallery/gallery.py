@@ -17,7 +17,7 @@ from splitknit.errors import require
 from splitknit.gallery.entry import Enrolled, NewCapture, encode_entry
 from splitknit.gallery.file import VERSION, WAIT_S, connect, create_file
 from splitknit.gallery.key import Key, ScryptSettings, box_of, document_of, lock
-from splitknit.gallery.rows import Row, Rows, State
+from splitknit.gallery.rows import GalleryRows, GalleryState, Row
 from splitknit.matching.template import VERSION as TEMPLATE_VERSION
 
 __all__ = ["Enrolled", "Gallery", "NewCapture"]
@@ -26,7 +26,7 @@ __all__ = ["Enrolled", "Gallery", "NewCapture"]
 class Gallery:
     """An open gallery; a context manager. Get one from :meth:`open` or :meth:`create`."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: GalleryRows) -> None:
         """Wrap what is open already."""
         self._rows = rows
         self.path = rows.path
@@ -49,7 +49,7 @@ class Gallery:
         file = Path(path)
         database = connect(file, wait_s=wait_s)
         try:
-            return cls(Rows(file, database, key))
+            return cls(GalleryRows(file, database, key))
         except BaseException:
             database.close()
             raise
@@ -72,7 +72,7 @@ class Gallery:
         file = Path(path)
         if not file.exists():
             about = {"settings_sha256": settings_sha256, "template_version": TEMPLATE_VERSION, **lock(key, scrypt)}
-            create_file(file, document_of(about), State().sealed(box_of(about, key, file), about))
+            create_file(file, document_of(about), GalleryState().sealed(box_of(about, key, file), about))
         return cls.open(path, key)
 
     def __enter__(self) -> Gallery:

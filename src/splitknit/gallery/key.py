@@ -89,13 +89,6 @@ def _read_pipe(stream: io.FileIO, file: Path) -> bytes:
     return content
 
 
-def key_notes(file: Path | None) -> list[str]:
-    """What should be said of a key file."""
-    if file is None or os.name != "posix" or file.stat().st_mode & 0o077 == 0:
-        return []
-    return [f"the key file '{file}' can be read by others on this computer (chmod 600 ends that)."]
-
-
 KEY_BYTES = 32
 SALT_BYTES = 16
 TAG_BYTES = 16

@@ -153,7 +153,7 @@ def export_records(
                 rows.append(_mesh(source, folder, settings, taken, hashes))
                 continue
             for item in _items(source, settings, key, own):
-                form = _format(item, settings)
+                form = FORMATS[settings.to or ("iso-19794-2" if item.picture is None else "png")]
                 file = _free(item.name, form.suffix, taken)
                 data, facts = naming(source, lambda: _written(item, form, settings, own))  # noqa: B023
                 (folder / file).write_bytes(data)
@@ -193,11 +193,6 @@ def import_records(
 def _parameters(settings: Exporting) -> dict[str, Any]:
     date = None if settings.date is None else settings.date.isoformat()
     return {**dataclasses.asdict(settings), "date": date}
-
-
-def _format(item: _Item, settings: Exporting) -> PrintFormat:
-    own = "iso-19794-2" if item.picture is None else "png"
-    return FORMATS[settings.to or own]
 
 
 # What a source holds.
@@ -300,11 +295,11 @@ def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:
     if holds_minutiae(payload):
         view = finger_view(unpack_minutiae(payload), 0, finger, impression)
         return _Item(name, "template", view=view, names=names)
-    made = template_print(unpack(payload))
+    made = _template_print(unpack(payload))
     return _Item(name, "template", PrintFile(made.image, PPI, {}, finger, impression), made=made, names=names)
 
 
-def template_print(template: Template) -> Print:
+def _template_print(template: Template) -> Print:
     """Print of 500 ppi that a template's ridges make: dark, mirrored, four grey levels made smooth, paper elsewhere.
 
     Raises

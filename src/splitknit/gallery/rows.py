@@ -75,7 +75,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
+class GalleryState:
     """What is sealed of all rows together."""
 
     changes: int = 0
@@ -90,7 +90,7 @@ class State:
         return box.seal(json.dumps(document, sort_keys=True).encode("ascii"), _state_context(about))
 
 
-class Rows:
+class GalleryRows:
     """An open database, and the box that its contents are wrapped in."""
 
     def __init__(self, path: Path, database: sqlite3.Connection, key: Key | None) -> None:
@@ -101,7 +101,7 @@ class Rows:
             self.version, self.about = read_about(database, path)
         self.key = key
         self.box = box_of(self.about, key, path, self.version)
-        self.state = State()
+        self.state = GalleryState()
         self._verified: int | None = None
         """SQLite's number of the content that was compared with the state; others' changes give it a new one."""
 
@@ -186,20 +186,20 @@ class Rows:
                     write_counter(counter, self.box.gallery, self.state.changes)
         self._verified = content
 
-    def _sealed_state(self) -> State:
+    def _sealed_state(self) -> GalleryState:
         try:
             sealed = read_record(self.database, "state", "sealed")
             document = json.loads(self.box.open(sealed, _state_context(self.about)))
-            return State(int(document["changes"]), int(document["count"]), int(document["root"], 16))
+            return GalleryState(int(document["changes"]), int(document["count"]), int(document["root"], 16))
         except (Damaged, ValueError, TypeError, KeyError) as error:
             raise BadInput(
                 f"the gallery '{self.path}' is damaged (the record of all its rows); restore a copy, or {_ACCEPT}."
             ) from error
 
-    def _found_state(self) -> State:
+    def _found_state(self) -> GalleryState:
         query = "SELECT id, tag, version, code_version FROM finger NOT INDEXED"
         found = self.database.execute(query).fetchall()
-        return State(0, len(found), sum(_leaf(self.box, *one) for one in found) % _ROOTS)
+        return GalleryState(0, len(found), sum(_leaf(self.box, *one) for one in found) % _ROOTS)
 
     def rows(self, where: str = "TRUE", *values: Any) -> list[Row]:
         """Rows, in the order of enrolment."""
@@ -307,7 +307,7 @@ class Rows:
                 database.execute(f"PRAGMA user_version = {VERSION}")
             database.execute("UPDATE about SET document = ?", (document_of(about),))
             self.version, self.about, self.key, self.box = VERSION, about, key, box_of(about, key, self.path)
-            self.state = State(self.state.changes)
+            self.state = GalleryState(self.state.changes)
         ids = [row_id for (row_id,) in database.execute("SELECT id FROM old_finger ORDER BY id").fetchall()]
         for row_id in ids:
             if about is None:

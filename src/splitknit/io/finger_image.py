@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, require
 from splitknit.io.fmr_bytes import Cursor
 from splitknit.io.images import ImageSettings, decode_image
-from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
+from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
 from splitknit.io.prints import PrintFile, encode_print_png
 from splitknit.io.wsq_image import decode_wsq, encode_wsq
 
@@ -85,7 +85,7 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
         ppi in _LEVELS and same,
         "the images of a finger image record have 500 ppi, or all of them 1000; resample the prints.",
     )
-    codes = [code_of(one.finger, FINGER_CODES, "finger") for one in prints]
+    codes = [standard_code(one.finger, FINGER_CODES, "finger") for one in prints]
     of_finger, number, views = Counter(codes), Counter[int](), []
     for one, code in zip(prints, codes, strict=True):
         number[code] += 1
@@ -95,7 +95,7 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
             f"a print must be (H, W) uint8, at most 65535 pixels each way, not {one.image.shape} {one.image.dtype}.",
         )
         impression = _NEAREST.get(one.impression, one.impression)
-        kind = code_of(impression, ANSI_2004_IMPRESSIONS, "impression type")
+        kind = standard_code(impression, ANSI_2004_IMPRESSIONS, "impression type")
         data = encode_print(one.image, float(ppi), compression)
         head = (_VIEW.size + len(data), code, of_finger[code], number[code], _NO_QUALITY, kind, columns, rows, 0)
         views.append(_VIEW.pack(*head) + data)
@@ -147,7 +147,7 @@ def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
         pixels = _more(pixels, rows, columns, name)
         stored = cursor.take(length - _VIEW.size, f"the pixels of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        found.append(_print(image, ppi, finger, _IMPRESSIONS, impression, f"{what} of {name}"))
+        found.append(_print(image, ppi, finger, _impression(impression, _IMPRESSIONS), f"{what} of {name}"))
     return tuple(found)
 
 
@@ -182,7 +182,7 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         )
         cursor.take(start + length - cursor.place, f"the extended data of {what}")
         image = decode_print(stored, compression, (rows, columns), f"{what} of {name}")
-        found.append(_print(image, ppi, finger, ITL_IMPRESSIONS, impression, f"{what} of {name}"))
+        found.append(_print(image, ppi, finger, _impression(impression, ITL_IMPRESSIONS), f"{what} of {name}"))
     require(
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
@@ -253,12 +253,12 @@ def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: s
     return image
 
 
-def _print(  # noqa: PLR0917
-    image: NDArray[np.uint8], ppi: float, finger: int, codes: dict[str, int], impression: int, name: str
-) -> PrintFile:
-    position = name_of(finger, FINGER_CODES, f"finger position of {name}")
-    known = next((words for words, code in codes.items() if code == impression), "unknown")  # latent ones, for example
-    return PrintFile(image, ppi, {}, position, known)
+def _print(image: NDArray[np.uint8], ppi: float, finger: int, impression: str, name: str) -> PrintFile:
+    return PrintFile(image, ppi, {}, name_of(finger, FINGER_CODES, f"finger position of {name}"), impression)
+
+
+def _impression(code: int, codes: dict[str, int]) -> str:
+    return next((words for words, known in codes.items() if known == code), "unknown")  # latent ones, for example
 
 
 def encode_print(image: NDArray[np.uint8], ppi: float, compression: str) -> bytes:

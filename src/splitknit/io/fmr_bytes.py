@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
-from splitknit.io.minutiae_record import FINGER_CODES, MAX_MINUTIAE, FingerView, MinutiaeRecord, code_of, name_of
+from splitknit.io.minutiae_record import FINGER_CODES, MAX_MINUTIAE, FingerView, MinutiaeRecord, name_of, standard_code
 
 MAX_RECORD_BYTES = 20_000_000
 """176 full views with full extended data take 12 MB."""
@@ -213,7 +213,7 @@ def _encode_view(view: FingerView, codes: ViewCodes) -> bytes:
         "give 0 to 100.",
     )
     impression = codes.nearest.get(view.impression, view.impression)
-    packed = view.view << 4 | code_of(impression, codes.impressions, "impression type")
+    packed = view.view << 4 | standard_code(impression, codes.impressions, "impression type")
     minutiae = encode_minutiae(view, codes.steps, 100)
     head = _VIEW.pack(FINGER_CODES[view.finger], packed, view.finger_quality, view.count)
     return head + minutiae + _EXTENDED.pack(len(view.extended)) + view.extended

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.finger_image import MAX_PIXELS, decode_print, encode_print
-from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, code_of, name_of
+from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
 from splitknit.io.png import png_header
 
 # Transactions of ANSI/NIST-ITL with prints: Type-1, a minimal Type-2, and a Type-14 for every print.
@@ -63,8 +63,8 @@ class TransactionPrint:
             MIN_PPI <= self.ppi <= MAX_PPI,
             f"a print of a transaction has {MIN_PPI:g} to {MAX_PPI:g} ppi, not {self.ppi:g}; resample it.",
         )
-        code_of(self.finger, FINGER_CODES, "finger")
-        code_of(self.impression, ITL_IMPRESSIONS, "impression type")
+        standard_code(self.finger, FINGER_CODES, "finger")
+        standard_code(self.impression, ITL_IMPRESSIONS, "impression type")
         require(
             self.compression in COMPRESSIONS,
             f"'{self.compression}' is no compression; choose one of {', '.join(COMPRESSIONS)}.",

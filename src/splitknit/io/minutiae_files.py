@@ -40,8 +40,8 @@ from splitknit.io.minutiae_record import (
     FINGER_CODES,
     FingerView,
     MinutiaeRecord,
-    code_of,
     name_of,
+    standard_code,
 )
 
 # Minutiae records of ANSI/INCITS 378-2009 and of its amendment 1 (2010): byte for byte.
@@ -102,7 +102,7 @@ def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord
 
 
 def _encode_view(view: FingerView) -> bytes:
-    (rows, columns), impression = view.size, code_of(view.impression, ANSI_2009_IMPRESSIONS, "impression type")
+    (rows, columns), impression = view.size, standard_code(view.impression, ANSI_2009_IMPRESSIONS, "impression type")
     require(view.quality_algorithm[0] > 0, "the vendor of the quality's algorithm must not be 0 (0x0103: unknown).")
     minutiae = encode_minutiae(view, ANSI_STEPS, FAILED)
     head = _VIEW.pack(

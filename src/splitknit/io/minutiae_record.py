@@ -80,7 +80,7 @@ def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
     return names[0]
 
 
-def code_of(name: str, codes: Mapping[str, int], what: str) -> int:
+def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
     """Code of a `name` in the table `codes`; `what` it is, for messages.
 
     Raises

@@ -90,7 +90,7 @@ def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
     elif data.startswith((png.SIGNATURE[:4], JPEG_SIGNATURE)):
         pixels = decode_image(data, name)
         _check_room(pixels.nbytes, name, room)
-        orientation = _exif_orientation(data, name)
+        orientation = tiff.exif_orientation(exif_data(data), name)
     else:
         what = "is empty" if not data else f"is none of {FORMATS}"
         raise BadInput(f"{name} {what}; export it as PNG or TIFF.")
@@ -177,11 +177,6 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
     if orientation in (2, 3, 6, 7):
         pixels = pixels[:, ::-1]
     return np.ascontiguousarray(pixels)
-
-
-def _exif_orientation(data: bytes, name: str) -> int:
-    """Of a JPEG or PNG file that is known to be sound; 1 where there is none."""
-    return tiff.exif_orientation(exif_data(data), name)
 
 
 def exif_data(data: bytes) -> bytes:

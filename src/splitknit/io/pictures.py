@@ -39,7 +39,7 @@ _DIVERGING = np.array([(5, 48, 97), (67, 147, 195), (247, 247, 247), (253, 174, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Frame:
+class PictureFrame:
     """A small upright frame over a part of a large input."""
 
     input_from_picture: NDArray[np.float64]
@@ -50,14 +50,14 @@ class Frame:
     """Size of one picture pixel."""
 
 
-def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> Frame:
+def upright_frame(result: Reconstruction, longest: int, margin_mm: float = 0.8) -> PictureFrame:
     """Return the upright frame that holds the mask with a margin and has at most `longest` pixels a side."""
     margin = margin_mm / result.pitch_mm + 4.0
     (left, top), (right, bottom) = np.add(upright_limits(result), ((-margin, -margin), (margin, margin))).tolist()
     step = max(1.0, max(right - left, bottom - top) / longest)
     size = (int((bottom - top) / step), int((right - left) / step))
     to_upright = np.array([[step, 0.0, left + (step - 1) / 2], [0.0, step, top + (step - 1) / 2], [0.0, 0.0, 1.0]])
-    return Frame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
+    return PictureFrame(result.input_from_upright @ to_upright, size, result.pitch_mm * step)
 
 
 def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
@@ -79,7 +79,7 @@ def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
     return np.asarray(flip @ turn @ flip)
 
 
-def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: Frame) -> tuple[FloatArray, FloatArray]:
+def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
     """Average `field` (H, W) or (H, W, C) over the picture's pixels, `mask` aware.
 
     Returns
@@ -92,7 +92,7 @@ def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: Frame) -> tuple
 
 
 def fields_to_frame(
-    fields: Sequence[NDArray[np.generic]], mask: BoolArray, frame: Frame
+    fields: Sequence[NDArray[np.generic]], mask: BoolArray, frame: PictureFrame
 ) -> tuple[list[FloatArray], FloatArray]:
     """Several fields of one mask, as :func:`to_frame` averages them, and their weight."""
     factor, window, input_from_small = _blocks(mask, frame)
@@ -110,7 +110,7 @@ def fields_to_frame(
     return found, np.clip(weight, 0.0, 1.0).astype(np.float32)
 
 
-def _blocks(mask: BoolArray, frame: Frame) -> tuple[int, tuple[slice, slice], NDArray[np.float64]]:
+def _blocks(mask: BoolArray, frame: PictureFrame) -> tuple[int, tuple[slice, slice], NDArray[np.float64]]:
     """Side of whole blocks no larger than the picture's pixel, the window that holds the picture, and (3, 3) from the
     blocks in it to the input."""
     step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))

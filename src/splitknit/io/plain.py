@@ -50,6 +50,39 @@ _BRIGHTEST = 0.9
 """What the brightest value of photographs of floats becomes, of the full scale of 16 bits."""
 
 
+@dataclass(frozen=True, slots=True)
+class PhotographOptions:
+    """What is known of photographs beside their lights and their scale."""
+
+    mask: str | os.PathLike[str] | None = None
+    """Image file, white = object; in a folder by default ``mask.png`` (or another format), where there is one."""
+    material: str = "opaque"
+    """``opaque`` or ``skin``."""
+    encoding: str | None = None
+    """``linear`` or ``srgb``; by default by :func:`splitknit.io.photos.encoding_of`."""
+    background: Background = None
+    """Stored value of no light that was added to every pixel (a number), or an image with all lights off."""
+    tip_direction_deg: float | None = None
+    """Where a finger's tip points (0 = up, counter-clockwise)."""
+    max_megapixels: float | None = None
+    """Larger photographs are reduced to so many pixels, by means over areas of linear light."""
+
+    def __post_init__(self) -> None:
+        require(
+            self.material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{self.material}'."
+        )
+        known = self.encoding in ("linear", "srgb", None)
+        require(known, f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'.")
+
+    @property
+    def background_image(self) -> str | os.PathLike[str] | None:
+        """The image with all lights off, if there is one."""
+        return None if isinstance(self.background, float | int) else self.background
+
+
+_NO_OPTIONS = PhotographOptions()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Photographs:
     """Photographs as a capture, and what is to be known about how they became one."""
@@ -65,13 +98,7 @@ def capture_from_photographs(
     folder: str | os.PathLike[str],
     lights: str | os.PathLike[str] | NDArray[np.float64] | Rig | None = None,
     px_per_mm: float | None = None,
-    *,
-    mask: str | os.PathLike[str] | None = None,
-    material: str = "opaque",
-    encoding: str | None = None,
-    background: Background = None,
-    tip_direction_deg: float | None = None,
-    max_megapixels: float | None = None,
+    options: PhotographOptions = _NO_OPTIONS,
     announce: Callable[[str], None] | None = None,
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
@@ -82,10 +109,7 @@ def capture_from_photographs(
     lights : list (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions
         (L, 3) or rig; by default ``lights.txt`` in the folder, or the only ``.lp`` file there
     px_per_mm : pixels a millimetre on the object; None where it is unknown: heights are then in pixels
-    mask : image file, white = object; by default ``mask.png`` (or another format) in the folder, where there is one
-    material, background, tip_direction_deg : as for :func:`capture_from_plain_images`
-    encoding : ``linear`` or ``srgb``; by default by :func:`splitknit.io.photos.encoding_of`
-    max_megapixels : larger photographs are reduced to so many pixels, by means over areas of linear light
+    options : mask, material, encoding and others
     announce : called with a sentence on memory and disk before many or large photographs are read
 
     Returns
@@ -107,10 +131,10 @@ def capture_from_photographs(
     root = Path(folder)
     require(root.is_dir(), f"{os.fspath(folder)} is not a folder; name the folder of the photographs.")
     table, rig, names = _lights_of(root, lights)
-    own = [file for value in (mask, background if not isinstance(background, float | int) else None, table)
-           if value is not None for file in [Path(os.path.realpath(value))]]  # fmt: skip
-    found, masks, skipped = photographs_in(root, table, names, own, find_mask=mask is None)
-    mask = masks[0] if masks else mask
+    named = (options.mask, options.background_image, table)
+    own = [Path(os.path.realpath(value)) for value in named if value is not None]
+    found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
+    options = replace(options, mask=masks[0]) if masks else options
     left_out = f"; skipped: {_listed(skipped)}" if skipped else ""
     require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
     require(
@@ -118,9 +142,7 @@ def capture_from_photographs(
         f"{root} holds {len(found)} photographs ({found[0].name} to {found[-1].name}), but {table} has "
         f"{len(rig.leds)} lights{left_out}; let each of its lines begin with the name of a photograph.",
     )
-    capture, notes = _assembled(
-        found, rig, px_per_mm, mask, material, encoding, background, tip_direction_deg, max_megapixels, announce
-    )
+    capture, notes = _assembled(found, rig, px_per_mm, options, announce)
     if table.is_file():
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if skipped:
@@ -255,13 +277,8 @@ def capture_from_plain_images(
     images: Sequence[str | os.PathLike[str]],
     lights: NDArray[np.float64],
     px_per_mm: float | None,
-    *,
+    options: PhotographOptions = _NO_OPTIONS,
     intensities: Sequence[float] | None = None,
-    mask: str | os.PathLike[str] | None = None,
-    material: str = "opaque",
-    encoding: str = "linear",
-    background: Background = None,
-    tip_direction_deg: float | None = None,
 ) -> Capture:
     """Make a capture of images of one object under distant lights; all of them form the band ``white``.
 
@@ -273,12 +290,8 @@ def capture_from_plain_images(
     images : files of :func:`splitknit.io.photos.read_photo`, of one size, at least three, in the order of the lights
     lights : (L, 3) directions *towards* the lights, x right, y up, z to the camera, of any length
     px_per_mm : pixels a millimetre on the object; heights scale with it. None where it is unknown
+    options : mask, material and others; without an encoding the images are linear
     intensities : relative strength of each light; equal where None
-    mask : image file, white = object
-    material : ``opaque`` (default) or ``skin``
-    encoding : ``linear`` or ``srgb``
-    background : stored value of no light that was added to every pixel (a number), or an image with all lights off
-    tip_direction_deg : where a finger's tip points (0 = up, counter-clockwise)
 
     Returns
     -------
@@ -299,19 +312,14 @@ def capture_from_plain_images(
         f"there are {len(strengths)} intensities for {len(rig.leds)} lights; give one each.",
     )
     rig = replace(rig, leds=tuple(replace(led, intensity=one) for led, one in zip(rig.leds, strengths, strict=True)))
-    return _assembled(files, rig, px_per_mm, mask, material, encoding, background, tip_direction_deg)[0]
+    return _assembled(files, rig, px_per_mm, replace(options, encoding=options.encoding or "linear"))[0]
 
 
-def _assembled(  # noqa: PLR0917
+def _assembled(
     files: Sequence[Path],
     rig: Rig,
     px_per_mm: float | None,
-    mask: str | os.PathLike[str] | None,
-    material: str,
-    encoding: str | None,
-    background: Background,
-    tip_direction_deg: float | None,
-    max_megapixels: float | None = None,
+    options: PhotographOptions,
     announce: Callable[[str], None] | None = None,
 ) -> tuple[Capture, list[str]]:
     """The capture, and notes on it."""
@@ -319,8 +327,7 @@ def _assembled(  # noqa: PLR0917
     places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
     twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
     require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
-    require(material in ("skin", "opaque"), f"material must be 'skin' or 'opaque', but it is '{material}'.")
-    require(encoding in ("linear", "srgb", None), f"encoding must be 'linear' or 'srgb', but it is '{encoding}'.")
+    encoding, mask, background = options.encoding, options.mask, options.background
     linear = [file.name for file in files if file.suffix.lower() in RAW_SUFFIXES]
     require(not linear or encoding != "srgb", f"{linear[0] if linear else ''} is camera RAW, whose light is linear.")
     require(
@@ -334,7 +341,7 @@ def _assembled(  # noqa: PLR0917
     if encoding is None:
         encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig.light_vectors()))
         notes.append(note)
-    reading = _Reading(files, encoding, max_megapixels)
+    reading = _Reading(files, encoding, options.max_megapixels)
     camera = _camera_of(rig.camera, reading, px_per_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in leds),
@@ -344,7 +351,7 @@ def _assembled(  # noqa: PLR0917
         announce(cost)
     stack, turn, hashes = reading.stack()
     others = {}
-    for what, file in (("mask", mask), ("background", None if isinstance(background, float | int) else background)):
+    for what, file in (("mask", mask), ("background", options.background_image)):
         if file is not None:
             photo = read_photo(Path(file))
             others[what] = reading.reduced(photo, Path(file))
@@ -373,8 +380,8 @@ def _assembled(  # noqa: PLR0917
         rig=replace(rig, camera=camera, leds=leds),
         bands={"white": band},
         encoding=encoding,
-        material=material,
-        tip_direction_deg=tip_direction_deg,
+        material=options.material,
+        tip_direction_deg=options.tip_direction_deg,
         mask=None if mask is None else mask_from_image(_as_bytes(others["mask"]), str(mask)),
         hashes=hashes,
     )

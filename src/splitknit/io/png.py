@@ -43,7 +43,7 @@ _WHOLE_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class PngHeader:
+class _PngHeader:
     """The facts of the IHDR chunk."""
 
     rows: int
@@ -77,7 +77,7 @@ class PngHeader:
         return [(rows, self.line_bytes(columns)) for rows, columns in sizes if rows > 0 and columns > 0]
 
 
-def png_header(data: bytes, name: str) -> PngHeader:
+def png_header(data: bytes, name: str) -> _PngHeader:
     """Read the IHDR chunk of `data`; `name` is for messages.
 
     Raises
@@ -92,7 +92,7 @@ def png_header(data: bytes, name: str) -> PngHeader:
     columns, rows, depth, colour, compression, filters, interlace = struct.unpack(">IIBBBBB", data[16:29])
     require(0 < rows < 1 << 31 and 0 < columns < 1 << 31, damaged)
     require(depth in _DEPTHS.get(colour, ()) and (compression, filters) == (0, 0) and interlace in (0, 1), damaged)
-    header = PngHeader(rows, columns, depth, colour, bool(interlace))
+    header = _PngHeader(rows, columns, depth, colour, bool(interlace))
     check_size(rows * columns * header.channels * header.dtype.itemsize, name, f"{rows} x {columns}")
     stored = sum(count * line for count, line in header.passes())
     require(
@@ -177,7 +177,7 @@ def _walk(data: bytes, name: str) -> tuple[bytes | None, bytes]:
     return palette, b"".join(pieces)
 
 
-def _inflate(compressed: bytes, header: PngHeader, name: str) -> Iterator[bytes]:
+def _inflate(compressed: bytes, header: _PngHeader, name: str) -> Iterator[bytes]:
     """Inflate the image data piece by piece; exactly the header's number of bytes must come out."""
     left = sum(rows * line for rows, line in header.passes())
     job = engine.decompressobj()
@@ -193,7 +193,7 @@ def _inflate(compressed: bytes, header: PngHeader, name: str) -> Iterator[bytes]
     require(left == 0 and job.eof, f"{name} is damaged: its image data is incomplete; copy it again.")
 
 
-def _decode_strips(header: PngHeader, compressed: bytes, name: str, out: PixelArray) -> None:
+def _decode_strips(header: _PngHeader, compressed: bytes, name: str, out: PixelArray) -> None:
     line = header.line_bytes()
     strip_bytes = max(1, _STRIP_BYTES // line) * line
     pending = bytearray()  # begins with the last decoded row, as the file would store it: row filters refer to it
@@ -209,11 +209,11 @@ def _decode_strips(header: PngHeader, compressed: bytes, name: str, out: PixelAr
             row, held = row + count, line
 
 
-def _decode_palette(header: PngHeader, palette: bytes, compressed: bytes, name: str, out: PixelArray) -> None:
+def _decode_palette(header: _PngHeader, palette: bytes, compressed: bytes, name: str, out: PixelArray) -> None:
     require(
         len(palette) % 3 == 0 and 0 < len(palette) <= 768, f"{name} is damaged: its palette has an impossible length."
     )
-    grey = PngHeader(header.rows, header.columns, header.depth, 0, header.interlaced)
+    grey = _PngHeader(header.rows, header.columns, header.depth, 0, header.interlaced)
     index = _unfilter(grey, b"".join(_inflate(compressed, header, name)), header.rows, name)
     index = index // (255 // (2**header.depth - 1))  # the decoder stretches 1, 2 and 4 bits to the full scale
     table = np.frombuffer(palette, dtype=np.uint8).reshape(-1, 3)
@@ -222,7 +222,7 @@ def _decode_palette(header: PngHeader, palette: bytes, compressed: bytes, name: 
         out[row] = table[index[row]]
 
 
-def _unfilter(header: PngHeader, lines: bytes | memoryview, rows: int, name: str) -> NDArray[Any]:
+def _unfilter(header: _PngHeader, lines: bytes | memoryview, rows: int, name: str) -> NDArray[Any]:
     """Undo the row filters of `rows` complete filtered rows with the C library; gives grey, RGB or BGRA."""
     import cv2  # slow to import
 
@@ -260,7 +260,7 @@ def _stored(data: bytes | memoryview) -> list[bytes | memoryview]:
     return [*pieces, engine.adler32(view).to_bytes(4, "big")]
 
 
-def _check_filters(header: PngHeader, lines: bytes | memoryview, rows: int, name: str) -> None:
+def _check_filters(header: _PngHeader, lines: bytes | memoryview, rows: int, name: str) -> None:
     data = np.frombuffer(lines, dtype=np.uint8)
     sizes = header.passes() if header.interlaced else [(rows, header.line_bytes())]
     position = 0
@@ -291,7 +291,7 @@ def copy_rgb(image: NDArray[Any], out: PixelArray) -> None:
         out[...] = image[..., 2::-1]
 
 
-def _stored_row(row: NDArray[Any], header: PngHeader) -> bytes:
+def _stored_row(row: NDArray[Any], header: _PngHeader) -> bytes:
     """Return one decoded row (W,) or (W, C) in the byte order of the file."""
     if header.colour == 6:
         row = row[:, [2, 1, 0, 3]]

@@ -88,10 +88,6 @@ def read_prints(path: str | os.PathLike[str]) -> tuple[PrintFile | FingerView, .
     return found.decode(data, name)
 
 
-def _image(data: bytes, name: str) -> tuple[PrintFile, ...]:
-    return (prints.decode_print_image(data, name),)
-
-
 def _wsq(data: bytes, name: str) -> tuple[PrintFile, ...]:
     found = wsq_image.decode_wsq(data, name)
     return (dataclasses.replace(found, resolution_ppi=found.resolution_ppi or WSQ_PPI),)
@@ -102,29 +98,9 @@ def _transaction(data: bytes, name: str) -> tuple[PrintFile, ...]:
     return tuple(PrintFile(one.image, one.ppi, {}, one.finger, one.impression) for one in found)
 
 
-def _minutiae(data: bytes, name: str) -> tuple[FingerView, ...]:
-    return decode_minutiae_record(data, name).views
-
-
 def _ppi(item: PrintFile) -> float:
     require(item.resolution_ppi is not None, "a print to be written must have a resolution.")
     return float(item.resolution_ppi or 0.0)
-
-
-def _to_png(item: PrintFile, how: Writing) -> bytes:
-    return prints.encode_print_png(item.image, _ppi(item), how.text)
-
-
-def _to_tiff(item: PrintFile, how: Writing) -> bytes:
-    return prints.encode_print_tiff(item.image, _ppi(item), how.text)
-
-
-def _to_wsq(item: PrintFile, how: Writing) -> bytes:
-    return wsq_image.encode_wsq(item.image, _ppi(item))
-
-
-def _to_finger_image(item: PrintFile, how: Writing) -> bytes:
-    return finger_image.encode_finger_images([item], how.compression)
 
 
 def _to_transaction(item: PrintFile, how: Writing) -> bytes:
@@ -141,41 +117,51 @@ def _record(view: FingerView, max_quality: int = 100) -> MinutiaeRecord:
     return MinutiaeRecord((dataclasses.replace(view.best(), quality=kept, finger_quality=quality, extended=b""),))
 
 
-def _to_iso(view: FingerView, how: Writing) -> bytes:
-    return encode_iso19794(_record(view))
+def _minutiae(name: str, suffix: str, words: str, encode: Callable[[FingerView, Writing], bytes]) -> PrintFormat:
+    """A format of minutiae; which standard's a record is, shows when it is read."""
+    starts, max_bytes = (b"FMR\0",), MAX_RECORD_BYTES
+    return PrintFormat(
+        name, suffix, "minutiae", words, starts, lambda data, file: decode_minutiae_record(data, file).views, encode,
+        max_bytes,
+    )  # fmt: skip
 
 
-def _to_ansi(view: FingerView, how: Writing) -> bytes:
-    return encode_ansi378(_record(view))
+def _picture(
+    name: str, suffix: str, starts: tuple[bytes, ...], encode: Callable[[PrintFile, Writing], bytes] | None = None
+) -> PrintFormat:
+    """A format of pictures."""
+    return PrintFormat(
+        name, suffix, "image", name.upper(), starts, lambda data, file: (prints.decode_print_image(data, file),), encode
+    )
 
 
-def _to_ansi_2009(view: FingerView, how: Writing) -> bytes:
-    return encode_ansi378_2009(_record(view, 255))
-
-
-_FMR = (b"FMR\0",)
 _MAX_ITL = 200_000_000
 
 FORMATS: dict[str, PrintFormat] = {
     one.name: one
     for one in (
-        PrintFormat("png", ".png", "image", "PNG", (PNG[:4],), _image, _to_png),
-        PrintFormat("tiff", ".tiff", "image", "TIFF", tiff.SIGNATURES, _image, _to_tiff),
-        PrintFormat("jpeg", ".jpg", "image", "JPEG", (photos.JPEG_SIGNATURE,), _image),
-        PrintFormat("bmp", ".bmp", "image", "BMP", (photos.BMP_SIGNATURE,), _image),
-        PrintFormat("wsq", ".wsq", "image", "WSQ", (wsq_image.SIGNATURE,), _wsq, _to_wsq, 100_000_000),
+        _picture("png", ".png", (PNG[:4],), lambda one, how: prints.encode_print_png(one.image, _ppi(one), how.text)),
+        _picture(
+            "tiff", ".tiff", tiff.SIGNATURES, lambda one, how: prints.encode_print_tiff(one.image, _ppi(one), how.text)
+        ),
+        _picture("jpeg", ".jpg", (photos.JPEG_SIGNATURE,)),
+        _picture("bmp", ".bmp", (photos.BMP_SIGNATURE,)),
+        PrintFormat(
+            "wsq", ".wsq", "image", "WSQ", (wsq_image.SIGNATURE,), _wsq,
+            lambda one, how: wsq_image.encode_wsq(one.image, _ppi(one)), 100_000_000,
+        ),
         PrintFormat(
             "iso-19794-4", ".fir", "image", "ISO/IEC 19794-4", (finger_image.MAGIC,), finger_image.decode_finger_images,
-            _to_finger_image, 200_000_000,
+            lambda one, how: finger_image.encode_finger_images([one], how.compression), 200_000_000,
         ),
         PrintFormat(
             "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"), _transaction,
             _to_transaction, _MAX_ITL,
         ),
-        PrintFormat("iso-19794-2", ".iso", "minutiae", "ISO/IEC 19794-2", _FMR, _minutiae, _to_iso, MAX_RECORD_BYTES),
-        PrintFormat("ansi-378", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi, MAX_RECORD_BYTES),
-        PrintFormat(
-            "ansi-378-2009", ".fmr", "minutiae", "ANSI/INCITS 378", _FMR, _minutiae, _to_ansi_2009, MAX_RECORD_BYTES
+        _minutiae("iso-19794-2", ".iso", "ISO/IEC 19794-2", lambda view, how: encode_iso19794(_record(view))),
+        _minutiae("ansi-378", ".fmr", "ANSI/INCITS 378", lambda view, how: encode_ansi378(_record(view))),
+        _minutiae(
+            "ansi-378-2009", ".fmr", "ANSI/INCITS 378", lambda view, how: encode_ansi378_2009(_record(view, 255))
         ),
     )
 }  # fmt: skip

@@ -130,13 +130,10 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     if not 1 <= len(entries) <= 10_000:
         fields.refuse("leds", "a list of at least one LED")
     leds = tuple(_led(Fields(entry, name, f"leds[{k}]")) for k, entry in enumerate(entries))
-    mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(_mirror_items(fields))]
+    entries = fields.items("mirrors") if fields.has("mirrors") else []
+    mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(entries)]
     origin = fields.mapping("provenance")
     return naming(name, lambda: Rig(camera, leds, origin, tuple(mirrors)))
-
-
-def _mirror_items(fields: Fields) -> list[Any]:
-    return list(fields.items("mirrors")) if fields.has("mirrors") else []
 
 
 def _mirror(fields: Fields) -> Mirror:

@@ -50,12 +50,12 @@ def line_chart(
     def to_y(value: float) -> float:
         return height - bottom - (value - y_low) * y_scale
 
-    parts = [_open(width, height, f"{y_label} against {x_label}")]
-    for tick in _ticks(x_low, x_high, 7):
-        parts.append(_rule(to_x(tick), top, to_x(tick), height - bottom))
+    parts = [open_svg(width, height, f"{y_label} against {x_label}")]
+    for tick in round_ticks(x_low, x_high, 7):
+        parts.append(segment((to_x(tick), top), (to_x(tick), height - bottom)))
         parts.append(text_at(to_x(tick), height - bottom + 13, f"{tick:g}", "middle"))
-    for tick in _ticks(y_low, y_high, 5):
-        parts.append(_rule(left, to_y(tick), width - right, to_y(tick)))
+    for tick in round_ticks(y_low, y_high, 5):
+        parts.append(segment((left, to_y(tick)), (width - right, to_y(tick))))
         parts.append(text_at(left - 5, to_y(tick) + 4, f"{tick:g}", "end"))
     parts.append(text_at((left + width - right) / 2, height - 5, x_label, "middle"))
     parts.append(text_at(4, 12, y_label, "start"))
@@ -72,10 +72,7 @@ def line_chart(
         stroke, dash = SERIES_COLOURS[k % len(SERIES_COLOURS)], _DASHES[k % len(_DASHES)]
         parts.append(text_at(offset, 12, line.label, "end"))
         offset -= 6.4 * len(line.label) + 8
-        parts.append(
-            f'<line x1="{offset - 20:.1f}" y1="8" x2="{offset:.1f}" y2="8" stroke="{stroke}" stroke-width="2" '
-            f'stroke-dasharray="{dash}"/>'
-        )
+        parts.append(segment((offset - 20, 8), (offset, 8), stroke, dash, 2))
         offset -= 32
     return Markup("".join(parts) + "</svg>")
 
@@ -86,7 +83,7 @@ def bar_chart(values: Sequence[float], labels: Sequence[str], unit: str = "", *,
     longest, row = max(finite, default=0.0), 15
     left = 10 + 7 * max((len(name) for name in labels), default=0)
     scale = (width - left - 50) / longest if longest > 0 else 0.0
-    parts = [_open(width, row * len(values) + 4, "bar chart")]
+    parts = [open_svg(width, row * len(values) + 4, "bar chart")]
     for k, (value, label) in enumerate(zip(values, labels, strict=True)):
         y = k * row + 3
         length = abs(float(value)) * scale if np.isfinite(value) else 0.0
@@ -101,7 +98,7 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False, w
     steps = 32
     shades = colour(np.linspace(0.0, 1.0, steps, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
     step = (width - 20) / steps
-    parts = [_open(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
+    parts = [open_svg(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
     for k, (r, g, b) in enumerate(shades):
         parts.append(
             f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
@@ -137,18 +134,22 @@ def _pieces(line: Line) -> list[NDArray[np.float64]]:
     return [points[a:b:step] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
 
 
-def _ticks(low: float, high: float, count: int) -> list[float]:
-    span = max(high - low, 1e-12)
+def round_ticks(low: float, high: float, count: int) -> list[float]:
+    """Round values from `low` to `high`, about `count` of them."""
+    span = high - low
+    if not span > 0:
+        return [low]
     step = 10.0 ** np.floor(np.log10(span / count))
     step *= next((m for m in (1, 2, 5, 10) if span / (m * step) <= count), 10)
     first = int(np.ceil(low / step - 1e-9))
-    return [round(k * step, 10) for k in range(first, int(np.floor(high / step + 1e-9)) + 1)]
+    return [float(k * step) for k in range(first, int(np.floor(high / step + 1e-9)) + 1)]
 
 
-def _open(width: float, height: float, title: str) -> str:
+def open_svg(width: float, height: float, title: str, font_px: int = 11) -> str:
+    """Begin a chart; ``</svg>`` ends it."""
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="11" fill="{INK}">'
+        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="{font_px}" fill="{INK}">'
     )
 
 
@@ -157,5 +158,12 @@ def text_at(x: float, y: float, words: str, anchor: str) -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
 
 
-def _rule(x1: float, y1: float, x2: float, y2: float) -> str:
-    return f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="#e2e2e2"/>'
+def segment(
+    start: tuple[float, float], end: tuple[float, float], paint: str = "#e2e2e2", dash: str = "", width: float = 1
+) -> str:
+    """A straight line of a chart, by default one of its grid."""
+    dashes = f' stroke-dasharray="{dash}"' if dash else ""
+    return (
+        f'<line x1="{start[0]:.1f}" y1="{start[1]:.1f}" x2="{end[0]:.1f}" y2="{end[1]:.1f}" stroke="{paint}" '
+        f'stroke-width="{width:g}"{dashes}/>'
+    )

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -21,7 +21,7 @@ from splitknit.io.provenance import plain_json
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.report import render
-from splitknit.report.charts import INK, SERIES_COLOURS, text_at
+from splitknit.report.charts import SERIES_COLOURS, open_svg, round_ticks, segment, text_at
 
 if TYPE_CHECKING:
     from splitknit.evaluation.gallery_scores import GalleryScores
@@ -46,7 +46,7 @@ def evaluate_to_folder(
     check_target(out, "report.json", "an earlier evaluation", form=FORMAT)
     found = evaluate_scores(files, settings, exclusions=exclusions, gallery=gallery, progress=progress)
     progress("report", 1.0)
-    html = page(found.facts, found.results)
+    html = _page(found.facts, found.results)
     with atomic_folder(out) as folder:
         for name, data in found.tables.items():
             (folder / name).write_bytes(data)
@@ -59,7 +59,7 @@ def evaluate_to_folder(
 DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}
 
 
-def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
+def _page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
     """Return the report of `facts`; the charts come from the scores themselves."""
     systems = facts["systems"]
     bootstrap = systems[facts["system"]]["bootstrap"]
@@ -74,15 +74,15 @@ def page(facts: Mapping[str, Any], results: Sequence[Result]) -> str:
         drawn_by=DRAWN_BY,
         pictures=_pictures(results, systems),
         turned=facts["settings"]["dissimilarity"],
-        rate=rate,
+        rate=_rate,
         interval=interval,
-        change=change,
-        number=number,
+        change=_change,
+        number=_number,
         far=lambda key: f"{100 * float(key):g} %",
     )
 
 
-def rate(value: float | None) -> str:
+def _rate(value: float | None) -> str:
     """A fraction in percent: two decimals, more where it is small."""
     if value is None:
         return "-"
@@ -96,15 +96,15 @@ def interval(found: Mapping[str, float] | None) -> str:
     """A fraction with its interval."""
     if found is None:
         return "-"
-    return f"{rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
+    return f"{_rate(found['value'])} ({_bare(found['low'])} to {_bare(found['high'])})"
 
 
-def change(found: Mapping[str, float]) -> str:
+def _change(found: Mapping[str, float]) -> str:
     """A difference of fractions in percentage points, with its interval."""
     return f"{100 * found['value']:+.2f} ({100 * found['low']:+.2f} to {100 * found['high']:+.2f})"
 
 
-def number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
+def _number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
     """A plain number with its interval."""
     if found is None:
         return "-"
@@ -112,7 +112,7 @@ def number(found: Mapping[str, float] | None, decimals: int = 3) -> str:
 
 
 def _bare(value: float) -> str:
-    return rate(value).removesuffix(" %")
+    return _rate(value).removesuffix(" %")
 
 
 def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str, list[Markup]]:
@@ -185,13 +185,15 @@ class Curve:
 
 def roc_chart(curves: Sequence[tuple[str, Roc, tuple[Values, Values, Values] | None]], lowest: float) -> Markup:
     """GAR over FAR, the latter on a logarithmic axis down to `lowest`, with bands of FAR, low and high GAR."""
-    marks = tuple((10.0**k, percent(10.0**k)) for k in range(int(np.ceil(np.log10(lowest) - 1e-9)), 1))
+    marks = tuple((10.0**k, short_percent(10.0**k)) for k in range(int(np.ceil(np.log10(lowest) - 1e-9)), 1))
     drawn = [Curve(name, *_stairs(roc.far, roc.gar), band) for name, roc, band in curves]
     least = min(float(curve.y[curve.x <= lowest].max()) for curve in drawn)
     floor = float(np.floor(min(least, 0.9) * 10) / 10)
-    y_marks = tuple((v, percent(v)) for v in _round_marks(floor, 1.0, 6))
+    y_marks = tuple((v, short_percent(v)) for v in round_ticks(floor, 1.0, 6))
     x = Axis("FAR (log), fraction of impostors accepted", lowest, 1.0, marks, np.log10)
-    return plot(drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR")
+    return plot_curves(
+        drawn, x, Axis("GAR", floor, 1.0, y_marks), height=300, title="ROC: genuine accept rate over FAR"
+    )
 
 
 def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
@@ -199,10 +201,10 @@ def _det_chart(curves: Sequence[tuple[str, Roc]], lowest: float) -> Markup:
     worst = max(float(np.min(np.maximum(roc.far, roc.frr))) for _, roc in curves)
     high = next(tick for tick in (0.5, 0.8, 0.95, 0.99, 0.999) if tick > worst or tick == 0.999)
     low = min(0.01, max((tick for tick in PROBIT_TICKS if tick <= max(lowest, 1e-5)), default=1e-5))
-    marks = tuple((tick, percent(tick)) for tick in PROBIT_TICKS if low <= tick <= high)
+    marks = tuple((tick, short_percent(tick)) for tick in PROBIT_TICKS if low <= tick <= high)
     drawn = [Curve(name, *_stairs(roc.far, roc.frr)) for name, roc in curves]
     axes = (Axis(label, low, high, marks, ndtri) for label in ("FAR (probit)", "FRR"))
-    return plot(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
+    return plot_curves(drawn, *axes, height=360, title="DET: false reject rate over FAR", diagonal=True)
 
 
 def _histogram_chart(name: str, fractions: Histograms, threshold: float | None) -> Markup:
@@ -213,11 +215,11 @@ def _histogram_chart(name: str, fractions: Histograms, threshold: float | None) 
         for label, side in (("genuine", fractions.genuine), ("impostor", fractions.impostor))
     ]
     top = max(float(fractions.genuine.max()), float(fractions.impostor.max()))
-    steps = _round_marks(0.0, top, 5)
-    x_marks = tuple((v, f"{v:g}") for v in _round_marks(float(edges[0]), float(edges[-1]), 7))
+    steps = round_ticks(0.0, top, 5)
+    x_marks = tuple((v, f"{v:g}") for v in round_ticks(float(edges[0]), float(edges[-1]), 7))
     x = Axis("score", float(edges[0]), float(edges[-1]), x_marks)
-    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, percent(v)) for v in steps))
-    return plot(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
+    y = Axis("fraction of its class", 0.0, max(top * 1.05, 1e-9), tuple((v, short_percent(v)) for v in steps))
+    return plot_curves(drawn, x, y, height=240, title=f"Scores of {name}", upright=threshold)
 
 
 def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
@@ -226,11 +228,11 @@ def _cmc_chart(curves: Sequence[tuple[str, Values]]) -> Markup:
     floor = float(np.floor(min([*(float(rate[0]) for _, rate in curves), 0.95]) * 10) / 10)
     drawn = [Curve(name, np.arange(1.0, 1 + rate[:20].size), rate[:20]) for name, rate in curves]
     x = Axis("rank", 1.0, float(longest), tuple((float(k), str(k)) for k in _whole_marks(longest)))
-    y = Axis("found", floor, 1.0, tuple((v, percent(v)) for v in _round_marks(floor, 1.0, 6)))
-    return plot(drawn, x, y, height=260, title="CMC: identification among all", dots=True)
+    y = Axis("found", floor, 1.0, tuple((v, short_percent(v)) for v in round_ticks(floor, 1.0, 6)))
+    return plot_curves(drawn, x, y, height=260, title="CMC: identification among all", dots=True)
 
 
-def plot(
+def plot_curves(
     curves: Sequence[Curve],
     x: Axis,
     y: Axis,
@@ -250,40 +252,37 @@ def plot(
     def points(xs: Values, ys: Values) -> Values:
         return np.stack([LEFT + wide * x.place(xs), top + tall * (1 - y.place(ys))], axis=1)
 
-    parts = [
-        f'<svg viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="12" fill="{INK}">'
-    ]
+    parts = [open_svg(WIDTH, height, title, 12)]
     for k, row in enumerate(rows):
         offset = float(LEFT)
         for index, label, long in row:
             level = TOP + 18 * k
-            parts.append(_segment(offset, level, offset + 22, level, COLOURS[index % 6], DASHES[index % 4], 2))
+            parts.append(segment((offset, level), (offset + 22, level), COLOURS[index % 6], DASHES[index % 4], 2))
             parts.append(text_at(offset + 27, level + 4, label, "start"))
             offset += long
     for value, words in x.marks:
         place = LEFT + wide * float(x.place(value))
-        parts.append(_segment(place, top, place, height - BOTTOM, "#e2e2e2"))
+        parts.append(segment((place, top), (place, height - BOTTOM)))
         parts.append(text_at(place, height - BOTTOM + 15, words, "middle"))
     for value, words in y.marks:
         place = top + tall * (1 - float(y.place(value)))
-        parts.append(_segment(LEFT, place, WIDTH - RIGHT, place, "#e2e2e2"))
+        parts.append(segment((LEFT, place), (WIDTH - RIGHT, place)))
         parts.append(text_at(LEFT - 5, place + 4, words, "end"))
     parts.append(text_at(LEFT + wide / 2, height - 6, x.label, "middle"))
     parts.append(text_at(6, top - 9, y.label, "start"))
     if diagonal:
-        parts.append(_segment(LEFT, height - BOTTOM, WIDTH - RIGHT, top, "#999999", "3 4"))
+        parts.append(segment((LEFT, height - BOTTOM), (WIDTH - RIGHT, top), "#999999", "3 4"))
     for k, curve in enumerate(curves):
         parts += _drawn(curve, k, points, height - BOTTOM, dots)
     if upright is not None and x.low < upright < x.high:
         place = LEFT + wide * float(x.place(upright))
-        parts.append(_segment(place, top, place, height - BOTTOM, "#555555", "4 3"))
+        parts.append(segment((place, top), (place, height - BOTTOM), "#555555", "4 3"))
         near = place > LEFT + 0.8 * wide
         parts.append(text_at(place + (-4 if near else 4), top + 11, "EER", "end" if near else "start"))
     return Markup("".join(parts) + "</svg>")
 
 
-def percent(value: float) -> str:
+def short_percent(value: float) -> str:
     """A fraction as a percentage, as short as it can be said."""
     return f"{100 * value:.6g} %"
 
@@ -332,29 +331,9 @@ def _legend_rows(labels: Sequence[str]) -> list[list[tuple[int, str, float]]]:
     return rows
 
 
-def _round_marks(low: float, high: float, count: int) -> list[float]:
-    span = high - low
-    if not span > 0:
-        return [low]
-    step = 10.0 ** np.floor(np.log10(span / count))
-    step *= next((m for m in (1, 2, 5, 10) if span / (m * step) <= count), 10)
-    first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
-    return [float(k * step) for k in range(first, last + 1)]
-
-
 def _whole_marks(longest: int) -> list[int]:
     return sorted({1, *range(5, longest + 1, 5)}) if longest > 6 else list(range(1, longest + 1))
 
 
 def _written(points: Values) -> str:
     return " ".join(f"{px:.1f},{py:.1f}" for px, py in points)
-
-
-def _segment(  # noqa: PLR0917 - two points, then what paints them
-    x1: float, y1: float, x2: float, y2: float, paint: str, dash: str = "", width: float = 1
-) -> str:
-    dashes = f' stroke-dasharray="{dash}"' if dash else ""
-    return (
-        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{paint}" '
-        f'stroke-width="{width:g}"{dashes}/>'
-    )

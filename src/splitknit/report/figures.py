@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
 from splitknit.io.pictures import (
     ColourArray,
-    Frame,
+    PictureFrame,
     colour,
     fields_to_frame,
     normal_colours,
@@ -42,10 +42,10 @@ def is_finger(result: Reconstruction) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SmallFields:
+class _SmallFields:
     """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
 
-    frame: Frame
+    frame: PictureFrame
     weight: FloatArray
     """(h, w) in [0, 1], fraction of the pixel inside the mask."""
     height_mm: FloatArray
@@ -55,14 +55,14 @@ class SmallFields:
     """(h, w, 3)."""
 
 
-def small_fields(result: Reconstruction, frame: Frame) -> SmallFields:
+def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
     """Bring a reconstruction onto a picture's frame, all fields at once."""
     fields = (result.height_mm, result.ridge_mm, result.shape_mm, result.normals)
     small, weight = fields_to_frame(fields, result.mask, frame)
-    return SmallFields(frame, weight, *small)
+    return _SmallFields(frame, weight, *small)
 
 
-def normals_picture(result: Reconstruction, small: SmallFields) -> Picture:
+def normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
     turned = small.normals.copy()
     turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), turned[..., :2])
@@ -80,7 +80,7 @@ def normals_picture(result: Reconstruction, small: SmallFields) -> Picture:
     )
 
 
-def relief_picture(result: Reconstruction, small: SmallFields) -> Picture:
+def relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
     factor, unit = (1000.0, "µm") if result.scale_known else (1.0, "px")
     low, high = relief_limits(result, factor)
@@ -117,7 +117,7 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
     return np.asarray(relief[facing])
 
 
-def shape_picture(result: Reconstruction, small: SmallFields) -> Picture:
+def shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
     values, weight = small.shape_mm, small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
@@ -147,7 +147,7 @@ def shape_picture(result: Reconstruction, small: SmallFields) -> Picture:
     )
 
 
-def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
+def uncertainty_picture(result: Reconstruction, frame: PictureFrame) -> Picture | None:
     """Show the standard deviation of the relief, if the pipeline gives one."""
     if result.uncertainty_um is None:
         return None
@@ -168,7 +168,7 @@ def uncertainty_picture(result: Reconstruction, frame: Frame) -> Picture | None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Views:
+class ShadedViews:
     """The shaded surface from three sides."""
 
     above: ColourArray
@@ -178,21 +178,21 @@ class Views:
     """Size of one pixel of `above`."""
 
 
-def render_views(result: Reconstruction, small: SmallFields) -> Views:
+def render_views(result: Reconstruction, small: _SmallFields) -> ShadedViews:
     """Render the surface from above and from two sides."""
     above, left, right = draw_views(result, small, map)
-    return Views(above, left, right, small.frame.pitch_mm)
+    return ShadedViews(above, left, right, small.frame.pitch_mm)
 
 
-def draw_views(result: Reconstruction, small: SmallFields, each: Callable[..., Any]) -> Iterator[ColourArray]:
-    """The pictures of :class:`Views` in order; `each` is ``map``, or that of a pool, which begins at once."""
+def draw_views(result: Reconstruction, small: _SmallFields, each: Callable[..., Any]) -> Iterator[ColourArray]:
+    """The pictures of :class:`ShadedViews` in order; `each` is ``map``, or that of a pool, which begins at once."""
     surface = upright_surface(small, RELIEF_EXAGGERATION if is_finger(result) else 1.0)
     sides = (partial(oblique_view, surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
     drawn: Iterator[ColourArray] = each(lambda view: view(), (partial(_top_view, surface), *sides))
     return drawn
 
 
-def view_pictures(views: Views, finger: bool = True) -> list[Picture]:
+def view_pictures(views: ShadedViews, finger: bool = True) -> list[Picture]:
     """Show the surface from above and from two sides."""
     stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
     good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
@@ -226,7 +226,7 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
     )
 
 
-def error_pictures(result: Reconstruction, comparison: Comparison, frame: Frame) -> list[Picture]:
+def error_pictures(result: Reconstruction, comparison: Comparison, frame: PictureFrame) -> list[Picture]:
     """Show where a reconstruction departs from the truth."""
     surface, surface_weight = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
     ridge, ridge_weight = to_frame(comparison.ridge_error_um, comparison.band, frame)
@@ -264,13 +264,13 @@ def close_up(relief_mm: FloatArray, result: Reconstruction, title: str, side_mm:
     )
 
 
-def _close_up_frame(result: Reconstruction, side_mm: float) -> Frame:
+def _close_up_frame(result: Reconstruction, side_mm: float) -> PictureFrame:
     """Upright square in the middle of the mask, one picture pixel for each input pixel."""
     whole = upright_frame(result, 10**6)
     side = max(8, round(side_mm / result.pitch_mm))
     shift = np.eye(3)
     shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
-    return Frame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
+    return PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
 
 
 # Shaded pictures of a height field, by a small renderer.
@@ -300,7 +300,7 @@ class UprightSurface:
     pitch_mm: float
 
 
-def upright_surface(small: SmallFields, exaggeration: float = 1.0) -> UprightSurface:
+def upright_surface(small: _SmallFields, exaggeration: float = 1.0) -> UprightSurface:
     """The surface of a picture's fields, with its relief multiplied by `exaggeration`.
 
     So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep flanks,
@@ -312,7 +312,7 @@ def upright_surface(small: SmallFields, exaggeration: float = 1.0) -> UprightSur
     return UprightSurface(height, small.ridge_mm, small.weight, small.frame.pitch_mm)
 
 
-def shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
+def _shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
     """Light a height field like matt clay; valleys are slightly darker, as in a corner that light reaches less.
 
     The lamps stand still in front of a viewer for whom the finger is turned by `turn_rad`, counter-clockwise.
@@ -345,7 +345,7 @@ def _lamp(direction: FloatArray, turn_rad: float) -> FloatArray:
 def _top_view(surface: UprightSurface) -> ColourArray:
     """Shaded surface seen from the camera, upright."""
     alpha = surface.weight[..., None]
-    return _bytes(shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))
+    return _bytes(_shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))
 
 
 def oblique_view(surface: UprightSurface, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
@@ -364,7 +364,7 @@ def oblique_view(surface: UprightSurface, *, turn_deg: float = 0.0, tilt_deg: fl
     (h, w, 3) uint8, cut to the finger
     """
     turn_rad, weight = np.deg2rad(turn_deg), surface.weight
-    colours = shade(surface, turn_rad)
+    colours = _shade(surface, turn_rad)
     painted = _bytes(np.dstack([colours, np.ones_like(weight)]))
     height, painted = _turn(surface.height_mm, _smooth_edge(weight), painted, turn_rad, zoom=_SUPERSAMPLING)
     view = _tilt(height, painted, np.deg2rad(tilt_deg), surface.pitch_mm / _SUPERSAMPLING)

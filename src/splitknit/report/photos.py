@@ -60,11 +60,6 @@ LONGEST_PX = 700
 """Longer side of a picture."""
 
 
-def _titled(title: str, image: ColourArray, caption: str, pitch_mm: float) -> Picture:
-    """A photograph with a caption and a scale bar."""
-    return captioned(title, image, caption, pitch_mm=pitch_mm, photo=True)
-
-
 def small_images(band: Band) -> PixelArray:
     """The images (L, h, w, C) of a band as small as a picture of the report shows them."""
     rows, columns = band.pixels.shape[1:3]
@@ -77,7 +72,7 @@ def small_images(band: Band) -> PixelArray:
     return np.stack(small).reshape(len(small), size[1], size[0], -1)
 
 
-def mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
+def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
     """Mean of the white images for people, `size` (columns, rows)."""
     pixels = capture.bands["white"].pixels
     total = np.zeros((size[1], size[0], 3), dtype=np.float32)
@@ -96,7 +91,7 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     rows, columns = result.mask.shape
     scale = min(1.0, LONGEST_PX / max(rows, columns))
     size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
-    picture = mean_image(capture, size)
+    picture = _mean_image(capture, size)
 
     inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -149,7 +144,7 @@ def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
         return []
     rows, columns = capture.shape
     scale = min(1.0, LONGEST_PX / max(rows, columns))
-    picture = mean_image(capture, (max(1, round(columns * scale)), max(1, round(rows * scale))))
+    picture = _mean_image(capture, (max(1, round(columns * scale)), max(1, round(rows * scale))))
     for corners in drawing["mirrors"].values():
         _line(picture, corners, scale, (120, 120, 120), closed=True)
     for outline in drawing["masks"].values():
@@ -165,7 +160,7 @@ def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
         "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
         "rig file has the mirrors. Good: the dots lie on the orange lines."
     )
-    return [_titled("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale)]
+    return [captioned("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True)]
 
 
 def _line(

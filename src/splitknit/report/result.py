@@ -29,7 +29,7 @@ from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, template
-from splitknit.report.figures import Views, is_finger
+from splitknit.report.figures import ShadedViews, is_finger
 from splitknit.report.photos import LONGEST_PX, Picture, mask_on_image, mirror_pictures
 
 if TYPE_CHECKING:
@@ -54,12 +54,12 @@ COMPARED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class _Report:
     """The page, the same facts for programs, and the surface as the page shows it."""
 
     html: str
     facts: Mapping[str, Any]
-    views: Views
+    views: ShadedViews
 
 
 def make_report(
@@ -71,7 +71,7 @@ def make_report(
     others: Sequence[Reconstruction] = (),
     files: Sequence[str] = (),
     title: str = "",
-) -> Report:
+) -> _Report:
     """Build the report of `result`; its pictures are drawn side by side, in threads.
 
     Parameters
@@ -108,7 +108,7 @@ def make_report(
         maps += [] if capture is None else mirror_pictures(result, capture)
         maps += [picture] if (picture := uncertainty.result()) is not None else []
         above, left, right = drawn
-    views = Views(above, left, right, frame.pitch_mm)
+    views = ShadedViews(above, left, right, frame.pitch_mm)
 
     def of_size(pictures: list[Picture]) -> list[Picture]:
         """Without bars of a length in mm where there is no scale."""
@@ -120,7 +120,7 @@ def make_report(
         unit="millimetres" if result.scale_known else "pixels: its scale is unknown",
         facts=facts,
         summary=summary.result(),
-        warnings=[sentence(warning) for warning in result.warnings],
+        warnings=[_sentence(warning) for warning in result.warnings],
         views=of_size(figures.view_pictures(views, finger)),
         prints=None if printed is None else printed.result(),
         maps=of_size(maps),
@@ -128,7 +128,7 @@ def make_report(
         quality=_tables(facts["quality"]),
         found=_tables({name: fact for name, fact in facts["facts"].items() if name != "mirror_drawing"}),
         settings=_tables(facts["settings"]),
-        capture=[(label(key), _flat(value)) for key, value in facts["capture"].items() if value],
+        capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
         comparison=_comparison_table(comparisons),
         close_ups=_close_ups(result, others, truth),
         errors=[
@@ -139,7 +139,7 @@ def make_report(
         else [],
         total_s=sum(result.timings_s.values()),
     )
-    return Report(html, facts, views)
+    return _Report(html, facts, views)
 
 
 def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
@@ -306,7 +306,7 @@ def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     groups = [("", plain_rows)] if plain_rows else []
     groups += [(name, list(value.items())) for name, value in facts.items() if isinstance(value, Mapping)]
     return [
-        {"name": label(name), "rows": [(label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows]}
+        {"name": _label(name), "rows": [(_label(key), _shown(value), EXPLAINED.get(key, "")) for key, value in rows]}
         for name, rows in groups
         if rows
     ]
@@ -322,7 +322,7 @@ def _shown(value: Any) -> str | Markup:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return "; ".join(f"{label(str(key))}: {_shown(item)}" for key, item in value.items())
+        return "; ".join(f"{_label(str(key))}: {_shown(item)}" for key, item in value.items())
     if isinstance(value, list):
         return ", ".join(_flat(item) for item in value) or "none"
     return "-" if value is None else str(value)
@@ -375,12 +375,12 @@ EXPLAINED = {
 """Name in ``quality`` or ``facts`` to what it means and what good looks like."""
 
 
-def label(name: str) -> str:
+def _label(name: str) -> str:
     """Return a name as words."""
     return name.replace("_", " ")
 
 
-def sentence(text: str) -> str:
+def _sentence(text: str) -> str:
     """Return `text` with a capital first letter."""
     return text[:1].upper() + text[1:]
 
@@ -399,7 +399,7 @@ FILES = (
 )
 
 
-def files_of(result: Reconstruction) -> tuple[str, ...]:
+def _files_of(result: Reconstruction) -> tuple[str, ...]:
     """Files of a result's folder: a print of a finger whose scale is known, measured normals where there are any."""
     measured = () if result.normals_measured is None else ("normals_measured.png",)
     return (*(name for name in FILES if name != "print.png" or _is_printed(result)), *measured)
@@ -463,7 +463,7 @@ def write_files(
         prints = None if printing is None else printing.result()
         if prints is not None:
             write_print_png(target / "print.png", prints, PRINT_PPI, provenance_texts(origin))
-        report = make_report(result, capture, prints, truth=truth, others=others, files=files_of(result))
+        report = make_report(result, capture, prints, truth=truth, others=others, files=_files_of(result))
         write_picture(target / "preview.png", _shaded(report.views), origin)
         write_report(target, report.html, report.facts)
         for job in jobs:
@@ -478,7 +478,7 @@ def preview_html(result: Reconstruction) -> str:
     return f'<img src="{data}" alt="surface from above and from the left">'
 
 
-def _shaded(views: Views) -> NDArray[np.uint8]:
+def _shaded(views: ShadedViews) -> NDArray[np.uint8]:
     """The surface from above and from the left beside each other, on their own paper."""
     panels = views.above, views.left
     height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])

@@ -79,7 +79,7 @@ _REPORT_BYTES = 20_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class CatalogueEntry:
     """One result, or one folder of photographs."""
 
     key: str
@@ -99,11 +99,11 @@ class Catalogue:
     """All results that can be chosen, and those that were."""
 
     title: str
-    entries: tuple[Entry, ...]
+    entries: tuple[CatalogueEntry, ...]
     chosen: tuple[str, ...]
     """Keys of the results that were named: none where a folder of many was."""
 
-    def entry(self, key: str) -> Entry:
+    def entry(self, key: str) -> CatalogueEntry:
         """Return one entry.
 
         Raises
@@ -140,7 +140,9 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
         folders = [] if taken else _find_results(roots[0])
         if taken or (not folders and _holds_photographs(roots[0])):
             require(capture is None, f"'{paths[0]}' holds photographs itself; leave --capture out.")
-            return Catalogue(roots[0].name, (Entry("0", roots[0].name, roots[0], roots[0], result=False),), ("0",))
+            return Catalogue(
+                roots[0].name, (CatalogueEntry("0", roots[0].name, roots[0], roots[0], result=False),), ("0",)
+            )
         require(
             len(folders) > 0,
             f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them), "
@@ -203,7 +205,7 @@ def _read_report(folder: Path) -> dict[str, Any]:
     return document if isinstance(document, dict) else {}
 
 
-def _entry(key: str, name: str, folder: Path, capture: Path | None) -> Entry:
+def _entry(key: str, name: str, folder: Path, capture: Path | None) -> CatalogueEntry:
     report = _read_report(folder)
     places = [folder.parent / "capture", folder.parent.parent / "capture"]
     if capture is not None:
@@ -211,7 +213,7 @@ def _entry(key: str, name: str, folder: Path, capture: Path | None) -> Entry:
     hashes = report.get("inputs_sha256")
     wanted = hashes.get("capture.json") if isinstance(hashes, dict) else None
     found = next((place for place in places if _has_hash(place, wanted)), None)
-    return Entry(key, name, folder, found, report)
+    return CatalogueEntry(key, name, folder, found, report)
 
 
 def _has_hash(place: Path, sha256: object) -> bool:

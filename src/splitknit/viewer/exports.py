@@ -16,15 +16,15 @@ from splitknit.io.images import decode_image
 from splitknit.io.mesh import glb_chunks, stl_chunks, stl_size, surface_mesh
 from splitknit.io.ply import write_ply
 from splitknit.model import FloatArray
-from splitknit.viewer.catalogue import Entry, Pieces, open_below, read_below
-from splitknit.viewer.surface import Surface, fields_of
+from splitknit.viewer.catalogue import CatalogueEntry, Pieces, open_below, read_below
+from splitknit.viewer.surface import ShownSurface, fields_of
 
 KINDS = {"ply": "application/octet-stream", "stl": "model/stl", "glb": "model/gltf-binary"}
 STEPS = (1, 2, 4, 8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Export:
+class _Export:
     """A file on its way out."""
 
     name: str
@@ -33,7 +33,7 @@ class Export:
     chunks: Iterable[bytes]
 
 
-def export(entry: Entry, surface: Surface, kind: str, step: int) -> Export:
+def export(entry: CatalogueEntry, surface: ShownSurface, kind: str, step: int) -> _Export:
     """Make a file of every `step`-th value along rows and columns.
 
     Raises
@@ -55,14 +55,14 @@ def export(entry: Entry, surface: Surface, kind: str, step: int) -> Export:
     require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
     if kind == "stl":
         title = f"{entry.report.get('preset', '')} {name}"
-        return Export(name, KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title))
+        return _Export(name, KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title))
     used = index >= 0
     normals = _normals(entry, surface)[::step, ::step][used]
     intensity = _albedo(entry, surface)[::step, ::step][used]
     facts = _origin(entry, step, "mm" if surface.scale_known else "pixel, the scale is unknown")
     if kind == "glb":
         size, chunks = glb_chunks(vertices, normals, intensity, faces, facts)
-        return Export(name, KINDS[kind], size, chunks)
+        return _Export(name, KINDS[kind], size, chunks)
     with tempfile.TemporaryDirectory(prefix="splitknit-") as folder:
         comments = [f"{key} {value}" for key, value in facts.items()]
         plain = [text.encode("ascii", "replace").decode("ascii") for text in comments]
@@ -70,12 +70,12 @@ def export(entry: Entry, surface: Surface, kind: str, step: int) -> Export:
         return _opened(name, kind, open_below(Path(folder), name))  # open: it outlives its name
 
 
-def _opened(name: str, kind: str, stream: BinaryIO) -> Export:
+def _opened(name: str, kind: str, stream: BinaryIO) -> _Export:
     pieces = Pieces(stream)
-    return Export(name, KINDS[kind], pieces.size, pieces)
+    return _Export(name, KINDS[kind], pieces.size, pieces)
 
 
-def _origin(entry: Entry, step: int, unit: str) -> dict[str, Any]:
+def _origin(entry: CatalogueEntry, step: int, unit: str) -> dict[str, Any]:
     report = entry.report
     software = report.get("software", {})
     facts = {
@@ -95,7 +95,7 @@ def _origin(entry: Entry, step: int, unit: str) -> dict[str, Any]:
     return facts
 
 
-def _normals(entry: Entry, surface: Surface) -> FloatArray:
+def _normals(entry: CatalogueEntry, surface: ShownSurface) -> FloatArray:
     arrays: FloatArray = fields_of(entry.folder, ("normals",), unscaled=True)["normals"]
     require(arrays.shape == (*surface.size, 3), "the result's normals have another shape than its heights.")
     rows, columns = (
@@ -108,7 +108,7 @@ def _normals(entry: Entry, surface: Surface) -> FloatArray:
     return normals
 
 
-def _albedo(entry: Entry, surface: Surface) -> NDArray[np.uint8]:
+def _albedo(entry: CatalogueEntry, surface: ShownSurface) -> NDArray[np.uint8]:
     """Grey value of each pixel of the box; white where the result has no picture of it."""
     rows, columns = surface.mask.shape
     white = np.full((rows, columns), 255, dtype=np.uint8)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.viewer.catalogue import open_below, read_below
 from splitknit.viewer.measure import sample
-from splitknit.viewer.surface import Surface
+from splitknit.viewer.surface import ShownSurface
 
 
 @lru_cache(maxsize=8)
@@ -69,7 +69,7 @@ class Marks:
         ]
 
 
-def marks_of(folder: Path, surface: Surface) -> Marks:
+def marks_of(folder: Path, surface: ShownSurface) -> Marks:
     """Return the minutiae of a result's print: those of its ``minutiae.iso``, or those found in it now.
 
     Raises
@@ -120,7 +120,9 @@ def _columns(*fields: NDArray[Any]) -> _Columns:
     return x, y, direction, kind, quality
 
 
-def _on_surface(surface: Surface, right_mm: NDArray[np.float64], up_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_surface(
+    surface: ShownSurface, right_mm: NDArray[np.float64], up_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """(N, 3) points of the surface at places given from the middle of the upright frame, NaN beside the finger."""
     rows, columns = surface.upright_size
     column = (columns - 1) / 2 + np.asarray(right_mm) / surface.pitch_mm

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import FloatArray
-from splitknit.viewer.surface import Surface
+from splitknit.viewer.surface import ShownSurface
 
 _RIDGE_SIGMA_MM = 0.32
 _MAX_SAMPLES = 20_000
@@ -34,7 +34,7 @@ class Section:
     figures: dict[str, float | int | None]
 
 
-def locate(surface: Surface, x_mm: _Values, y_mm: _Values) -> _Values:
+def locate(surface: ShownSurface, x_mm: _Values, y_mm: _Values) -> _Values:
     """(2, N) column and row in the box where the surface has these x and y; iterated where the camera's rays spread."""
     place = surface.grid_of_plan(x_mm, y_mm)
     for _ in range(4):
@@ -48,7 +48,7 @@ def locate(surface: Surface, x_mm: _Values, y_mm: _Values) -> _Values:
 
 
 def pick(
-    surface: Surface, origin_mm: _Values, direction: _Values, exaggeration: float = 1.0
+    surface: ShownSurface, origin_mm: _Values, direction: _Values, exaggeration: float = 1.0
 ) -> tuple[float, float, float] | None:
     """Return the first point of the surface on a ray, or None where the ray misses it.
 
@@ -93,7 +93,7 @@ Reading = Callable[[_Values, _Values], tuple[_Values, _Values]]
 
 
 def section(
-    surface: Surface, start_mm: tuple[float, float], end_mm: tuple[float, float], read: Reading | None = None
+    surface: ShownSurface, start_mm: tuple[float, float], end_mm: tuple[float, float], read: Reading | None = None
 ) -> Section:
     """Cut the surface between two points given by x and y; `read` gives the values of another one in its frame.
 
@@ -117,7 +117,7 @@ def section(
     return Section(along, x, y, height, relief, _figures(along, height, relief, surface.scale_known))
 
 
-def _reading(surface: Surface) -> Reading:
+def _reading(surface: ShownSurface) -> Reading:
     """The surface's own values."""
 
     def read(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
@@ -185,7 +185,7 @@ def sample(field: FloatArray, place: _Values) -> _Values:
     return np.concatenate(pieces).astype(np.float64)
 
 
-def _shown(surface: Surface, place: _Values, exaggeration: float) -> _Values:
+def _shown(surface: ShownSurface, place: _Values, exaggeration: float) -> _Values:
     """Height (N,) in a picture whose relief is exaggerated, less so on steep flanks (as the page's shader does)."""
     height = sample(surface.height_mm, place)
     if exaggeration == 1.0:
@@ -200,7 +200,7 @@ def _shown(surface: Surface, place: _Values, exaggeration: float) -> _Values:
     return np.asarray(height + (exaggeration - 1.0) * fade * sample(surface.ridge_mm, place))
 
 
-def _inside_box(surface: Surface, origin: _Values, unit: _Values, extra: float) -> tuple[float, float] | None:
+def _inside_box(surface: ShownSurface, origin: _Values, unit: _Values, extra: float) -> tuple[float, float] | None:
     """Where a ray enters and leaves the box around the surface."""
     margin = surface.pitch_mm + extra * surface.highest_relief_mm
     near, far = -np.inf, np.inf

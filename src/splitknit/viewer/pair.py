@@ -14,10 +14,10 @@ from splitknit.errors import require
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit.matching.template import make_template
-from splitknit.viewer.catalogue import Entry
+from splitknit.viewer.catalogue import CatalogueEntry
 from splitknit.viewer.marks import Marks
 from splitknit.viewer.measure import Reading, locate, sample
-from splitknit.viewer.surface import Surface, fields_of
+from splitknit.viewer.surface import ShownSurface, fields_of
 
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)
@@ -57,7 +57,7 @@ class Alignment:
         """(N, 3) points of the second finger in the first one's frame."""
         return np.asarray(points_mm @ self.rotation.T + self.shift_mm)
 
-    def read(self, surface: Surface) -> Reading:
+    def read(self, surface: ShownSurface) -> Reading:
         """Heights and relief of the second finger along the camera's axis of the first."""
 
         def along_axis(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
@@ -83,7 +83,7 @@ class Alignment:
         }
 
 
-def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
+def align_results(first: CatalogueEntry, a: ShownSurface, second: CatalogueEntry, b: ShownSurface) -> Alignment:
     """Lay the second result on the first.
 
     Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
@@ -113,7 +113,7 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Difference:
+class SurfaceDifference:
     """How much higher the second finger is than the first, along the camera's axis."""
 
     picture: NDArray[np.uint8]
@@ -123,7 +123,7 @@ class Difference:
     """``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um`` and ``area_mm2``."""
 
 
-def difference(a: Surface, b: Surface, alignment: Alignment) -> Difference:
+def difference(a: ShownSurface, b: ShownSurface, alignment: Alignment) -> SurfaceDifference:
     """Second minus first; in pixels where their scale is unknown.
 
     Raises
@@ -152,7 +152,7 @@ def difference(a: Surface, b: Surface, alignment: Alignment) -> Difference:
         "relief_rms_um": float(np.sqrt(np.mean(reliefs**2))),
         "area_mm2": float(len(known) * (a.size[0] / height) * (a.size[1] / width) * a.pitch_mm**2),
     }
-    return Difference(picture.reshape(height, width), most, figures)
+    return SurfaceDifference(picture.reshape(height, width), most, figures)
 
 
 def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, int]]:
@@ -176,12 +176,12 @@ def _angles(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.arctan2(steps[:, 1], steps[:, 0]))
 
 
-def _same_photographs(first: Entry, second: Entry) -> bool:
+def _same_photographs(first: CatalogueEntry, second: CatalogueEntry) -> bool:
     mine, other = (entry.report.get("inputs_sha256") for entry in (first, second))
     return bool(mine) and mine == other
 
 
-def _raised(found: Alignment, a: Surface, b: Surface) -> Alignment:
+def _raised(found: Alignment, a: ShownSurface, b: ShownSurface) -> Alignment:
     """Both at the same height on average, over a coarse grid of the first."""
     step = max(1, round(max(a.mask.shape) / 60))
     inside = a.mask[::step, ::step]
@@ -191,7 +191,7 @@ def _raised(found: Alignment, a: Surface, b: Surface) -> Alignment:
     return replace(found, shift_mm=found.shift_mm + np.array([0.0, 0.0, rise]))
 
 
-def _fitted(found: Alignment, a: Surface, b: Surface) -> Alignment:
+def _fitted(found: Alignment, a: ShownSurface, b: ShownSurface) -> Alignment:
     """Move the second finger, rigidly, so that heights and relief agree best.
 
     Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
@@ -261,7 +261,7 @@ class _Band:
         return float(sample(self._columns, there)[0]), float(sample(self._rows, there)[0])
 
 
-def _upright(surface: Surface, column: float, row: float) -> NDArray[np.float64]:
+def _upright(surface: ShownSurface, column: float, row: float) -> NDArray[np.float64]:
     """(x, y) of a place of the input."""
     place = np.array([[column - surface.corner[1]], [row - surface.corner[0]]])
     seen = np.array([sample(surface.x_mm, place)[0], sample(surface.y_mm, place)[0]])

@@ -33,7 +33,7 @@ from urllib.parse import parse_qsl
 
 from splitknit.errors import BadInput, require
 from splitknit.viewer.catalogue import Catalogue, make_catalogue
-from splitknit.viewer.service import Answer, Service, describe_photographs
+from splitknit.viewer.service import Response, Service, describe_photographs
 
 POLICY = "; ".join(
     (
@@ -375,9 +375,9 @@ class _Handler(BaseHTTPRequestHandler):
         """Send a refusal and close: what else the request holds is not read."""
         body = (words + "\n").encode("utf-8")
         self.close_connection = True
-        self._send(status, Answer("text/plain; charset=utf-8", len(body), body, {"Connection": "close"}))
+        self._send(status, Response("text/plain; charset=utf-8", len(body), body, {"Connection": "close"}))
 
-    def _send(self, status: int, answer: Answer) -> None:
+    def _send(self, status: int, answer: Response) -> None:
         headers = {"Cache-Control": "no-store", **HEADERS, **answer.headers}
         size, chunks = answer.size, answer.chunks
         if isinstance(chunks, bytes):

@@ -18,14 +18,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from splitknit.errors import BadInput, require
-from splitknit.viewer.catalogue import Catalogue, Entry, Pieces, open_below, read_below
+from splitknit.viewer.catalogue import Catalogue, CatalogueEntry, Pieces, open_below, read_below
 from splitknit.viewer.marks import print_of
-from splitknit.viewer.surface import TILE, Surface, filled_tiles, first_view, read_surface, strides, tile_bytes
+from splitknit.viewer.surface import (
+    TILE,
+    ShownSurface,
+    filled_tiles,
+    first_view,
+    read_shown_surface,
+    strides,
+    tile_bytes,
+)
 
 if TYPE_CHECKING:
     from splitknit.viewer.marks import Marks
     from splitknit.viewer.measure import Section
-    from splitknit.viewer.pair import Alignment, Difference
+    from splitknit.viewer.pair import Alignment, SurfaceDifference
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {
@@ -46,7 +54,7 @@ Query = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answer:
+class Response:
     """What is sent back."""
 
     kind: str
@@ -67,7 +75,7 @@ class Service:
         """`gallery` is a :class:`splitknit.viewer.people.People`, or None."""
         self.catalogue = catalogue
         self.gallery = gallery
-        self._surfaces: OrderedDict[str, Surface] = OrderedDict()
+        self._surfaces: OrderedDict[str, ShownSurface] = OrderedDict()
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
         self._large = threading.Lock()  # held by what needs several times the memory of a surface
@@ -76,7 +84,7 @@ class Service:
         self._differed = lru_cache(maxsize=4)(self._differ)
         self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
-    def answer(self, path: str, query: Query) -> Answer:
+    def answer(self, path: str, query: Query) -> Response:
         """Answer a request.
 
         Parameters
@@ -104,7 +112,7 @@ class Service:
                 return self._result(self.catalogue.entry(key), rest, query)
         raise BadInput(_NOT_FOUND)
 
-    def surface(self, entry: Entry) -> Surface:
+    def surface(self, entry: CatalogueEntry) -> ShownSurface:
         """Return a result's heights, read once as long as few others are asked for."""
         with self._lock:
             lock = self._locks.setdefault(entry.key, threading.Lock())
@@ -113,14 +121,14 @@ class Service:
                 if entry.key in self._surfaces:
                     self._surfaces.move_to_end(entry.key)
                     return self._surfaces[entry.key]
-            surface = read_surface(entry.folder)
+            surface = read_shown_surface(entry.folder)
             with self._lock:
                 self._surfaces[entry.key] = surface
                 while len(self._surfaces) > 2 and sum(kept.nbytes for kept in self._surfaces.values()) > _KEPT_BYTES:
                     self._surfaces.popitem(last=False)
             return surface
 
-    def _result(self, entry: Entry, rest: list[str], query: Query) -> Answer:  # noqa: PLR0911
+    def _result(self, entry: CatalogueEntry, rest: list[str], query: Query) -> Response:  # noqa: PLR0911
         match rest:
             case []:
                 return _json(_describe(entry, self.surface(entry)) if entry.result else describe_photographs(entry))
@@ -150,10 +158,10 @@ class Service:
                 with self._large:
                     made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
                 saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
-                return Answer(made.kind, made.size, made.chunks, saved)
+                return Response(made.kind, made.size, made.chunks, saved)
         raise BadInput(_NOT_FOUND)
 
-    def _page(self, name: str) -> Answer:
+    def _page(self, name: str) -> Response:
         content = (STATIC / name).read_bytes()
         return _bytes(content, _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
 
@@ -165,7 +173,7 @@ class Service:
             "people": None if self.gallery is None else self.gallery.document(),
         }
 
-    def _pick(self, entry: Entry, query: Query) -> dict[str, Any]:
+    def _pick(self, entry: CatalogueEntry, query: Query) -> dict[str, Any]:
         from splitknit.viewer.measure import pick
 
         ray = np.array([_number(query, name) for name in ("ox", "oy", "oz", "dx", "dy", "dz")])
@@ -173,7 +181,7 @@ class Service:
         require(0 <= exaggeration <= 100, "an exaggeration must lie between 0 and 100.")
         return {"point_mm": pick(self.surface(entry), ray[:3], ray[3:], exaggeration)}
 
-    def _section(self, entry: Entry, query: Query) -> dict[str, Any]:
+    def _section(self, entry: CatalogueEntry, query: Query) -> dict[str, Any]:
         from splitknit.viewer.measure import section
 
         ends = _ends(query)
@@ -182,7 +190,7 @@ class Service:
         except BadInput as error:
             return {"why_not": str(error)}
 
-    def _minutiae(self, entry: Entry) -> dict[str, Any]:
+    def _minutiae(self, entry: CatalogueEntry) -> dict[str, Any]:
         try:
             return {"minutiae": self._marks(entry.key).document()}
         except BadInput as error:
@@ -195,13 +203,13 @@ class Service:
         return marks_of(entry.folder, self.surface(entry))
 
     def _align(self, first: str, second: str) -> Alignment:
-        from splitknit.viewer.pair import align
+        from splitknit.viewer.pair import align_results
 
         one, two = self.catalogue.entry(first), self.catalogue.entry(second)
         with self._large:
-            return align(one, self.surface(one), two, self.surface(two))
+            return align_results(one, self.surface(one), two, self.surface(two))
 
-    def _differ(self, first: str, second: str) -> Difference:
+    def _differ(self, first: str, second: str) -> SurfaceDifference:
         from splitknit.viewer.pair import difference
 
         one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
@@ -209,7 +217,7 @@ class Service:
         with self._large:
             return difference(one, two, found)
 
-    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Answer:
+    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Response:
         match rest:
             case []:
                 return _json(self._both(first, second))
@@ -277,7 +285,7 @@ def _thumb(folder: Path) -> bytes:
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
 
 
-def _json(document: Any) -> Answer:
+def _json(document: Any) -> Response:
     try:
         text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     except ValueError as error:
@@ -287,16 +295,16 @@ def _json(document: Any) -> Answer:
     return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
 
 
-def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Answer:
-    return Answer(kind, len(content), content, headers or {})
+def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Response:
+    return Response(kind, len(content), content, headers or {})
 
 
-def _file(folder: Path, name: str, kind: str) -> Answer:
+def _file(folder: Path, name: str, kind: str) -> Response:
     pieces = Pieces(open_below(folder, name))
     if pieces.size > _MAX_PICTURE_BYTES:
         pieces.close()
         raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MAX_PICTURE_BYTES} are sent.")
-    return Answer(kind, pieces.size, pieces)
+    return Response(kind, pieces.size, pieces)
 
 
 def _whole(text: str) -> int:
@@ -340,7 +348,7 @@ def _shown(text: str) -> str:
     return text.translate(_TURNING)
 
 
-def _listed(entry: Entry) -> dict[str, Any]:
+def _listed(entry: CatalogueEntry) -> dict[str, Any]:
     """One line of the list."""
     subject = _mapping(_mapping(entry.report.get("capture")).get("subject"))
     return {
@@ -356,7 +364,7 @@ def _listed(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _describe(entry: Entry, surface: Surface) -> dict[str, Any]:
+def _describe(entry: CatalogueEntry, surface: ShownSurface) -> dict[str, Any]:
     """All that the page needs of a result before it requests pieces of it."""
     levels = strides(surface)
     return {
@@ -381,7 +389,7 @@ def _describe(entry: Entry, surface: Surface) -> dict[str, Any]:
     }
 
 
-def _relief_range_um(surface: Surface) -> float:
+def _relief_range_um(surface: ShownSurface) -> float:
     """Relief that nearly all of the skin keeps within: the ends of the colour scale, um or 0.1 pixel."""
     step = max(1, round(0.1 / surface.pitch_mm)) if surface.scale_known else 4
     relief = np.abs(surface.ridge_mm[::step, ::step][surface.mask[::step, ::step]])
@@ -390,7 +398,7 @@ def _relief_range_um(surface: Surface) -> float:
     return max(finest, finest * float(np.ceil(surface.um * widest / finest)))
 
 
-def _print(entry: Entry) -> dict[str, Any] | None:
+def _print(entry: CatalogueEntry) -> dict[str, Any] | None:
     try:
         file = print_of(entry.folder)
     except BadInput:
@@ -398,7 +406,7 @@ def _print(entry: Entry) -> dict[str, Any] | None:
     return {"rows": file.image.shape[0], "columns": file.image.shape[1], "ppi": file.resolution_ppi or 500.0}
 
 
-def describe_photographs(entry: Entry) -> dict[str, Any]:
+def describe_photographs(entry: CatalogueEntry) -> dict[str, Any]:
     """All that the page needs of a folder of photographs. Raises BadInput if it cannot be read."""
     from splitknit.viewer.photographs import photographs_of
 
@@ -413,7 +421,7 @@ def describe_photographs(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _photos(entry: Entry) -> list[dict[str, Any]]:
+def _photos(entry: CatalogueEntry) -> list[dict[str, Any]]:
     if entry.capture is None:
         return []
     from splitknit.viewer.photographs import photographs_of  # the first view waits for no image library
@@ -425,7 +433,7 @@ def _photos(entry: Entry) -> list[dict[str, Any]]:
     return [{"name": _shown(p.name), "band": p.band, "number": p.number, "light": p.light} for p in found]
 
 
-def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
+def _facts(entry: CatalogueEntry, surface: ShownSurface) -> list[tuple[str, str]]:
     report = entry.report
     about, software = _mapping(report.get("capture")), _mapping(report.get("software"))
     count = f"{surface.count:,}".replace(",", "\N{NO-BREAK SPACE}")

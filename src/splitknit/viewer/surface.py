@@ -26,7 +26,7 @@ _RAYS = ("x_mm", "y_mm")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class ShownSurface:
     """The finger's box of a result."""
 
     height_mm: FloatArray
@@ -92,7 +92,7 @@ class Surface:
         return np.stack([column, row])
 
 
-def read_surface(folder: Path) -> Surface:
+def read_shown_surface(folder: Path) -> ShownSurface:
     """Read the heights of a result folder; where their scale is unknown, all lengths are in pixels.
 
     Raises
@@ -119,7 +119,7 @@ def read_surface(folder: Path) -> Surface:
     corner = (box[0].start, box[1].start)
     low, high = zip(*(_range(values, inside) for values in (x, y, height)), strict=True)
     relief = max(float(ridge.max()), -float(ridge.min()))
-    surface = Surface(
+    surface = ShownSurface(
         height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, arrays["upright_size"],
         low, high, relief, arrays["scale_known"],
     )  # fmt: skip
@@ -174,7 +174,7 @@ _FINE = 1024
 _HEAD = struct.Struct("<8id")
 
 
-def _root_stride(surface: Surface) -> int:
+def _root_stride(surface: ShownSurface) -> int:
     """Stride of the first view, a power of two."""
     stride = 1
     while surface.count / stride**2 > _FIRST_VIEW:
@@ -182,13 +182,13 @@ def _root_stride(surface: Surface) -> int:
     return stride
 
 
-def strides(surface: Surface) -> list[int]:
+def strides(surface: ShownSurface) -> list[int]:
     """Strides of all levels, the coarsest first."""
     stride = _root_stride(surface)
     return [stride >> k for k in range(stride.bit_length())]
 
 
-def filled_tiles(surface: Surface, stride: int) -> list[tuple[int, int]]:
+def filled_tiles(surface: ShownSurface, stride: int) -> list[tuple[int, int]]:
     """Row and column of each tile of a level that holds a piece of the surface."""
     mask = surface.mask[::stride, ::stride]
     pad = [(0, -side % TILE) for side in mask.shape]
@@ -197,7 +197,7 @@ def filled_tiles(surface: Surface, stride: int) -> list[tuple[int, int]]:
     return [(int(row), int(column)) for row, column in np.argwhere(blocks.any(axis=(1, 3)))]
 
 
-def tile_bytes(surface: Surface, stride: int, row: int, column: int) -> bytes:
+def tile_bytes(surface: ShownSurface, stride: int, row: int, column: int) -> bytes:
     """Return one tile.
 
     Raises
@@ -224,7 +224,7 @@ def tile_bytes(surface: Surface, stride: int, row: int, column: int) -> bytes:
     return head + b"".join(planes)
 
 
-def first_view(surface: Surface) -> bytes:
+def first_view(surface: ShownSurface) -> bytes:
     """Tiles of the coarsest level, one after the other."""
     stride = _root_stride(surface)
     return b"".join(tile_bytes(surface, stride, row, column) for row, column in filled_tiles(surface, stride))
