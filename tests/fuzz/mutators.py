@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+from hypothesis import assume
 from hypothesis import strategies as st
 from hypothesis.errors import HypothesisException, InvalidArgument
 from tests.png_files import PNG, chunk
@@ -81,7 +82,9 @@ def inputs(draw: Draw, samples: list[Files], repair: Callable[[Files], Files] | 
         else:
             pool = [other[name] for other in samples if isinstance(other.get(name), bytes)]
             result[name] = changed(draw, result[name], pool)[:LONGEST]  # type: ignore[arg-type]
-    return repair(result) if repair is not None and draw(st.booleans()) else result
+    result = repair(result) if repair is not None and draw(st.booleans()) else result
+    assume(result not in samples)
+    return result
 
 
 def changed(draw: Draw, data: bytes, pool: list[Any]) -> bytes:
