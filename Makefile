@@ -36,9 +36,10 @@ test: $(VENV)/.ready-dev
 types:
 	$(BIN)/mypy
 
-# one thread of OpenBLAS, as the command line has it: processes times threads would wait for each other
+# one thread of OpenBLAS, as the command line has it: processes times threads would wait for each other; the many processes
+# that tests start read modules compiled once, also where the environment asks not to write these
 tests:
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest $(PYTEST_ARGS)
+	OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest $(PYTEST_ARGS)
 
 examples: $(VENV)/.ready
 	$(BIN)/python tools/build_examples.py

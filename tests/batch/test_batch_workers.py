@@ -342,3 +342,53 @@ def test_a_run_that_was_killed_goes_on(people: Path, reconstructed: Path, tmp_pa
     assert facts["reconstructed"] == 4 - len(there)
     assert there.items() <= chunks(out).items()
     assert Store(out).features("ea").equals(Store(reconstructed).features("ea"))
+
+
+MANY_KILLED = """
+import os, random, signal, sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[3])
+from batch_stores import chunks
+from splitknit.batch.engine import run_batch
+from splitknit.batch.settings import BatchSettings, preset_cases
+people, folder = map(Path, sys.argv[1:3])
+settings = BatchSettings(cases=preset_cases(("ea",)), matchers=("ridge",), chunk_captures=1)
+
+def contents(out):
+    others = (*out.glob("csv/*"), out / "store.json")
+    return chunks(out) | {file.relative_to(out).as_posix(): file.read_bytes() for file in others}
+
+began = time.monotonic()
+run_batch(people, folder / "sound", settings, jobs=1)
+whole_s, sound, hits, stores = time.monotonic() - began, contents(folder / "sound"), 0, 0
+random.seed(7)
+while hits < 3:
+    out = folder / str(stores)
+    child = os.fork()
+    if child == 0:
+        try:
+            run_batch(people, out, settings, jobs=1)
+            os._exit(0)
+        finally:
+            os._exit(1)
+    time.sleep(random.uniform(0, 0.6 * whole_s))
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    hits += os.WIFSIGNALED(status)
+    assert status == 0 or os.WIFSIGNALED(status), "it failed before it was killed"
+    assert chunks(out).items() <= sound.items(), "a chunk differs"
+    if status == 0:
+        assert contents(out) == sound, "a store differs"
+        stores += 1
+run_batch(people, out, settings, jobs=1)
+assert contents(out) == sound, "the finished store differs"
+assert not [left for left in out.rglob("*.tmp") if any(left.iterdir())], "something half-written is left"
+print("sound")
+"""
+
+
+@pytest.mark.slow
+def test_kills_at_any_moment_lose_and_change_no_byte(people: Path, tmp_path: Path) -> None:
+    arguments = [str(people), str(tmp_path), str(Path(__file__).parent)]
+    found = subprocess.run([sys.executable, "-c", MANY_KILLED, *arguments], capture_output=True, text=True, check=False)
+    assert found.stdout == "sound\n", found.stderr

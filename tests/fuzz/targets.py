@@ -967,7 +967,7 @@ TARGETS = (
     Target("population", lambda: [_folder(_enrolment)], lambda folder, files: read_population(folder)),
     Target("training", lambda: [_folder(_training)], _trained),
     Target("rig_sweep", _sweeps, _sweep),
-    Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x"}'),
+    Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),

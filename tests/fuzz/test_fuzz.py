@@ -1,30 +1,58 @@
-"""A few changed inputs of every reader, and a few kills; `python -m tests.fuzz.run` goes on as long as one likes."""
+"""A few changed inputs of every reader; `python -m tests.fuzz.run` goes on as long as one likes."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+PLANTED: dict[str, Callable[[Path, bytes], object]] = {
+    "IndexError": lambda folder, data: data[3],
+    "stdout or stderr": lambda folder, data: print(data[:1]) if len(data) < 4 else None,
+    "left behind": lambda folder, data: (folder / "y").touch() if len(data) < 4 else None,
+    "SIGABRT": lambda folder, data: os.abort() if len(data) < 4 else None,
+}
+"""What goes wrong with files of fewer than four bytes, by a word of the finding."""
+HARNESS = """
+import sys
+from tests.fuzz import run
+from tests.fuzz.targets import Target
+from tests.fuzz.test_fuzz import PLANTED
+def target(what):
+    def read(folder, files):
+        data = files.get("x")
+        PLANTED[what](folder, data if isinstance(data, bytes) else b"whole")
+    return Target(what.split()[0], lambda: [{"x": b"12345678"}], read)
+run.TARGETS = tuple(map(target, PLANTED))
+run.public_readers = dict
+run.NO_READERS = {}
+sys.exit(run.main(["--inputs", "800", "--keep", sys.argv[1]]))
+"""
 
 
-def run(*words: str) -> str:
-    command = [sys.executable, "-m", *words]
-    done = subprocess.run(command, cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stderr == ""
-    return done.stdout
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *words], cwd=ROOT, env=os.environ, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.mark.slow
 def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
-    assert " 0 findings" in run("tests.fuzz.run", "--inputs", "820", "--keep", str(tmp_path / "findings"))
+    done = run("-m", "tests.fuzz.run", "--inputs", "820", "--keep", str(tmp_path / "findings"))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    assert " 0 findings" in done.stdout
 
 
-@pytest.mark.slow
-def test_kills_lose_and_double_nothing() -> None:
-    assert "batch: 3 kills" in run("tests.fuzz.kills", "--kills", "3")
+def test_what_goes_wrong_is_found_made_small_and_kept(tmp_path: Path) -> None:
+    done = run("-c", HARNESS, str(tmp_path))
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert f" {len(PLANTED)} findings" in done.stdout
+    for what in PLANTED:
+        assert what in done.stdout
+        assert len((tmp_path / f"{what.split()[0]}-0" / "x").read_bytes()) < 4

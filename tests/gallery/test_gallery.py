@@ -433,29 +433,42 @@ MANY_KILLED = """
 import os, pathlib, random, signal, sys, time
 sys.path.insert(0, sys.argv[2])
 from test_gallery import KEY, new
+from splitknit.errors import BadInput
 from splitknit.gallery.gallery import Gallery
-path, key = sys.argv[1], KEY if sys.argv[3] == "encrypted" else None
+from splitknit.gallery.key import Key
+path, KEYS = sys.argv[1], [KEY if sys.argv[3] == "encrypted" else None, Key(bytes(range(32)), raw=True)]
 random.seed(int(sys.argv[4]))
+
+def opened():
+    # by the key that the last change of keys left
+    try:
+        return Gallery.open(path, KEYS[0])
+    except BadInput:
+        KEYS.reverse()
+        return Gallery.open(path, KEYS[0])
 
 def write(told, seed):
     # changes, each told before and after
     rng = random.Random(seed)
-    with Gallery.open(path, key) as gallery:
+    with opened() as gallery:
         people = [one.entry.person for one in gallery.entries()]
         for k in range(1000):
-            what = rng.choice(["add", "add", "replace", "remove"]) if len(people) > 3 else "add"
+            what = rng.choice(["add", "add", "replace", "remove", "rekey"]) if len(people) > 3 else "add"
             who = f"W{seed}-{k}" if what == "add" else rng.choice(people)
             os.write(told, f"{what} {who}\\n".encode())
             if what == "remove":
                 gallery.remove([one.row for one in gallery.entries(who)])
                 people.remove(who)
+            elif what == "rekey":
+                KEYS.reverse()
+                gallery.rekey(KEYS[0])
             else:
                 gallery.add([new(who, rng.randrange(10**6))], replace=True)
                 people += [who] * (what == "add")
             os.write(told, b"done\\n")
 
 for kill in range(50):
-    with Gallery.open(path, key) as gallery:
+    with opened() as gallery:
         assert gallery.problems() == [], gallery.problems()
         before = {one.entry.person: one.entry.source_sha256 for one in gallery.entries()}
     reader, told = os.pipe()
@@ -486,7 +499,7 @@ for kill in range(50):
     if under_way:
         what, who = under_way
         possible.append(people - {who} if what == "remove" else people | {who})
-    with Gallery.open(path, key) as gallery:
+    with opened() as gallery:
         assert {one.entry.person for one in gallery.entries()} in possible, (lines, under_way)
 print("sound")
 """
