@@ -53,9 +53,9 @@ from splitknit.io.atomic import hold, private_modes, sweep
 from splitknit.io.capture import read_capture
 from splitknit.io.csv_table import csv_text
 from splitknit.io.targets import check_file
-from splitknit.matching.leave_one_out import voted_minutiae
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae
 from splitknit.matching.surface import MatchingSettings
+from splitknit.matching.voted_minutiae import voted_minutiae
 from splitknit.model import Progress
 from splitknit.presets import PipelineSettings
 
