@@ -14,10 +14,9 @@ from splitknit.batch.settings import BatchSettings, preset_cases
 from splitknit.batch.store import Store, open_store
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
-from splitknit.matching.leave_one_out import LeaveOneOutSettings, voted_minutiae
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.matching.surface import MatchingSettings
-from splitknit.matching.voted_minutiae import VoteSettings
+from splitknit.matching.voted_minutiae import LeaveOneOutSettings, VoteSettings, voted_minutiae
 from splitknit.presets import preset_settings
 
 MATCHING = MatchingSettings(

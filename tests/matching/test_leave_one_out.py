@@ -13,14 +13,14 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
-from splitknit.matching.leave_one_out import (
+from splitknit.matching.minutiae_record import Minutiae
+from splitknit.matching.voted_minutiae import (
     PICTURES,
     LeaveOneOutSettings,
     _component,
     left_out_pictures,
     voted_minutiae,
 )
-from splitknit.matching.minutiae_record import Minutiae
 from splitknit.model import Band, Capture
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings

@@ -20,9 +20,9 @@ from splitknit.batch.store import Store
 from splitknit.finger.locate import Finger, find_finger
 from splitknit.io.capture import read_capture
 from splitknit.io.png import decode_png
-from splitknit.matching.leave_one_out import left_out_pictures
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.voted_minutiae import left_out_pictures
 from splitknit.presets import preset_settings
 from splitknit.prints.print_map import plane_map, resample
 

@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 
 from splitknit.io.capture import read_capture
-from splitknit.matching.leave_one_out import PICTURES, left_out_pictures
 from splitknit.matching.minutiae import extract
-from splitknit.matching.voted_minutiae import vote
+from splitknit.matching.voted_minutiae import PICTURES, left_out_pictures, vote
 from splitknit.presets import preset_settings
 
 

@@ -177,7 +177,8 @@ class Answer:
 class CardModel:
     """Geometry of a card under `leds`, seen at `pixels`: everything that does not change while fitting."""
 
-    def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, card: CardPlane) -> None:  # noqa: D107
+    def __init__(self, camera: Camera, leds: Sequence[Led], pixels: Array, card: CardPlane) -> None:
+        """Prepare what does not depend on the parameters."""
         points = card.points(camera, pixels)
         self.count = len(leds)
         self.squared = _squared_radius(camera.image_size, pixels)

@@ -284,8 +284,8 @@ def _sentences(check: _CardCheck, rig: Rig, settings: RadiometrySettings) -> lis
             words.append(f"{name} is {_change(float(value))} than at the calibration.")
         if check.pattern_percent[k] > _PATTERN_PERCENT:
             words.append(
-                f"{name} lights the card otherwise than at calibration ({check.pattern_percent[k]:.1f} % across the "
-                f"picture): it moved or turned."
+                f"{name} lights the card otherwise than at the calibration ({check.pattern_percent[k]:.1f} % across "
+                f"the picture): it moved or turned."
             )
     for band, value in check.common.items():
         if value is not None and abs(value - 1) > 0.01 * settings.drift_percent:

@@ -6,7 +6,7 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -46,7 +46,7 @@ class EvaluationSettings(Checked):
     """Whether scores are averaged over sessions as well."""
     fuse: Literal["linear", "trained", None] = None
     """Whether the systems' fusion is one more: ``linear`` or ``trained``, cross-validated by subject."""
-    bootstrap: BootstrapSettings = BootstrapSettings()  # noqa: RUF009 - frozen
+    bootstrap: BootstrapSettings = field(default_factory=BootstrapSettings)
 
 
 @dataclass(frozen=True, slots=True)

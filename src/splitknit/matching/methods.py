@@ -424,7 +424,7 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
 
 def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:
     from splitknit.io.capture import read_capture  # of captures only
-    from splitknit.matching.leave_one_out import voted_minutiae
+    from splitknit.matching.voted_minutiae import voted_minutiae
     from splitknit.presets import preset_settings
 
     capture = read_capture(side.path)

@@ -119,9 +119,9 @@ def in_space(
     flip = np.diag([1.0, -1.0])
     turn = flip @ turn @ flip
     right, up = height_gradients(height_mm, pitch_mm)
-    z, slope_x, slope_y = (_read(field, there) for field in (height_mm, right, up))
+    z, slope_x, slope_y = (bilinear(field, there) for field in (height_mm, right, up))
     if xy_mm is not None:
-        x, y = (_read(field, there) for field in xy_mm)
+        x, y = (bilinear(field, there) for field in xy_mm)
     else:
         x = (there[:, 0] - (columns - 1) / 2) * pitch_mm
         y = ((rows - 1) / 2 - there[:, 1]) * pitch_mm
@@ -131,12 +131,13 @@ def in_space(
     return np.column_stack([flat, z, along, slope_x * dx + slope_y * dy])
 
 
-def _read(field: FloatArray, places: Array) -> Array:
-    """Bilinear values at places (N, 2; column, row); NaN outside and beside NaN."""
+def bilinear(field: FloatArray, places: Array) -> Array:
+    """(N, ...) values of a field (H, W, ...) at places (N, 2; column, row); NaN outside and beside NaN."""
     if len(places) == 0:
-        return np.zeros(0)
+        return np.zeros((0, *field.shape[2:]))
     x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
+    nowhere = (float("nan"),) * 4
     values = cv2.remap(
-        field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
+        field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nowhere
     )
     return np.asarray(values[:, 0], dtype=np.float64)

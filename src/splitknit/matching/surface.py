@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
-from splitknit.matching.leave_one_out import LeaveOneOutSettings
 from splitknit.matching.minutiae3d import Minutiae3DSettings, TetrahedraSettings
 from splitknit.matching.ridge import RidgeMatchSettings
 from splitknit.matching.ridge_band import RidgeBandSettings, ridge_band
 from splitknit.matching.surface_code import SurfaceCodeSettings, SurfaceMatchSettings
 from splitknit.matching.template import Template, TemplateSettings, make_template
 from splitknit.matching.thesis import FingerImages, ThesisSettings, finger_images
-from splitknit.matching.voted_minutiae import VoteSettings
+from splitknit.matching.voted_minutiae import LeaveOneOutSettings, VoteSettings
 from splitknit.model import Surface
 
 

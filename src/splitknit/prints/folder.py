@@ -24,7 +24,7 @@ from splitknit.io.prints import PrintFile, write_print_png
 from splitknit.io.provenance import JsonValue, canonical_json, file_hash, json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.matching.minutiae_record import PPI, Minutiae
-from splitknit.matching.space_features import in_space
+from splitknit.matching.space_features import bilinear, in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin
@@ -384,20 +384,8 @@ def _in_space(places: Array, directions_rad: Array, print_map: PrintMap, source:
 def _on_chart(points_mm: FloatArray, there: Array, ahead: Array) -> Array:
     """(N, 6) points and directions of places (N, 2) of a chart (H, W, 3), heading `ahead` (N,) on it."""
     step = np.stack([np.cos(ahead), -np.sin(ahead)], axis=1)  # rows run downwards
-    here, before, after = (_bilinear(points_mm, at) for at in (there, there - step, there + step))
+    here, before, after = (bilinear(points_mm, at) for at in (there, there - step, there + step))
     return np.column_stack([here, after - before])
-
-
-def _bilinear(points_mm: FloatArray, places: Array) -> Array:
-    """(N, 3) bilinear values of (H, W, 3) at places (N, 2; column, row); NaN outside and beside NaN."""
-    if len(places) == 0:
-        return np.zeros((0, 3))
-    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
-    nan = float("nan")
-    values = cv2.remap(
-        points_mm, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(nan, nan, nan)
-    )
-    return np.asarray(values[:, 0], dtype=np.float64)
 
 
 def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:

@@ -458,7 +458,11 @@ def train_in_folder(run: TrainingRun, trainer: Trainer, end: int, curve: Learnin
         started = time.perf_counter()
         count = min(curve.stretch, end - trainer.done)
         doing = f"{trainer.counted} {trainer.done + count} of {end}"
-        parts = trainer.train(count, lambda done: progress(doing, _DATA_PART + (1 - _DATA_PART) * done))  # noqa: B023
+
+        def tick(done: float, doing: str = doing) -> None:
+            progress(doing, _DATA_PART + (1 - _DATA_PART) * done)
+
+        parts = trainer.train(count, tick)
         figures = {f"held_out_{name}": value for name, value in curve.judge().items()}
         seconds = time.perf_counter() - started
         trainer.curve.append({trainer.counted: trainer.done, **parts, **figures, "seconds": seconds})
