@@ -158,7 +158,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
     from splitknit.io.atomic import atomic_file
     from splitknit.io.provenance import json_text, plain_json
-    from splitknit.report.rig_study import describe, verdict, write_all
+    from splitknit.report.rig_study import rig_in_words, verdict, write_all
     from splitknit.rig.candidates import grid
     from splitknit.rig.optimise import summarise, sweep
 
@@ -196,7 +196,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     lines = [
         f"{len(records)} rigs in {seconds:.0f} s: {counts['done']} measured, {counts['refused']} refused by a "
         f"constraint, {counts['failed']} failed.",
-        f"Best: {describe(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
+        f"Best: {rig_in_words(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
         verdict(summary),
     ]
     if study.fingers > 1:
