@@ -1,26 +1,33 @@
-"""Charts as inline SVG: curves over two axes, bars and colour bars. No scripts, no external resources."""
+"""Charts as inline SVG: curves and points over two axes, bars, heat maps. No scripts, no external resources."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from splitknit.io.pictures import colour
-from splitknit.model import FloatArray
 
 Values = NDArray[np.float64]
 _Points = Callable[[NDArray[np.floating] | float, NDArray[np.floating] | float], Values]
 """From values of x and y to pixels (..., 2)."""
-INK = "#222222"
-SERIES_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A8A8A", "#AA3377", "#B8860B")
+_INK = "#222222"
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A8A8A", "#AA3377", "#B8860B")
 """Colour-blind safe; curves differ in dashes as well."""
-BOLD = ' font-weight="600"'
+_BOLD = ' font-weight="600"'
 _GRID = "#e2e2e2"
 _DASHES = ("", "6 3", "2 2", "9 3 2 3")
+_BLACK_DASHES = 'stroke="#000000" stroke-dasharray="4 3"'
+_HALO = ' paint-order="stroke" stroke="#ffffff" stroke-width="3" stroke-linejoin="round"'
+"""Words stay legible over points."""
+_STRIPES = (
+    '<defs><pattern id="stripes" width="8" height="8" patternUnits="userSpaceOnUse" '
+    'patternTransform="rotate(45)"><rect width="8" height="8" fill="#f4f4f4"/>'
+    '<rect width="3" height="8" fill="#e0e0e0"/></pattern></defs>'
+)
 _WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM = 470, 58, 24, 12, 40
 
 
@@ -41,7 +48,7 @@ class Axis:
         return np.asarray((self.scale(inside) - ends[0]) / (ends[1] - ends[0]))
 
 
-def axis_over(label: str, values: NDArray[np.floating], *, pad: float = 0.05, log: bool = False) -> Axis:
+def _axis_over(label: str, values: NDArray[np.floating], *, pad: float = 0.05, log: bool = False) -> Axis:
     """An axis over all of `values`, and by the fraction `pad` further, with marks at round numbers."""
     scaled = np.log10(values) if log else values
     low, high = float(scaled.min()), float(scaled.max())
@@ -71,7 +78,7 @@ class Curve:
 
 def line_chart(curves: Sequence[Curve], x: Axis, y: Axis, *, title: str = "", height: int = 260) -> Markup:
     """Curves over two axes, with a legend of as many lines as it needs."""
-    parts, points = chart_frame(x, y, title, height, [curve.label for curve in curves if curve.label])
+    parts, points = _begin(x, y, title, height, [curve.label for curve in curves if curve.label])
     floor = points(x.low, y.low)[1]
     k = 0
     for curve in curves:
@@ -80,7 +87,7 @@ def line_chart(curves: Sequence[Curve], x: Axis, y: Axis, *, title: str = "", he
             k += 1
         else:
             start, end = points(curve.x, curve.y)
-            parts.append(segment(start, end, "#999999", "3 4"))
+            parts.append(_segment(start, end, "#999999", "3 4"))
     return Markup("".join(parts) + "</svg>")
 
 
@@ -90,14 +97,14 @@ def profile_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, equal:
     all_y = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in curves])
     if all_x.size < 2:
         return Markup('<p class="note">Nothing to draw.</p>')
-    x, y, height = axis_over(x_label, all_x, pad=0.0), axis_over(y_label, all_y), 220
+    x, y, height = _axis_over(x_label, all_x, pad=0.0), _axis_over(y_label, all_y), 220
     if equal:
         scale = (_WIDTH - _LEFT - _RIGHT) / (x.high - x.low)
         height = int(np.clip(scale * (y.high - y.low), 80, 370)) + _TOP + _BOTTOM
     return line_chart(curves, x, y, height=height)
 
 
-def chart_frame(x: Axis, y: Axis, title: str, height: int, legend: Sequence[str]) -> tuple[list[str], _Points]:
+def _begin(x: Axis, y: Axis, title: str, height: int, legend: Sequence[str]) -> tuple[list[str], _Points]:
     """Begin a chart: its title, its legend, and its axes with their marks.
 
     Returns
@@ -112,32 +119,32 @@ def chart_frame(x: Axis, y: Axis, title: str, height: int, legend: Sequence[str]
     def points(xs: NDArray[np.floating] | float, ys: NDArray[np.floating] | float) -> Values:
         return np.stack([_LEFT + wide * x.place(xs), top + tall * (1 - y.place(ys))], axis=-1)
 
-    parts = [open_svg(_WIDTH, height, title or f"{y.label} against {x.label}")]
+    parts = [_open(_WIDTH, height, title or f"{y.label} against {x.label}")]
     if title:
-        parts.append(text_at(6, 16, title, "start", BOLD))
+        parts.append(_text(6, 16, title, "start", _BOLD))
     for k, row in enumerate(rows):
         offset = float(_LEFT)
         for index, label, long in row:
             level = first + 18 * k
-            parts.append(segment((offset, level), (offset + 22, level), *_stroke(index), 2))
-            parts.append(text_at(offset + 27, level + 4, label, "start"))
+            parts.append(_segment((offset, level), (offset + 22, level), *_stroke(index), 2))
+            parts.append(_text(offset + 27, level + 4, label, "start"))
             offset += long
     for value, words in x.marks:
         place = points(value, y.low)[0]
-        parts.append(segment((place, top), (place, height - _BOTTOM), _GRID))
-        parts.append(text_at(place, height - _BOTTOM + 15, words, "middle"))
+        parts.append(_segment((place, top), (place, height - _BOTTOM), _GRID))
+        parts.append(_text(place, height - _BOTTOM + 15, words, "middle"))
     for value, words in y.marks:
         place = points(x.low, value)[1]
-        parts.append(segment((_LEFT, place), (_WIDTH - _RIGHT, place), _GRID))
-        parts.append(text_at(_LEFT - 5, place + 4, words, "end"))
-    parts.append(text_at(_LEFT + wide / 2, height - 6, x.label, "middle"))
-    parts.append(text_at(6, top - 9, y.label, "start"))
+        parts.append(_segment((_LEFT, place), (_WIDTH - _RIGHT, place), _GRID))
+        parts.append(_text(_LEFT - 5, place + 4, words, "end"))
+    parts.append(_text(_LEFT + wide / 2, height - 6, x.label, "middle"))
+    parts.append(_text(6, top - 9, y.label, "start"))
     return parts, points
 
 
 def _stroke(k: int) -> tuple[str, str]:
     """Colour and dashes of the k-th curve."""
-    return SERIES_COLOURS[k % len(SERIES_COLOURS)], _DASHES[k % len(_DASHES)]
+    return _COLOURS[k % len(_COLOURS)], _DASHES[k % len(_DASHES)]
 
 
 def _drawn(curve: Curve, k: int, points: _Points, floor: float) -> list[str]:
@@ -205,13 +212,13 @@ def bar_chart(values: Sequence[float]) -> Markup:
     longest, row, width = max(finite, default=0.0), 15, 200
     left = 10 + 7 * len(str(max(0, len(values) - 1)))
     scale = (width - left - 50) / longest if longest > 0 else 0.0
-    parts = [open_svg(width, row * len(values) + 4, "bar chart")]
+    parts = [_open(width, row * len(values) + 4, "bar chart")]
     for k, value in enumerate(values):
         y = k * row + 3
         length = abs(float(value)) * scale if np.isfinite(value) else 0.0
-        parts.append(text_at(left - 5, y + 10, str(k), "end"))
-        parts.append(f'<rect x="{left}" y="{y}" width="{length:.1f}" height="12" fill="{SERIES_COLOURS[0]}"/>')
-        parts.append(text_at(left + length + 4, y + 10, f"{float(value):.3g}", "start"))
+        parts.append(_text(left - 5, y + 10, str(k), "end"))
+        parts.append(f'<rect x="{left}" y="{y}" width="{length:.1f}" height="12" fill="{_COLOURS[0]}"/>')
+        parts.append(_text(left + length + 4, y + 10, f"{float(value):.3g}", "start"))
     return Markup("".join(parts) + "</svg>")
 
 
@@ -220,31 +227,149 @@ def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -
     steps, width = 32, 220
     shades = colour(np.linspace(0.0, 1.0, steps, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
     step = (width - 20) / steps
-    parts = [open_svg(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
+    parts = [_open(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
     for k, (r, g, b) in enumerate(shades):
         parts.append(
             f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
             'shape-rendering="crispEdges"/>'
         )
-    parts.append(text_at(10, 25, f"{low:.3g}", "start"))
-    parts.append(text_at(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
-    parts.append(text_at(width - 10, 25, f"{high:.3g}", "end"))
+    parts.append(_text(10, 25, f"{low:.3g}", "start"))
+    parts.append(_text(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
+    parts.append(_text(width - 10, 25, f"{high:.3g}", "end"))
     return Markup("".join(parts) + "</svg>")
 
 
-def line_through(
-    field: FloatArray, input_from_upright: NDArray[np.float64], start: tuple[float, float], end: tuple[float, float]
-) -> FloatArray:
-    """Values of `field` (H, W) at about one sample a pixel from `start` to `end` (column, row of the upright frame)."""
-    import cv2  # charts without data need no image library
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One rig in the heat map."""
 
-    count = int(np.hypot(end[0] - start[0], end[1] - start[1])) + 2
-    upright = np.stack([np.linspace(start[0], end[0], count), np.linspace(start[1], end[1], count), np.ones(count)])
-    column, row = (input_from_upright @ upright)[:2].astype(np.float32)
-    sampled = cv2.remap(
-        field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
+    column: float
+    row: float
+    value: float | None
+    """None where it was refused or failed."""
+    note: str
+    """What is said in the cell in the place of a value."""
+    best: bool = False
+    as_good: bool = False
+    thesis: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """One rig in a scatter or on an axis."""
+
+    x: float
+    y: float
+    label: str = ""
+    front: bool = False
+    thesis: bool = False
+    low: float | None = None
+    high: float | None = None
+    series: str = ""
+    """In the legend; dots of one are joined by a line where none is on the front."""
+
+
+def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, title: str = "") -> Markup:
+    """A table of coloured cells: low values are dark, the best has a frame, those as good a dot, others stripes."""
+    columns, rows = sorted({one.column for one in cells}), sorted({one.row for one in cells}, reverse=True)
+    known = [one.value for one in cells if one.value is not None]
+    low, high = (min(known), max(known)) if known else (0.0, 1.0)
+    wide, tall, left, top = 76, 40, 64, 30
+    half = 3.0 * len(y_label) + 4  # of the upright label, which few rows are too short for
+    middle = max(top + tall * len(rows) / 2, half)
+    width, height = max(left + wide * len(columns) + 12, left + 220), max(top + tall * len(rows) + 78, middle + half)
+    parts = [_open(width, height, title or f"{y_label} against {x_label}"), _STRIPES]
+    parts.append(_text(left, 16, title, "start", _BOLD))
+    for one in cells:
+        x, y = left + wide * columns.index(one.column), top + tall * rows.index(one.row)
+        if one.value is None:
+            fill, ink, words = "url(#stripes)", "#555555", one.note
+        else:
+            shade = colour(np.array([[one.value]], dtype=np.float32), low, max(high, low + 1e-9))[0, 0]
+            red, green, blue = (int(part) for part in shade)
+            fill = f"rgb({red},{green},{blue})"
+            ink = "#ffffff" if 0.299 * red + 0.587 * green + 0.114 * blue < 130 else _INK
+            words = f"{one.value:#.3g}".rstrip(".") + (" •" if one.as_good and not one.best else "")
+        parts.append(
+            f'<rect x="{x}" y="{y}" width="{wide}" height="{tall}" fill="{fill}" stroke="#ffffff" stroke-width="1.5"/>'
+        )
+        parts.append(
+            _text(x + wide / 2, y + tall / 2 + 4, words, "middle", f' fill="{ink}"{_BOLD if one.best else ""}')
+        )
+    for one in cells:  # frames last: no neighbour covers them
+        x, y = left + wide * columns.index(one.column), top + tall * rows.index(one.row)
+        if one.best:
+            parts.append(_frame(x + 2, y + 2, wide - 4, tall - 4, f'stroke="{_COLOURS[1]}"'))
+        if one.thesis:
+            inset = 6 if one.best else 2
+            parts.append(_frame(x + inset, y + inset, wide - 2 * inset, tall - 2 * inset, _BLACK_DASHES))
+    for k, value in enumerate(columns):
+        parts.append(_text(left + wide * (k + 0.5), top + tall * len(rows) + 14, f"{value:g}", "middle"))
+    for k, value in enumerate(rows):
+        parts.append(_text(left - 6, top + tall * (k + 0.5) + 4, f"{value:g}", "end"))
+    bottom = top + tall * len(rows)
+    parts.append(_text(left + wide * len(columns) / 2, bottom + 30, x_label, "middle"))
+    parts.append(
+        f'<text x="14" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 14 {middle:.1f})">'
+        f"{escape(y_label)}</text>"
     )
-    return np.asarray(sampled[0], dtype=np.float32)
+    parts.append(_text(left, bottom + 50, unit, "start"))
+    parts.append(_text(left, bottom + 66, "orange: best; •: as good; dashed: the thesis's", "start"))
+    return Markup("".join(parts) + "</svg>")
+
+
+def scatter(dots: Sequence[Dot], x_label: str, y_label: str, *, title: str = "", log_x: bool = False) -> Markup:
+    """Points over two axes; those on the front are filled, the thesis's has a ring; error bars where there are any."""
+    own = sorted({dot.x for dot in dots})
+    any_front = any(dot.front for dot in dots)
+    x = _axis_over(x_label, np.array(own), pad=0.06, log=log_x)
+    if len(own) <= 10 and not any_front:
+        x = replace(x, marks=tuple((value, f"{value:.3g}") for value in own))
+    y = _axis_over(
+        y_label, np.array([v for dot in dots for v in (dot.y, dot.low, dot.high) if v is not None]), pad=0.06
+    )
+    series = list(dict.fromkeys(dot.series for dot in dots))
+    legend = [name for name in series if name]
+    parts, points = _begin(x, y, title, 258, legend)
+    paints = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(series)}
+    if not any_front:
+        for name, paint in paints.items():
+            along = sorted((dot.x, dot.y) for dot in dots if dot.series == name)
+            line = " ".join(f"{px:.1f},{py:.1f}" for px, py in points(*np.array(along).T))
+            parts.append(f'<polyline points="{line}" fill="none" stroke="{paint}" opacity="0.6"/>')
+    places = [(*points(dot.x, dot.y), dot.label) for dot in dots]
+    parts += _labels([place for place in places if place[2]], [place[:2] for place in places], points(x.high, y.low)[0])
+    for dot in sorted(dots, key=lambda dot: dot.front):  # over the words' halos
+        (px, py), paint = points(dot.x, dot.y), paints[dot.series]
+        if dot.low is not None and dot.high is not None:
+            parts.append(_segment(points(dot.x, dot.low), points(dot.x, dot.high), paint))
+        solid = dot.front or not any_front
+        fill = paint if solid else "#ffffff"
+        parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="{4 if solid else 3}" fill="{fill}" stroke="{paint}"/>')
+        if dot.thesis:
+            parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="8" fill="none" {_BLACK_DASHES}/>')
+    return Markup("".join(parts) + "</svg>")
+
+
+def _labels(
+    wanted: Sequence[tuple[float, float, str]], points: Sequence[tuple[float, float]], right: float
+) -> list[str]:
+    """Labels beside their points; one that would cover another, or a point, is left out."""
+    taken = [(x - 4.0, x + 4.0, y + 4.0) for x, y in points]
+    parts = []
+    for x, y, words in wanted:
+        long = 6.0 * len(words)
+        sides = [start for start in (x + 8, x - 8 - long) if start >= 60 and start + long < right]
+        for start, level in ((side, y + shift) for side in sides for shift in (4, -9, 17)):
+            if all(abs(level - other) > 9 or start > end or start + long < begin for begin, end, other in taken):
+                taken.append((start, start + long, level))
+                parts.append(_text(start, level, words, "start", _HALO))
+                break
+    return parts
+
+
+def _frame(x: float, y: float, width: float, height: float, stroke: str) -> str:
+    return f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="none" stroke-width="2" {stroke}/>'
 
 
 def standalone(chart: Markup) -> bytes:
@@ -254,20 +379,20 @@ def standalone(chart: Markup) -> bytes:
     return text.replace(">", '><rect width="100%" height="100%" fill="#ffffff"/>', 1).encode()
 
 
-def open_svg(width: float, height: float, title: str) -> str:
+def _open(width: float, height: float, title: str) -> str:
     """Begin a chart."""
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="11" fill="{INK}">'
+        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="11" fill="{_INK}">'
     )
 
 
-def text_at(x: float, y: float, words: str, anchor: str, style: str = "") -> str:
+def _text(x: float, y: float, words: str, anchor: str, style: str = "") -> str:
     """A label of a chart; `style` holds further attributes."""
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{style}>{escape(words)}</text>'
 
 
-def segment(start: Iterable[float], end: Iterable[float], paint: str, dash: str = "", width: float = 1) -> str:
+def _segment(start: Iterable[float], end: Iterable[float], paint: str, dash: str = "", width: float = 1) -> str:
     """A straight line between two points (x, y)."""
     (x1, y1), (x2, y2) = start, end
     dashes = f' stroke-dasharray="{dash}"' if dash else ""

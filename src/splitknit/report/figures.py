@@ -26,7 +26,7 @@ from splitknit.io.pictures import (
 )
 from splitknit.model import FloatArray, Reconstruction
 from splitknit.report import charts
-from splitknit.report.photos import Picture, captioned
+from splitknit.report.photos import Picture, captioned, is_finger
 
 if TYPE_CHECKING:
     from splitknit.evaluation.accuracy import Comparison
@@ -38,11 +38,6 @@ _CLOSE_UP_MM = 5.0
 
 Truth = Mapping[str, NDArray[Any]]
 """A simulator's arrays."""
-
-
-def is_finger(result: Reconstruction) -> bool:
-    """Whether it was captured as one: of skin, not of opaque material."""
-    return str(result.facts.get("material", "skin")) == "skin"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

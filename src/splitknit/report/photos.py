@@ -33,6 +33,11 @@ class Picture:
     scale_label: str = ""
 
 
+def is_finger(result: Reconstruction) -> bool:
+    """Whether it was captured as one: of skin, not of opaque material."""
+    return str(result.facts.get("material", "skin")) == "skin"
+
+
 def captioned(
     title: str, image: NDArray[np.uint8], caption: str, pitch_mm: float = 0.0, legend: Markup = _NO_LEGEND
 ) -> Picture:
@@ -105,7 +110,7 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
-    finger = result.facts.get("material", "skin") == "skin"
+    finger = is_finger(result)
     if finger:
         ends = scale * _axis(result)
         _line(picture, ends, SKY, 2)

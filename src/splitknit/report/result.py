@@ -16,6 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
@@ -30,8 +31,8 @@ from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_n
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, template
-from splitknit.report.figures import Truth, is_finger
-from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures
+from splitknit.report.figures import Truth
+from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures, is_finger
 
 if TYPE_CHECKING:
     from splitknit.evaluation.accuracy import Comparison
@@ -242,7 +243,7 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
         step = np.array([0.0, half]) if along else np.array([half, 0.0])
         start, end = (middle[0] - step[0], middle[1] - step[1]), (middle[0] + step[0], middle[1] + step[1])
-        values = charts.line_through(field, result.input_from_upright, start, end)
+        values = _line_through(field, result.input_from_upright, start, end)
         return np.linspace(-half * pitch, half * pitch, values.size).astype(np.float32), values
 
     charted = []
@@ -265,6 +266,19 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
         title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
         charted.append((title, chart, f"Relief along {2 * half * pitch:.0f} {large} of the axis, mean removed."))
     return charted
+
+
+def _line_through(
+    field: FloatArray, input_from_upright: NDArray[np.float64], start: tuple[float, float], end: tuple[float, float]
+) -> FloatArray:
+    """Values of `field` (H, W) at about one sample a pixel from `start` to `end` (column, row of the upright frame)."""
+    count = int(np.hypot(end[0] - start[0], end[1] - start[1])) + 2
+    upright = np.stack([np.linspace(start[0], end[0], count), np.linspace(start[1], end[1], count), np.ones(count)])
+    column, row = (input_from_upright @ upright)[:2].astype(np.float32)
+    sampled = cv2.remap(
+        field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
+    )
+    return np.asarray(sampled[0], dtype=np.float32)
 
 
 def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float = 1.0) -> list[charts.Curve]:
