@@ -46,8 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
         photograph = capture.bands["white"].pixels[1].astype(np.float32)
         bright = np.clip(photograph / np.percentile(photograph, 99.5), 0, 1) ** (1 / 2.2)
         write_image(options.out / "one-image-four-views.png", np.round(255 * bright).astype(np.uint8))
-        views = render_views(result, small_fields(result, upright_frame(result, 700)))
-        write_image(options.out / "surface.png", views.above)
+        above, *_ = render_views(result, small_fields(result, upright_frame(result, 700)))
+        write_image(options.out / "surface.png", above)
     return 0
 
 

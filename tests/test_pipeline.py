@@ -32,6 +32,7 @@ from splitknit.steps import Memory
 from written_files import read_ply
 
 Truth = dict[str, np.ndarray]
+_POSE = FingerPose(insertion_mm=28.0, yaw_rad=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +77,9 @@ def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], t
 
 def test_the_networks_show_the_ridges_of_a_coarse_camera(capture: Capture, results: dict[str, Reconstruction]) -> None:
     """At 12.9 pixels a millimetre both networks run, on a grid twice as fine."""
-    fine, truth = simulate_capture(3, "whorl", TwinSettings(scale=0.17, pose=Pose(insertion_mm=28.0, yaw_rad=0.1)))
+    fine, truth = simulate_capture(
+        3, "whorl", TwinSettings(scale=0.17, pose=FingerPose(insertion_mm=28.0, yaw_rad=0.1))
+    )
     result = reconstruct(fine)
     assert result.facts["optics"]["relief_by"] == "network"
     assert not any("network" in warning for warning in result.warnings)

@@ -18,7 +18,7 @@ import pytest
 
 import splitknit.rig.optimise as module
 from splitknit.cli.main import main
-from splitknit.report.rig_study import Cell, Dot, heat_map, scatter, standalone
+from splitknit.report.charts import Cell, Dot, heat_map, scatter, standalone
 
 Captured = pytest.CaptureFixture[str]
 SMALL = ["--heights-mm", "100,140", "--radii-mm", "52.5,80", "--powers-w", "1", "--resolutions", "6", "--fingers", "2"]

@@ -6,7 +6,7 @@ import pytest
 
 from handmade import finger
 from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import UprightSurface, _top_view, oblique_view, small_fields, upright_surface
+from splitknit.report.figures import UprightSurface, _top_view, oblique_view, small_fields
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
@@ -83,7 +83,7 @@ def test_a_gap_between_two_parts_stays_empty() -> None:
 
 def test_views_show_the_finger_and_the_light() -> None:
     result, _ = finger()
-    surface = upright_surface(small_fields(result, upright_frame(result, 240)), 2.0)
+    surface = small_fields(result, upright_frame(result, 240)).surface(2.0)
     above = _top_view(surface).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)
     assert above[0, 0].min() > 240
@@ -96,6 +96,6 @@ def test_views_show_the_finger_and_the_light() -> None:
 
 def test_steeper_view_is_flatter() -> None:
     result, _ = finger()
-    surface = upright_surface(small_fields(result, upright_frame(result, 240)))
+    surface = small_fields(result, upright_frame(result, 240)).surface()
     low, high = (oblique_view(surface, tilt_deg=tilt).shape[0] for tilt in (75.0, 20.0))
     assert low < 0.8 * high

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from handmade import capture_of, finger
 from splitknit.io.pictures import BLUE, ORANGE, upright_frame
 from splitknit.report import figures
-from splitknit.report.photos import Picture, mask_on_image
+from splitknit.report.photos import Picture, capture_pictures
 
 
 def _decoded(picture: Picture) -> NDArray[np.uint8]:
@@ -23,7 +23,7 @@ def _decoded(picture: Picture) -> NDArray[np.uint8]:
 def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
     """Red is symmetrical about the finger's axis and green about nothing: at the tip it is above the middle value."""
     result, _ = finger(yaw_deg=yaw_deg)
-    image = _decoded(figures.normals_picture(result, figures.small_fields(result, upright_frame(result, 200)))).astype(
+    image = _decoded(figures._normals_picture(result, figures.small_fields(result, upright_frame(result, 200)))).astype(
         float
     )
     rows, columns = image.shape[:2]
@@ -39,7 +39,7 @@ def test_normals_turn_with_the_finger(yaw_deg: float) -> None:
 def test_outline_and_crease_lie_on_the_input() -> None:
     result, _ = finger()
     crease = [[150.0, 330.0], [450.0, 400.0]]
-    shown = mask_on_image(replace(result, facts={"crease_line": crease}), capture_of(result))
+    (shown,) = capture_pictures(replace(result, facts={"crease_line": crease}), capture_of(result))
     image = _decoded(shown).astype(int)
     assert image.shape[:2] == result.mask.shape
     orange = np.abs(image - np.array(ORANGE)).max(axis=2) < 60
@@ -49,18 +49,18 @@ def test_outline_and_crease_lie_on_the_input() -> None:
     blue = np.abs(image[365, 290:310] - np.array(BLUE)).max(axis=1) < 70
     assert blue.any()
     assert "was cut" in shown.caption
-    assert "No crease" in mask_on_image(result, capture_of(result)).caption
+    assert "No crease" in capture_pictures(result, capture_of(result))[0].caption
 
 
 def test_scale_bar_is_as_long_as_it_says() -> None:
     result, _ = finger()
     frame = upright_frame(result, 200)
-    shown = figures.relief_picture(result, figures.small_fields(result, frame))
+    shown = figures._relief_picture(result, figures.small_fields(result, frame))
     length_mm = float(shown.scale_label.split()[0])
     assert shown.scale_percent / 100 * shown.width * frame.pitch_mm == pytest.approx(length_mm, rel=1e-3)
 
 
-def testrelief_limits_leave_out_steep_flanks() -> None:
+def test_relief_limits_leave_out_steep_flanks() -> None:
     result, _ = finger()
     spoilt = np.where(result.normals[..., 2] < 0.5, np.float32(-0.5), result.ridge_mm)
     assert figures.relief_limits(replace(result, ridge_mm=spoilt), 1e3) == figures.relief_limits(result, 1e3)
@@ -72,6 +72,6 @@ def testrelief_limits_leave_out_steep_flanks() -> None:
 def test_close_ups_share_one_scale() -> None:
     result, truth = finger()
     relief = (truth["height_mm"] - truth["shape_mm"]).astype(np.float32)
-    first, second = (_decoded(figures.close_up(r, result, "x")).astype(int) for r in (relief, 0.2 * relief))
+    first, second = (_decoded(figures._close_up(r, result, "x")).astype(int) for r in (relief, 0.2 * relief))
     assert np.ptp(second[..., 2]) < 0.5 * np.ptp(first[..., 2])
     assert first.shape[0] == first.shape[1] == 100  # 5 mm at 20 px/mm

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from handmade import capture_of, finger
-from splitknit.report.charts import Line, bar_chart, line_chart
-from splitknit.report.result import make_report, plain
+from splitknit.report.charts import Curve, bar_chart, profile_chart
+from splitknit.report.result import _plain, make_report
 
 Written = tuple[Path, dict[str, Any]]
-PRINT = np.full((40, 40), 255, np.uint8)
 
 
 class _Page(html.parser.HTMLParser):
@@ -99,7 +98,7 @@ def test_strings_cannot_become_markup() -> None:
         timings_s={evil: 1.0},
         preset=evil,
     )
-    text = make_report(spiked, capture, PRINT).html
+    text = make_report(spiked, capture).html
     page = _page(text)
     assert "script" not in page.tags
     assert all(address.startswith("data:image/") for address in page.addresses)
@@ -109,7 +108,7 @@ def test_strings_cannot_become_markup() -> None:
 def test_presets_are_compared_side_by_side() -> None:
     result, truth = finger()
     plain_result = replace(result, preset="ea", ridge_mm=0.3 * result.ridge_mm)
-    report = make_report(result, capture_of(result), PRINT, truth=truth, others=[plain_result])
+    report = make_report(result, capture_of(result), truth=truth, others=[plain_result])
     assert set(report.facts["comparison"]) == {"metric", "ea"}
     words = " ".join(_page(report.html).words)
     assert "Ridge error, ea" in words
@@ -130,7 +129,7 @@ def test_bare_result_has_a_report() -> None:
         hashes={},
         uncertainty_um=None,
     )
-    report = make_report(bare, capture_of(result, 3), PRINT)
+    report = make_report(bare, capture_of(result, 3))
     assert "No warnings" in report.html
     assert report.facts["facts"] == {"odd": None}
     json.dumps(report.facts, allow_nan=False)
@@ -144,13 +143,13 @@ def test_plain_values() -> None:
         3: Path("x"),
         "d": np.zeros(999),
     }
-    assert plain(value) == {"a": 1.5, "b": [1, 2], "c": [None, True, None], "3": "x", "d": "array (999,) float64"}
+    assert _plain(value) == {"a": 1.5, "b": [1, 2], "c": [None, True, None], "3": "x", "d": "array (999,) float64"}
 
 
 def test_chart_is_drawn_to_scale() -> None:
     x = np.linspace(0.0, 10.0, 11)
     y = np.where(x == 5.0, np.nan, 2.0 * x)
-    chart = str(line_chart([Line("a < b", x, y)], "mm", "um"))
+    chart = str(profile_chart([Curve("a < b", x, y)], "mm", "um"))
     pieces = re.findall(r'points="([^"]+)"', chart)
     assert len(pieces) == 2  # NaN interrupts the line
     points = np.array([[float(v) for v in pair.split(",")] for pair in pieces[0].split()])
@@ -161,7 +160,7 @@ def test_chart_is_drawn_to_scale() -> None:
 
 
 def test_bars_are_as_long_as_their_values() -> None:
-    chart = str(bar_chart([1.0, 0.5, float("nan")], ["0", "1", "2"]))
+    chart = str(bar_chart([1.0, 0.5, float("nan")]))
     lengths = [float(v) for v in re.findall(r'width="([\d.]+)" height="12"', chart)]
     assert lengths[1] == pytest.approx(lengths[0] / 2, abs=0.1)
     assert lengths[2] == 0.0

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splitknit.report.rig_study import AXES, SHORT, Cell, Dot, heat_map, scatter, standalone
+from splitknit.report.charts import Cell, Dot, heat_map, scatter, standalone
+from splitknit.report.rig_study import AXES, SHORT
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 COMPARED = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")

@@ -29,7 +29,7 @@ from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import read_capture
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import reconstruct
-from splitknit.report.evaluation import Axis, Curve, plot_curves
+from splitknit.report.charts import Axis, Curve, line_chart
 from splitknit.steps import Memory
 
 CAPTURES = 24
@@ -214,7 +214,7 @@ def _draw(found: Sequence[Row], out: Path) -> None:
     )
     logs: Callable[[Any], Any] = np.log10
     marks = tuple((f, f"{f:g}") for f in (0.5, 1, 2, 5, 10, 23, 60))
-    chart = plot_curves(
+    chart = line_chart(
         [Curve(name, FREQUENCIES, np.maximum(power, 1e-7)) for name, power in spectra.items()],
         Axis("cycles per cm", 0.5, 60.0, marks, logs),
         Axis("power", 1e-7, 1.0, tuple((10.0**k, f"1e{k}") for k in range(-7, 1)), logs),
@@ -226,21 +226,20 @@ def _draw(found: Sequence[Row], out: Path) -> None:
     for words in ("ridge correlation", "power beside the ridges, %"):
         factor = 0.01 if words.endswith("%") else 1.0
         values = [factor * np.mean([row[f"3.20 n = {count} {words}"] for row in found]) for count in SCALES]
-        curves.append(Curve(words.removesuffix(", %"), np.array(SCALES, dtype=float), np.array(values)))
-    chart = plot_curves(
+        curves.append(Curve(words.removesuffix(", %"), np.array(SCALES, dtype=float), np.array(values), dots=True))
+    chart = line_chart(
         curves,
         Axis("scales of shapelets", 2.0, 7.0, tuple((float(n), str(n)) for n in SCALES)),
         Axis("fraction, correlation", 0.0, 1.0, tuple((k / 5, f"{k / 5:g}") for k in range(6))),
         height=260,
         title="Ridges and what else is in the relief, by scales of shapelets",
-        dots=True,
     )
     save(chart, out / "figure-3-20.svg")
     profile = {name: np.array(values, dtype=np.float64) for name, values in found[0]["profiles"].items()}
     x = profile.pop("mm")
     low, high = np.floor(min(map(np.nanmin, profile.values()))), np.ceil(max(map(np.nanmax, profile.values())))
     along = tuple((float(v), f"{v:g}") for v in np.arange(np.ceil(x[0] / 5) * 5, x[-1], 5))
-    chart = plot_curves(
+    chart = line_chart(
         [Curve(name, x, values) for name, values in profile.items()],
         Axis("mm along the finger", float(x[0]), float(x[-1]), along),
         Axis("height, mm", float(low), float(high), tuple((float(v), f"{v:g}") for v in np.arange(low, high + 0.5))),

@@ -11,7 +11,8 @@ from tables import Row
 from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit.evaluation.rates import roc
 from splitknit.evaluation.scores import Scores
-from splitknit.report.evaluation import Axis, Curve, plot_curves, roc_chart, short_percent
+from splitknit.report.charts import Axis, Curve, line_chart, percent_marks
+from splitknit.report.evaluation import roc_chart
 
 
 def save(chart: str, file: Path) -> None:
@@ -44,7 +45,7 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
             continue
         x = np.array([row["mean_factor"] for row in known])
         y, low, high = (np.array([row[figure + end] for row in known]) for end in ("", "_low", "_high"))
-        curves.append(Curve(name, x, y, (x, low, high) if name in (series[0][0], series[-1][0]) else None))
+        curves.append(Curve(name, x, y, (x, low, high) if name in (series[0][0], series[-1][0]) else None, dots=True))
         lowest, xs = min(lowest, float(low.min())), [*xs, *x]
     if not curves:
         return ""
@@ -55,6 +56,6 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
     y_marks = np.arange(round(floor * 10), 11, 2 if floor < 0.45 else 1) / 10
     axes = (
         Axis(x_label, *ends, tuple((float(v), f"{v:g}") for v in np.round(marks, 6))),
-        Axis(y_label, floor, 1.0, tuple((float(v), short_percent(float(v))) for v in y_marks)),
+        Axis(y_label, floor, 1.0, percent_marks(map(float, y_marks))),
     )
-    return str(plot_curves(curves, *axes, height=260, title=f"{y_label} over {x_label}", dots=True))
+    return str(line_chart(curves, *axes, title=f"{y_label} over {x_label}"))

@@ -23,12 +23,12 @@ from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.io.capture import read_capture
 from splitknit.io.png import decode_png
-from splitknit.matching.voted_minutiae import voted_minutiae
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import Minutiae, no_minutiae, pack_minutiae, pack_space_minutiae
 from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import pack_surface_code
+from splitknit.matching.voted_minutiae import voted_minutiae
 from splitknit.model import Surface
 
 SOLIDS: Mapping[str, str] = MappingProxyType({"minutiae3d": "minutiae3d", "surface_codes": "surface_code"})

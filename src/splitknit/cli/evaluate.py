@@ -64,8 +64,9 @@ def add_evaluate(verbs: Any) -> None:
 def _run(options: argparse.Namespace) -> Outcome:
     """Evaluate, write, and report what came out."""
     from splitknit.evaluation.intervals import BootstrapSettings
-    from splitknit.evaluation.study import EvaluationSettings
-    from splitknit.report.evaluation import evaluate_to_folder, interval
+    from splitknit.evaluation.study import FORMAT, EvaluationSettings, evaluate_scores
+    from splitknit.io.targets import check_target
+    from splitknit.report.evaluation import interval, write_evaluation
 
     settings = EvaluationSettings(
         dissimilarity=options.dissimilarity,
@@ -74,13 +75,17 @@ def _run(options: argparse.Namespace) -> Outcome:
         fuse=options.fuse,
         bootstrap=BootstrapSettings(replicates=options.replicates, seed=options.seed),
     )
+    check_target(options.out, "report.json", "an earlier evaluation", form=FORMAT)
     with Progress(options) as progress:
         gallery = _gallery(options, progress) if options.gallery is not None else None
         require(gallery is not None or options.key_file is None, "--key-file is for --gallery.")
-        facts = evaluate_to_folder(
-            options.scores or [options.gallery], options.out, settings,
+        found = evaluate_scores(
+            options.scores or [options.gallery], settings,
             exclusions=options.exclude, gallery=gallery, progress=progress.update,
         )  # fmt: skip
+        progress.update("report", 1.0)
+        write_evaluation(found, options.out)
+    facts = found.facts
     lines = []
     for name, one in facts["systems"].items():
         counts = one["comparisons"]

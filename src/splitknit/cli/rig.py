@@ -155,7 +155,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
     from splitknit.io.atomic import write_file
     from splitknit.io.provenance import json_text, plain_json
-    from splitknit.report.rig_study import describe_rig, verdict, write_all
+    from splitknit.report.rig_study import rig_in_words, verdict, write_all
     from splitknit.rig.candidates import grid
     from splitknit.rig.optimise import summarise, sweep_rigs
 
@@ -192,7 +192,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     lines = [
         f"{len(records)} rigs in {seconds:.0f} s: {counts['done']} measured, {counts['refused']} refused by a "
         f"constraint, {counts['failed']} failed.",
-        f"Best: {describe_rig(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
+        f"Best: {rig_in_words(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
         verdict(summary),
     ]
     if study.fingers > 1:

@@ -18,8 +18,3 @@ def template(name: str) -> Any:
         lstrip_blocks=True,
     )
     return environment.get_template(name)
-
-
-def render(name: str, **values: Any) -> str:
-    """Fill in a template of ``templates/``."""
-    return str(template(name).render(**values))

@@ -1,169 +1,406 @@
-"""Small charts as inline SVG: line profiles, bars and colour bars. No scripts, no external resources."""
+"""Charts as inline SVG: curves and points over two axes, bars, heat maps. No scripts, no external resources."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from splitknit.io.pictures import colour
-from splitknit.model import FloatArray
 
-INK = "#222222"
-SERIES_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A8A8A")
-"""Colour-blind safe; lines differ in dashes as well."""
-_DASHES = ("", "5 3", "2 2", "8 3 2 3")
+Values = NDArray[np.float64]
+_Points = Callable[[NDArray[np.floating] | float, NDArray[np.floating] | float], Values]
+"""From values of x and y to pixels (..., 2)."""
+_INK = "#222222"
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8A8A8A", "#AA3377", "#B8860B")
+"""Colour-blind safe; curves differ in dashes as well."""
+_BOLD = ' font-weight="600"'
+_GRID = "#e2e2e2"
+_DASHES = ("", "6 3", "2 2", "9 3 2 3")
+_BLACK_DASHES = 'stroke="#000000" stroke-dasharray="4 3"'
+_HALO = ' paint-order="stroke" stroke="#ffffff" stroke-width="3" stroke-linejoin="round"'
+"""Words stay legible over points."""
+_STRIPES = (
+    '<defs><pattern id="stripes" width="8" height="8" patternUnits="userSpaceOnUse" '
+    'patternTransform="rotate(45)"><rect width="8" height="8" fill="#f4f4f4"/>'
+    '<rect width="3" height="8" fill="#e0e0e0"/></pattern></defs>'
+)
+_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM = 470, 58, 24, 12, 40
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """From values to 0 ... 1, with marks."""
+
+    label: str
+    low: float
+    high: float
+    marks: tuple[tuple[float, str], ...]
+    scale: Callable[[Values], Values] = np.asarray
+
+    def place(self, values: NDArray[np.floating] | float) -> Values:
+        """Where values lie between the ends, those beyond on the ends."""
+        inside = np.clip(np.asarray(values, dtype=np.float64), self.low, self.high)
+        ends = self.scale(np.array([self.low, self.high]))
+        return np.asarray((self.scale(inside) - ends[0]) / (ends[1] - ends[0]))
+
+
+def _axis_over(label: str, values: NDArray[np.floating], *, pad: float = 0.05, log: bool = False) -> Axis:
+    """An axis over all of `values`, and by the fraction `pad` further, with marks at round numbers."""
+    scaled = np.log10(values) if log else values
+    low, high = float(scaled.min()), float(scaled.max())
+    margin = pad * (high - low) or (0.0 if high > low else 0.1 * abs(high) or 1.0)
+    low, high = low - margin, high + margin
+    if log:
+        marks = [10.0**k for k in range(int(np.ceil(low)), int(np.floor(high)) + 1)]
+        return Axis(label, 10.0**low, 10.0**high, tuple((v, f"{v:.3g}") for v in marks), np.log10)
+    return Axis(label, low, high, tuple((v, f"{v:g}") for v in round_marks(low, high, 6)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """One curve of a chart; NaN interrupts it."""
+class Curve:
+    """A line, interrupted by NaN, with, perhaps, a band."""
 
     label: str
+    """In the legend; an empty one makes it a thin grey line for comparison."""
     x: NDArray[np.floating]
     y: NDArray[np.floating]
+    band: tuple[Values, Values, Values] | None = None
+    """x, low, high."""
+    filled: bool = False
+    """Whether the area beneath is tinted."""
+    dots: bool = False
+    """Whether its points are marked."""
 
 
-def line_chart(
-    lines: Sequence[Line], x_label: str, y_label: str, *, width: int = 400, height: int = 190, equal: bool = False
-) -> Markup:
-    """Draw curves over one pair of axes; `equal` gives both axes the same scale."""
-    left, right, top, bottom = 52, 10, 22, 36
-    all_x = np.concatenate([line.x[np.isfinite(line.y)] for line in lines])
-    all_y = np.concatenate([line.y[np.isfinite(line.y)] for line in lines])
+def line_chart(curves: Sequence[Curve], x: Axis, y: Axis, *, title: str = "", height: int = 260) -> Markup:
+    """Curves over two axes, with a legend of as many lines as it needs."""
+    parts, points = _begin(x, y, title, height, [curve.label for curve in curves if curve.label])
+    floor = points(x.low, y.low)[1]
+    k = 0
+    for curve in curves:
+        if curve.label:
+            parts += _drawn(curve, k, points, floor)
+            k += 1
+        else:
+            start, end = points(curve.x, curve.y)
+            parts.append(_segment(start, end, "#999999", "3 4"))
+    return Markup("".join(parts) + "</svg>")
+
+
+def profile_chart(curves: Sequence[Curve], x_label: str, y_label: str, *, equal: bool = False) -> Markup:
+    """Curves over axes that hold all of their points; `equal` gives both axes the same scale."""
+    all_x = np.concatenate([curve.x[np.isfinite(curve.y)] for curve in curves])
+    all_y = np.concatenate([curve.y[np.isfinite(curve.y)] for curve in curves])
     if all_x.size < 2:
         return Markup('<p class="note">Nothing to draw.</p>')
-    x_low, x_high = float(all_x.min()), float(all_x.max())
-    y_low, y_high = float(all_y.min()), float(all_y.max())
-    y_low, y_high = y_low - 0.05 * (y_high - y_low), y_high + 0.05 * (y_high - y_low)
-    x_scale = (width - left - right) / max(x_high - x_low, 1e-9)
+    x, y, height = _axis_over(x_label, all_x, pad=0.0), _axis_over(y_label, all_y), 220
     if equal:
-        height = int(np.clip(x_scale * (y_high - y_low) + top + bottom, 130, 420))
-    y_scale = (height - top - bottom) / max(y_high - y_low, 1e-9)
-
-    def to_x(value: float) -> float:
-        return left + (value - x_low) * x_scale
-
-    def to_y(value: float) -> float:
-        return height - bottom - (value - y_low) * y_scale
-
-    parts = [open_svg(width, height, f"{y_label} against {x_label}")]
-    for tick in round_ticks(x_low, x_high, 7):
-        parts.append(segment((to_x(tick), top), (to_x(tick), height - bottom)))
-        parts.append(text_at(to_x(tick), height - bottom + 13, f"{tick:g}", "middle"))
-    for tick in round_ticks(y_low, y_high, 5):
-        parts.append(segment((left, to_y(tick)), (width - right, to_y(tick))))
-        parts.append(text_at(left - 5, to_y(tick) + 4, f"{tick:g}", "end"))
-    parts.append(text_at((left + width - right) / 2, height - 5, x_label, "middle"))
-    parts.append(text_at(4, 12, y_label, "start"))
-    for k, line in enumerate(lines):
-        stroke, dash = SERIES_COLOURS[k % len(SERIES_COLOURS)], _DASHES[k % len(_DASHES)]
-        for piece in _pieces(line):
-            points = " ".join(f"{to_x(float(x)):.1f},{to_y(float(y)):.1f}" for x, y in piece)
-            parts.append(
-                f'<polyline points="{points}" fill="none" stroke="{stroke}" stroke-width="1.5" '
-                f'stroke-dasharray="{dash}"/>'
-            )
-    offset = float(width - right)
-    for k, line in reversed(list(enumerate(lines))):
-        stroke, dash = SERIES_COLOURS[k % len(SERIES_COLOURS)], _DASHES[k % len(_DASHES)]
-        parts.append(text_at(offset, 12, line.label, "end"))
-        offset -= 6.4 * len(line.label) + 8
-        parts.append(segment((offset - 20, 8), (offset, 8), stroke, dash, 2))
-        offset -= 32
-    return Markup("".join(parts) + "</svg>")
+        scale = (_WIDTH - _LEFT - _RIGHT) / (x.high - x.low)
+        height = int(np.clip(scale * (y.high - y.low), 80, 370)) + _TOP + _BOTTOM
+    return line_chart(curves, x, y, height=height)
 
 
-def bar_chart(values: Sequence[float], labels: Sequence[str], unit: str = "", *, width: int = 200) -> Markup:
-    """Horizontal bars from zero, each with its value."""
-    finite = [abs(float(v)) for v in values if np.isfinite(v)]
-    longest, row = max(finite, default=0.0), 15
-    left = 10 + 7 * max((len(name) for name in labels), default=0)
-    scale = (width - left - 50) / longest if longest > 0 else 0.0
-    parts = [open_svg(width, row * len(values) + 4, "bar chart")]
-    for k, (value, label) in enumerate(zip(values, labels, strict=True)):
-        y = k * row + 3
-        length = abs(float(value)) * scale if np.isfinite(value) else 0.0
-        parts.append(text_at(left - 5, y + 10, label, "end"))
-        parts.append(f'<rect x="{left}" y="{y}" width="{length:.1f}" height="12" fill="{SERIES_COLOURS[0]}"/>')
-        parts.append(text_at(left + length + 4, y + 10, f"{float(value):.3g} {unit}".strip(), "start"))
-    return Markup("".join(parts) + "</svg>")
+def _begin(x: Axis, y: Axis, title: str, height: int, legend: Sequence[str]) -> tuple[list[str], _Points]:
+    """Begin a chart: its title, its legend, and its axes with their marks.
+
+    Returns
+    -------
+    the parts of the SVG so far, and a function from values of x and y to pixels (..., 2)
+    """
+    rows, first = _legend_rows(legend), _TOP + 20 * bool(title)
+    top = first + 18 * len(rows) + 12
+    height += top - _TOP
+    wide, tall = _WIDTH - _LEFT - _RIGHT, height - top - _BOTTOM
+
+    def points(xs: NDArray[np.floating] | float, ys: NDArray[np.floating] | float) -> Values:
+        return np.stack([_LEFT + wide * x.place(xs), top + tall * (1 - y.place(ys))], axis=-1)
+
+    parts = [_open(_WIDTH, height, title or f"{y.label} against {x.label}")]
+    if title:
+        parts.append(_text(6, 16, title, "start", _BOLD))
+    for k, row in enumerate(rows):
+        offset = float(_LEFT)
+        for index, label, long in row:
+            level = first + 18 * k
+            parts.append(_segment((offset, level), (offset + 22, level), *_stroke(index), 2))
+            parts.append(_text(offset + 27, level + 4, label, "start"))
+            offset += long
+    for value, words in x.marks:
+        place = points(value, y.low)[0]
+        parts.append(_segment((place, top), (place, height - _BOTTOM), _GRID))
+        parts.append(_text(place, height - _BOTTOM + 15, words, "middle"))
+    for value, words in y.marks:
+        place = points(x.low, value)[1]
+        parts.append(_segment((_LEFT, place), (_WIDTH - _RIGHT, place), _GRID))
+        parts.append(_text(_LEFT - 5, place + 4, words, "end"))
+    parts.append(_text(_LEFT + wide / 2, height - 6, x.label, "middle"))
+    parts.append(_text(6, top - 9, y.label, "start"))
+    return parts, points
 
 
-def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False, width: int = 220) -> Markup:
-    """A bar that explains :func:`splitknit.io.pictures.colour`."""
-    steps = 32
-    shades = colour(np.linspace(0.0, 1.0, steps, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
-    step = (width - 20) / steps
-    parts = [open_svg(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
-    for k, (r, g, b) in enumerate(shades):
-        parts.append(
-            f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
-            'shape-rendering="crispEdges"/>'
-        )
-    parts.append(text_at(10, 25, f"{low:.3g}", "start"))
-    parts.append(text_at(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
-    parts.append(text_at(width - 10, 25, f"{high:.3g}", "end"))
-    return Markup("".join(parts) + "</svg>")
+def _stroke(k: int) -> tuple[str, str]:
+    """Colour and dashes of the k-th curve."""
+    return _COLOURS[k % len(_COLOURS)], _DASHES[k % len(_DASHES)]
 
 
-def line_through(
-    field: FloatArray, input_from_upright: NDArray[np.float64], start: tuple[float, float], end: tuple[float, float]
-) -> FloatArray:
-    """Values of `field` (H, W) at about one sample a pixel from `start` to `end` (column, row of the upright frame)."""
-    import cv2  # charts without data need no image library
-
-    count = int(np.hypot(end[0] - start[0], end[1] - start[1])) + 2
-    upright = np.stack([np.linspace(start[0], end[0], count), np.linspace(start[1], end[1], count), np.ones(count)])
-    column, row = (input_from_upright @ upright)[:2].astype(np.float32)
-    sampled = cv2.remap(
-        field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
-    )
-    return np.asarray(sampled[0], dtype=np.float32)
-
-
-def _pieces(line: Line) -> list[NDArray[np.float64]]:
-    """Stretches without NaN, thinned to what a screen can show."""
-    known = np.isfinite(line.y)
-    step = max(1, int(known.sum()) // 1200)
-    points = np.stack([line.x, line.y], axis=1).astype(np.float64)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    return [points[a:b:step] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
+def _drawn(curve: Curve, k: int, points: _Points, floor: float) -> list[str]:
+    (paint, dash), parts = _stroke(k), []
+    if curve.band is not None:
+        at, low, high = curve.band
+        around = np.concatenate([points(at, low), points(at, high)[::-1]])
+        parts.append(f'<polygon points="{_written(around)}" fill="{paint}" fill-opacity="0.13"/>')
+    dashes = f' stroke-dasharray="{dash}"' if dash else ""
+    known = np.concatenate([[False], np.isfinite(curve.y), [False]])
+    edges = np.flatnonzero(np.diff(known.astype(np.int8)))
+    for start, end in edges.reshape(-1, 2):
+        line = _thinned(points(curve.x[start:end], curve.y[start:end]))
+        if curve.filled:
+            parts.append(f'<polygon points="{_written(line)}" fill="{paint}" fill-opacity="0.2"/>')
+        parts.append(f'<polyline points="{_written(line)}" fill="none" stroke="{paint}" stroke-width="1.6"{dashes}/>')
+        if curve.dots:
+            parts += [f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="2.6" fill="{paint}"/>' for cx, cy in line]
+    return parts
 
 
-def round_ticks(low: float, high: float, count: int) -> list[float]:
-    """Round values from `low` to `high`, about `count` of them."""
+def _thinned(points: Values) -> Values:
+    """Points at least 0.4 px from the last one kept; the ends stay, and so do corners of a staircase that is coarse."""
+    kept = [0]
+    for k in range(1, len(points) - 1):
+        if np.abs(points[k] - points[kept[-1]]).max() >= 0.4:
+            kept.append(k)
+    return points[[*kept, len(points) - 1]]
+
+
+def _legend_rows(labels: Sequence[str]) -> list[list[tuple[int, str, float]]]:
+    """Number, words and width of each entry of the legend, in rows that fit."""
+    rows: list[list[tuple[int, str, float]]] = [[]] if labels else []
+    used = 0.0
+    for k, label in enumerate(labels):
+        shown = label if len(label) <= 52 else label[:49] + "..."
+        long = 40 + 6.6 * len(shown)
+        if rows[-1] and used + long > _WIDTH - _LEFT:
+            rows.append([])
+            used = 0.0
+        rows[-1].append((k, shown, long))
+        used += long
+    return rows
+
+
+def round_marks(low: float, high: float, count: int) -> list[float]:
+    """Round numbers from `low` to `high`, about `count` of them."""
     span = high - low
     if not span > 0:
         return [low]
     step = 10.0 ** np.floor(np.log10(span / count))
     step *= next((m for m in (1, 2, 5, 10) if span / (m * step) <= count), 10)
-    first = int(np.ceil(low / step - 1e-9))
-    return [float(k * step) for k in range(first, int(np.floor(high / step + 1e-9)) + 1)]
+    first, last = int(np.ceil(low / step - 1e-9)), int(np.floor(high / step + 1e-9))
+    return [float(k * step) for k in range(first, last + 1)]
 
 
-def open_svg(width: float, height: float, title: str, font_px: int = 11) -> str:
-    """Begin a chart; ``</svg>`` ends it."""
+def percent_marks(fractions: Iterable[float]) -> tuple[tuple[float, str], ...]:
+    """Marks of an axis in percent, each as short as it can be."""
+    return tuple((fraction, f"{100 * fraction:.6g} %") for fraction in fractions)
+
+
+def bar_chart(values: Sequence[float]) -> Markup:
+    """Horizontal bars from zero, numbered, each with its value."""
+    finite = [abs(float(v)) for v in values if np.isfinite(v)]
+    longest, row, width = max(finite, default=0.0), 15, 200
+    left = 10 + 7 * len(str(max(0, len(values) - 1)))
+    scale = (width - left - 50) / longest if longest > 0 else 0.0
+    parts = [_open(width, row * len(values) + 4, "bar chart")]
+    for k, value in enumerate(values):
+        y = k * row + 3
+        length = abs(float(value)) * scale if np.isfinite(value) else 0.0
+        parts.append(_text(left - 5, y + 10, str(k), "end"))
+        parts.append(f'<rect x="{left}" y="{y}" width="{length:.1f}" height="12" fill="{_COLOURS[0]}"/>')
+        parts.append(_text(left + length + 4, y + 10, f"{float(value):.3g}", "start"))
+    return Markup("".join(parts) + "</svg>")
+
+
+def colour_bar(low: float, high: float, unit: str, *, diverging: bool = False) -> Markup:
+    """A bar that explains :func:`splitknit.io.pictures.colour`."""
+    steps, width = 32, 220
+    shades = colour(np.linspace(0.0, 1.0, steps, dtype=np.float32)[None], 0.0, 1.0, diverging=diverging)[0]
+    step = (width - 20) / steps
+    parts = [_open(width, 30, f"colour scale from {low:g} to {high:g} {unit}")]
+    for k, (r, g, b) in enumerate(shades):
+        parts.append(
+            f'<rect x="{10 + k * step:.2f}" y="2" width="{step + 0.4:.2f}" height="10" fill="rgb({r},{g},{b})" '
+            'shape-rendering="crispEdges"/>'
+        )
+    parts.append(_text(10, 25, f"{low:.3g}", "start"))
+    parts.append(_text(width / 2, 25, f"{(low + high) / 2:.3g} {unit}", "middle"))
+    parts.append(_text(width - 10, 25, f"{high:.3g}", "end"))
+    return Markup("".join(parts) + "</svg>")
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One rig in the heat map."""
+
+    column: float
+    row: float
+    value: float | None
+    """None where it was refused or failed."""
+    note: str
+    """What is said in the cell in the place of a value."""
+    best: bool = False
+    as_good: bool = False
+    thesis: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Dot:
+    """One rig in a scatter or on an axis."""
+
+    x: float
+    y: float
+    label: str = ""
+    front: bool = False
+    thesis: bool = False
+    low: float | None = None
+    high: float | None = None
+    series: str = ""
+    """In the legend; dots of one are joined by a line where none is on the front."""
+
+
+def heat_map(cells: Sequence[Cell], x_label: str, y_label: str, unit: str, *, title: str = "") -> Markup:
+    """A table of coloured cells: low values are dark, the best has a frame, those as good a dot, others stripes."""
+    columns, rows = sorted({one.column for one in cells}), sorted({one.row for one in cells}, reverse=True)
+    known = [one.value for one in cells if one.value is not None]
+    low, high = (min(known), max(known)) if known else (0.0, 1.0)
+    wide, tall, left, top = 76, 40, 64, 30
+    half = 3.0 * len(y_label) + 4  # of the upright label, which few rows are too short for
+    middle = max(top + tall * len(rows) / 2, half)
+    width, height = max(left + wide * len(columns) + 12, left + 220), max(top + tall * len(rows) + 78, middle + half)
+    parts = [_open(width, height, title or f"{y_label} against {x_label}"), _STRIPES]
+    parts.append(_text(left, 16, title, "start", _BOLD))
+    for one in cells:
+        x, y = left + wide * columns.index(one.column), top + tall * rows.index(one.row)
+        if one.value is None:
+            fill, ink, words = "url(#stripes)", "#555555", one.note
+        else:
+            shade = colour(np.array([[one.value]], dtype=np.float32), low, max(high, low + 1e-9))[0, 0]
+            red, green, blue = (int(part) for part in shade)
+            fill = f"rgb({red},{green},{blue})"
+            ink = "#ffffff" if 0.299 * red + 0.587 * green + 0.114 * blue < 130 else _INK
+            words = f"{one.value:#.3g}".rstrip(".") + (" •" if one.as_good and not one.best else "")
+        parts.append(
+            f'<rect x="{x}" y="{y}" width="{wide}" height="{tall}" fill="{fill}" stroke="#ffffff" stroke-width="1.5"/>'
+        )
+        parts.append(
+            _text(x + wide / 2, y + tall / 2 + 4, words, "middle", f' fill="{ink}"{_BOLD if one.best else ""}')
+        )
+    for one in cells:  # frames last: no neighbour covers them
+        x, y = left + wide * columns.index(one.column), top + tall * rows.index(one.row)
+        if one.best:
+            parts.append(_frame(x + 2, y + 2, wide - 4, tall - 4, f'stroke="{_COLOURS[1]}"'))
+        if one.thesis:
+            inset = 6 if one.best else 2
+            parts.append(_frame(x + inset, y + inset, wide - 2 * inset, tall - 2 * inset, _BLACK_DASHES))
+    for k, value in enumerate(columns):
+        parts.append(_text(left + wide * (k + 0.5), top + tall * len(rows) + 14, f"{value:g}", "middle"))
+    for k, value in enumerate(rows):
+        parts.append(_text(left - 6, top + tall * (k + 0.5) + 4, f"{value:g}", "end"))
+    bottom = top + tall * len(rows)
+    parts.append(_text(left + wide * len(columns) / 2, bottom + 30, x_label, "middle"))
+    parts.append(
+        f'<text x="14" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 14 {middle:.1f})">'
+        f"{escape(y_label)}</text>"
+    )
+    parts.append(_text(left, bottom + 50, unit, "start"))
+    parts.append(_text(left, bottom + 66, "orange: best; •: as good; dashed: the thesis's", "start"))
+    return Markup("".join(parts) + "</svg>")
+
+
+def scatter(dots: Sequence[Dot], x_label: str, y_label: str, *, title: str = "", log_x: bool = False) -> Markup:
+    """Points over two axes; those on the front are filled, the thesis's has a ring; error bars where there are any."""
+    own = sorted({dot.x for dot in dots})
+    any_front = any(dot.front for dot in dots)
+    x = _axis_over(x_label, np.array(own), pad=0.06, log=log_x)
+    if len(own) <= 10 and not any_front:
+        x = replace(x, marks=tuple((value, f"{value:.3g}") for value in own))
+    y = _axis_over(
+        y_label, np.array([v for dot in dots for v in (dot.y, dot.low, dot.high) if v is not None]), pad=0.06
+    )
+    series = list(dict.fromkeys(dot.series for dot in dots))
+    legend = [name for name in series if name]
+    parts, points = _begin(x, y, title, 258, legend)
+    paints = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(series)}
+    if not any_front:
+        for name, paint in paints.items():
+            along = sorted((dot.x, dot.y) for dot in dots if dot.series == name)
+            line = " ".join(f"{px:.1f},{py:.1f}" for px, py in points(*np.array(along).T))
+            parts.append(f'<polyline points="{line}" fill="none" stroke="{paint}" opacity="0.6"/>')
+    places = [(*points(dot.x, dot.y), dot.label) for dot in dots]
+    parts += _labels([place for place in places if place[2]], [place[:2] for place in places], points(x.high, y.low)[0])
+    for dot in sorted(dots, key=lambda dot: dot.front):  # over the words' halos
+        (px, py), paint = points(dot.x, dot.y), paints[dot.series]
+        if dot.low is not None and dot.high is not None:
+            parts.append(_segment(points(dot.x, dot.low), points(dot.x, dot.high), paint))
+        solid = dot.front or not any_front
+        fill = paint if solid else "#ffffff"
+        parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="{4 if solid else 3}" fill="{fill}" stroke="{paint}"/>')
+        if dot.thesis:
+            parts.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="8" fill="none" {_BLACK_DASHES}/>')
+    return Markup("".join(parts) + "</svg>")
+
+
+def _labels(
+    wanted: Sequence[tuple[float, float, str]], points: Sequence[tuple[float, float]], right: float
+) -> list[str]:
+    """Labels beside their points; one that would cover another, or a point, is left out."""
+    taken = [(x - 4.0, x + 4.0, y + 4.0) for x, y in points]
+    parts = []
+    for x, y, words in wanted:
+        long = 6.0 * len(words)
+        sides = [start for start in (x + 8, x - 8 - long) if start >= 60 and start + long < right]
+        for start, level in ((side, y + shift) for side in sides for shift in (4, -9, 17)):
+            if all(abs(level - other) > 9 or start > end or start + long < begin for begin, end, other in taken):
+                taken.append((start, start + long, level))
+                parts.append(_text(start, level, words, "start", _HALO))
+                break
+    return parts
+
+
+def _frame(x: float, y: float, width: float, height: float, stroke: str) -> str:
+    return f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="none" stroke-width="2" {stroke}/>'
+
+
+def standalone(chart: Markup) -> bytes:
+    """The chart as an SVG file, on white."""
+    text = str(chart)  # plain text first: the markup's own replace() would escape what is put in
+    text = text.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+    return text.replace(">", '><rect width="100%" height="100%" fill="#ffffff"/>', 1).encode()
+
+
+def _open(width: float, height: float, title: str) -> str:
+    """Begin a chart."""
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}" role="img" '
-        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="{font_px}" fill="{INK}">'
+        f'aria-label="{escape(title)}" font-family="sans-serif" font-size="11" fill="{_INK}">'
     )
 
 
-def text_at(x: float, y: float, words: str, anchor: str) -> str:
-    """A label of a chart."""
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
+def _text(x: float, y: float, words: str, anchor: str, style: str = "") -> str:
+    """A label of a chart; `style` holds further attributes."""
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{style}>{escape(words)}</text>'
 
 
-def segment(
-    start: tuple[float, float], end: tuple[float, float], paint: str = "#e2e2e2", dash: str = "", width: float = 1
-) -> str:
-    """A straight line of a chart, by default one of its grid."""
+def _segment(start: Iterable[float], end: Iterable[float], paint: str, dash: str = "", width: float = 1) -> str:
+    """A straight line between two points (x, y)."""
+    (x1, y1), (x2, y2) = start, end
     dashes = f' stroke-dasharray="{dash}"' if dash else ""
     return (
-        f'<line x1="{start[0]:.1f}" y1="{start[1]:.1f}" x2="{end[0]:.1f}" y2="{end[1]:.1f}" stroke="{paint}" '
+        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{paint}" '
         f'stroke-width="{width:g}"{dashes}/>'
     )
+
+
+def _written(points: Values) -> str:
+    return " ".join(f"{px:.1f},{py:.1f}" for px, py in points)

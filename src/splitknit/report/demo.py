@@ -13,8 +13,7 @@ from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.pipeline import reconstruct
-from splitknit.prints.ridges import surface_print
-from splitknit.report.result import PRINT_PPI, make_report, write_report, write_results
+from splitknit.report.result import make_report, write_results
 from splitknit.simulator.twin import simulate_capture, twin_settings
 
 PRESETS = ("metric", "ea")
@@ -48,21 +47,11 @@ def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = n
         results = []
         for k, preset in enumerate(PRESETS):
             progress(f"reconstructing, {preset}", 0.4 + 0.25 * k)
-            result = reconstruct(capture, preset)
-            results.append(result)
-            write_results(result, capture, target / preset, compared)
+            results.append(reconstruct(capture, preset))
+            write_results(results[-1], capture, target / preset, compared)
         progress("comparing", 0.92)
-        main = results[0]
-        prints = surface_print(main, PRINT_PPI)
-        report = make_report(
-            main,
-            replace(capture, truth=None),
-            prints,
-            truth=compared,
-            others=results[1:],
-            files=list(WRITTEN),
-            title="splitknit demo: a simulated 3D fingerprint",
-        )
-        write_report(target, report.html, report.facts)
+        title = "splitknit demo: a simulated 3D fingerprint"
+        report = make_report(results[0], replace(capture, truth=None), compared, results[1:], title)
+        facts = report.write(target, list(WRITTEN))
     progress("done", 1.0)
-    return {**report.facts, "out": str(out), "written": WRITTEN, "total_s": time.perf_counter() - started}
+    return {**facts, "out": str(out), "written": WRITTEN, "total_s": time.perf_counter() - started}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from splitknit.io.pictures import (
 )
 from splitknit.model import FloatArray, Reconstruction
 from splitknit.report import charts
-from splitknit.report.photos import Picture, captioned
+from splitknit.report.photos import Picture, captioned, is_finger
 
 if TYPE_CHECKING:
     from splitknit.evaluation.accuracy import Comparison
@@ -34,15 +34,14 @@ if TYPE_CHECKING:
 RELIEF_EXAGGERATION = 2.0
 """Of a finger's ridges; an opaque thing is drawn as it is."""
 TILT_DEG = 56.0
+_CLOSE_UP_MM = 5.0
 
-
-def is_finger(result: Reconstruction) -> bool:
-    """Whether it was captured as one: of skin, not of opaque material."""
-    return str(result.facts.get("material", "skin")) == "skin"
+Truth = Mapping[str, NDArray[Any]]
+"""A simulator's arrays."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SmallFields:
+class SmallFields:
     """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
 
     frame: PictureFrame
@@ -54,15 +53,26 @@ class _SmallFields:
     normals: FloatArray
     """(h, w, 3)."""
 
+    def surface(self, exaggeration: float = 1.0) -> UprightSurface:
+        """The surface with its relief multiplied by `exaggeration`.
 
-def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
+        So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep
+        flanks, where they would overhang.
+        """
+        facing = self.normals[..., 2]
+        extra = np.float32(exaggeration - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+        height = (self.height_mm + extra * self.ridge_mm).astype(np.float32)
+        return UprightSurface(height, self.ridge_mm, self.weight, self.frame.pitch_mm)
+
+
+def small_fields(result: Reconstruction, frame: PictureFrame) -> SmallFields:
     """Bring a reconstruction onto a picture's frame, all fields at once."""
     fields = (result.height_mm, result.ridge_mm, result.shape_mm, result.normals)
     small, weight = fields_to_frame(fields, result.mask, frame)
-    return _SmallFields(frame, weight, *small)
+    return SmallFields(frame, weight, *small)
 
 
-def normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
+def _normals_picture(result: Reconstruction, small: SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
     turned = small.normals.copy()
     turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), turned[..., :2])
@@ -75,12 +85,11 @@ def normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
         if not is_finger(result)
         else "Direction of the surface: red grows to the right, green to the tip, blue towards the camera. "
         "Good: colours change smoothly over the finger, with the ridges as fine lines on top, and no blotches.",
-        pitch_mm=small.frame.pitch_mm,
-        photo=True,
+        small.frame.pitch_mm,
     )
 
 
-def relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
+def _relief_picture(result: Reconstruction, small: SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
     factor, unit = (1000.0, "µm") if result.scale_known else (1.0, "px")
     low, high = relief_limits(result, factor)
@@ -92,8 +101,8 @@ def relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
         "Good: even, unbroken ridges from edge to edge, some 40 to 100 µm from valley to top."
         if is_finger(result)
         else "Height of fine details above their surroundings, without the shape. Yellow is high.",
-        charts.colour_bar(low, high, unit),
         small.frame.pitch_mm,
+        charts.colour_bar(low, high, unit),
     )
 
 
@@ -117,7 +126,7 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
     return np.asarray(relief[facing])
 
 
-def shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
+def _shape_picture(result: Reconstruction, small: SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
     values, weight = small.shape_mm, small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
@@ -142,19 +151,19 @@ def shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
         "Good: smooth, rounded contours that close towards the tip, with no dents and no waves at the edge."
         if is_finger(result)
         else f"Height without fine details, below the highest point; a line every {step:g} {unit}.",
-        charts.colour_bar(round(low, 1), 0.0, unit),
         small.frame.pitch_mm,
+        charts.colour_bar(round(low, 1), 0.0, unit),
     )
 
 
-def uncertainty_picture(result: Reconstruction, frame: PictureFrame) -> Picture | None:
+def _uncertainty_picture(result: Reconstruction, small: SmallFields) -> Picture | None:
     """Show the standard deviation of the relief, if the pipeline gives one."""
     if result.uncertainty_um is None:
         return None
     known = result.mask & np.isfinite(result.uncertainty_um)
     if not bool(known.any()):
         return None
-    values, weight = to_frame(result.uncertainty_um, known, frame)
+    values, weight = to_frame(result.uncertainty_um, known, small.frame)
     high = float(np.percentile(values[weight > 0.5], 98))
     return captioned(
         "Uncertainty of the relief",
@@ -162,53 +171,35 @@ def uncertainty_picture(result: Reconstruction, frame: PictureFrame) -> Picture 
         "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
         "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against "
         "the relief.",
+        small.frame.pitch_mm,
         charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
-        frame.pitch_mm,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ShadedViews:
-    """The shaded surface from three sides."""
-
-    above: ColourArray
-    left: ColourArray
-    right: ColourArray
-    pitch_mm: float
-    """Size of one pixel of `above`."""
+FIELD_PICTURES = (_normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
+"""Each draws a picture of a result and its small fields, or None where the result has no such field."""
 
 
-def render_views(result: Reconstruction, small: _SmallFields) -> ShadedViews:
-    """Render the surface from above and from two sides."""
-    above, left, right = draw_views(result, small, map)
-    return ShadedViews(above, left, right, small.frame.pitch_mm)
-
-
-def draw_views(result: Reconstruction, small: _SmallFields, each: Callable[..., Any]) -> Iterator[ColourArray]:
-    """The pictures of :class:`ShadedViews` in order; `each` is ``map``, or that of a pool, which begins at once."""
-    surface = upright_surface(small, RELIEF_EXAGGERATION if is_finger(result) else 1.0)
+def render_views(result: Reconstruction, small: SmallFields, each: Callable[..., Any] = map) -> Iterator[ColourArray]:
+    """The shaded surface from above, the left and the right; a pool's ``map`` as `each` begins at once."""
+    surface = small.surface(RELIEF_EXAGGERATION if is_finger(result) else 1.0)
     sides = (partial(oblique_view, surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
     drawn: Iterator[ColourArray] = each(lambda view: view(), (partial(_top_view, surface), *sides))
     return drawn
 
 
-def view_pictures(views: ShadedViews, finger: bool = True) -> list[Picture]:
-    """Show the surface from above and from two sides."""
+def view_pictures(views: Sequence[ColourArray], pitch_mm: float, finger: bool) -> list[Picture]:
+    """Show the surface of :func:`render_views`; `pitch_mm` is the size of a pixel of the first view."""
     stated = f"Ridges are drawn {RELIEF_EXAGGERATION:g} times as high as they are; the shape of the finger is true."
     good = "Good: rounded like a finger, ridges even from edge to edge, no bumps or waves."
     if not finger:
         stated, good = "Heights are true.", "Good: no bumps or waves that the thing has not."
     oblique = f"The same surface at {TILT_DEG:g} deg from the camera's axis. {stated}"
+    above, left, right = views
     return [
-        captioned(
-            "From above",
-            views.above,
-            f"Measured surface, lit from the upper left. {stated} {good}",
-            pitch_mm=views.pitch_mm,
-            photo=True,
-        ),
-        captioned("From the left", views.left, oblique, photo=True),
-        captioned("From the right", views.right, oblique, photo=True),
+        captioned("From above", above, f"Measured surface, lit from the upper left. {stated} {good}", pitch_mm),
+        captioned("From the left", left, oblique),
+        captioned("From the right", right, oblique),
     ]
 
 
@@ -222,52 +213,60 @@ def print_picture(prints: NDArray[np.uint8]) -> Picture:
         prints,
         "The relief as ink on paper: ridges dark, mirrored against the camera image, 500 pixels an inch. "
         "Good: dark, separate ridges with clear endings and forks up to the edge.",
-        pitch_mm=25.4 / 500,
+        25.4 / 500,
     )
 
 
-def error_pictures(result: Reconstruction, comparison: Comparison, frame: PictureFrame) -> list[Picture]:
-    """Show where a reconstruction departs from the truth."""
-    surface, surface_weight = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
-    ridge, ridge_weight = to_frame(comparison.ridge_error_um, comparison.band, frame)
-    return [
-        captioned(
-            f"Surface error, {result.preset}",
-            on_paper(colour(surface, -0.5, 0.5, diverging=True), surface_weight),
-            "Measured minus true height, mean removed. Blue is too low, orange too high; white is right.",
-            charts.colour_bar(-0.5, 0.5, "mm", diverging=True),
-            frame.pitch_mm,
-        ),
-        captioned(
-            f"Ridge error, {result.preset}",
-            on_paper(colour(ridge, -50.0, 50.0, diverging=True), ridge_weight),
-            "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are ridges "
-            "of the wrong height; white is right.",
-            charts.colour_bar(-50.0, 50.0, "µm", diverging=True),
-            frame.pitch_mm,
-        ),
-    ]
+def truth_pictures(
+    results: Sequence[Reconstruction], truth: Truth, comparisons: Sequence[Comparison], frame: PictureFrame
+) -> tuple[list[Picture], list[Picture]]:
+    """Close-ups of the relief, the true one first, and maps of the errors."""
+    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
+    close_ups = [_close_up(true_relief, results[0], "Truth")]
+    close_ups += [_close_up(each.ridge_mm, results[0], each.preset) for each in results]
+    errors = []
+    for result, comparison in zip(results, comparisons, strict=True):
+        surface, surface_weight = to_frame(comparison.height_error_mm, np.isfinite(comparison.height_error_mm), frame)
+        ridge, ridge_weight = to_frame(comparison.ridge_error_um, comparison.band, frame)
+        errors += [
+            captioned(
+                f"Surface error, {result.preset}",
+                on_paper(colour(surface, -0.5, 0.5, diverging=True), surface_weight),
+                "Measured minus true height, mean removed. Blue is too low, orange too high; white is right.",
+                frame.pitch_mm,
+                charts.colour_bar(-0.5, 0.5, "mm", diverging=True),
+            ),
+            captioned(
+                f"Ridge error, {result.preset}",
+                on_paper(colour(ridge, -50.0, 50.0, diverging=True), ridge_weight),
+                "Measured minus true relief where the finger's slant is below 60 deg. Ridges that are seen here are "
+                "ridges of the wrong height; white is right.",
+                frame.pitch_mm,
+                charts.colour_bar(-50.0, 50.0, "µm", diverging=True),
+            ),
+        ]
+    return close_ups, errors
 
 
-def close_up(relief_mm: FloatArray, result: Reconstruction, title: str, side_mm: float = 5.0) -> Picture:
+def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Picture:
     """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
-    frame = _close_up_frame(result, side_mm)
+    frame = _close_up_frame(result)
     values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
     mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
     relief = 1000.0 * (values - np.float32(mean))
     return captioned(
         title,
         on_paper(colour(relief.astype(np.float32), -60.0, 40.0), weight),
-        f"{side_mm:g} mm square in the middle of the finger.",
-        charts.colour_bar(-60.0, 40.0, "µm"),
+        f"{_CLOSE_UP_MM:g} mm square in the middle of the finger.",
         frame.pitch_mm,
+        charts.colour_bar(-60.0, 40.0, "µm"),
     )
 
 
-def _close_up_frame(result: Reconstruction, side_mm: float) -> PictureFrame:
+def _close_up_frame(result: Reconstruction) -> PictureFrame:
     """Upright square in the middle of the mask, one picture pixel for each input pixel."""
     whole = upright_frame(result, 10**6)
-    side = max(8, round(side_mm / result.pitch_mm))
+    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
     shift = np.eye(3)
     shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
     return PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
@@ -298,18 +297,6 @@ class UprightSurface:
     weight: FloatArray
     """(H, W) in [0, 1], fraction of the pixel inside the mask."""
     pitch_mm: float
-
-
-def upright_surface(small: _SmallFields, exaggeration: float = 1.0) -> UprightSurface:
-    """The surface of a picture's fields, with its relief multiplied by `exaggeration`.
-
-    So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep flanks,
-    where they would overhang.
-    """
-    facing = small.normals[..., 2]
-    extra = np.float32(exaggeration - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
-    height = (small.height_mm + extra * small.ridge_mm).astype(np.float32)
-    return UprightSurface(height, small.ridge_mm, small.weight, small.frame.pitch_mm)
 
 
 def _shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:

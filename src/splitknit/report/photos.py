@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,20 +33,25 @@ class Picture:
     scale_label: str = ""
 
 
-def captioned(  # noqa: PLR0917
-    title: str,
-    image: NDArray[np.uint8],
-    caption: str,
-    legend: Markup = _NO_LEGEND,
-    pitch_mm: float = 0.0,
-    photo: bool = False,
+def is_finger(result: Reconstruction) -> bool:
+    """Whether it was captured as one: of skin, not of opaque material."""
+    return str(result.facts.get("material", "skin")) == "skin"
+
+
+def captioned(
+    title: str, image: NDArray[np.uint8], caption: str, pitch_mm: float = 0.0, legend: Markup = _NO_LEGEND
 ) -> Picture:
-    """A picture as a data URI, with a bar of a round length where the size of a pixel is known."""
+    """A picture as a data URI, with a bar of a round length where the size of a pixel is known.
+
+    What a legend explains, and prints, keep their exact values; all else is stored as a photograph.
+    """
     height, width = image.shape[:2]
     bar_mm = next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0) if pitch_mm else 0.0
     return Picture(
         title=title,
-        uri=Markup(data_uri(image, photo=photo)),  # holds nothing that HTML would have to escape
+        uri=Markup(
+            data_uri(image, photo=image.ndim == 3 and not legend)
+        ),  # holds nothing that HTML would have to escape
         caption=caption,
         width=width,
         height=height,
@@ -60,11 +65,16 @@ LONGEST_PX = 700
 """Longer side of a picture."""
 
 
+def _fitting(shape: tuple[int, ...]) -> tuple[tuple[int, int], float]:
+    """Size (columns, rows) of a picture of an image of this shape, and the scale between them."""
+    rows, columns = shape
+    scale = min(1.0, LONGEST_PX / max(rows, columns))
+    return (max(1, round(columns * scale)), max(1, round(rows * scale))), scale
+
+
 def small_images(band: Band) -> PixelArray:
     """The images (L, h, w, C) of a band as small as a picture of the report shows them."""
-    rows, columns = band.pixels.shape[1:3]
-    scale = min(1.0, LONGEST_PX / max(rows, columns))
-    size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
+    size, _ = _fitting(band.pixels.shape[1:3])
     small = []
     for image in band.pixels:
         small.append(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
@@ -86,22 +96,28 @@ def _mean_image(capture: Capture, size: tuple[int, int]) -> ColourArray:
     return np.ascontiguousarray(picture)
 
 
-def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
+def capture_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
+    """What was found in the images: the finger, and the mirrors' views where the shape came from them."""
+    drawing = result.facts.get("mirror_drawing")
+    return [_mask_on_image(result, capture), *([] if drawing is None else [_mirror_picture(result, capture, drawing)])]
+
+
+def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     """Show the mean white image as the camera saw it, with the mask's outline, the cut and the finger's axis."""
-    rows, columns = result.mask.shape
-    scale = min(1.0, LONGEST_PX / max(rows, columns))
-    size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
+    size, scale = _fitting(result.mask.shape)
     picture = _mean_image(capture, size)
 
     inside = cv2.resize(result.mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA) > 127
     outlines, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
-    finger = result.facts.get("material", "skin") == "skin"
+    finger = is_finger(result)
     if finger:
-        _draw(picture, [_axis(result)], scale, SKY)
+        ends = scale * _axis(result)
+        _line(picture, ends, SKY, 2)
+        cv2.circle(picture, np.round(ends[0]).astype(int).tolist(), 5, SKY, -1, cv2.LINE_AA)
     crease = result.facts.get("crease_line")
     if crease is not None:
-        _draw(picture, [np.asarray(crease, dtype=np.float64)], scale, BLUE)
+        _line(picture, scale * np.asarray(crease, dtype=np.float64), BLUE, 2)
     caption = (
         "Mean of the white-light images, as the camera saw it. Orange: the outline of the skin that was used. "
         "Pale blue: the finger's axis, with a dot at the tip. "
@@ -115,9 +131,7 @@ def mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
             "Mean of the images, as the camera saw it. Orange: the outline of what was measured. Good: the outline "
             "follows the thing closely and holds neither background nor shadow."
         )
-    return captioned(
-        "Finger found" if finger else "Outline", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True
-    )
+    return captioned("Finger found" if finger else "Outline", picture, caption, result.pitch_mm / scale)
 
 
 def _axis(result: Reconstruction) -> NDArray[np.float64]:
@@ -127,44 +141,25 @@ def _axis(result: Reconstruction) -> NDArray[np.float64]:
     return np.asarray(ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2])
 
 
-def _draw(
-    picture: ColourArray, lines: Sequence[NDArray[np.float64]], scale: float, shade: tuple[int, int, int]
-) -> None:
-    for line in lines:
-        points = [(round(float(c) * scale), round(float(r) * scale)) for c, r in line]
-        cv2.polylines(picture, [np.array(points, dtype=np.int32)], False, shade, 2, cv2.LINE_AA)
-        if shade == SKY:
-            cv2.circle(picture, points[0], 5, shade, -1, cv2.LINE_AA)
-
-
-def mirror_pictures(result: Reconstruction, capture: Capture) -> list[Picture]:
-    """One picture where the shape came from mirrors, none elsewhere."""
-    drawing = result.facts.get("mirror_drawing")
-    if drawing is None:
-        return []
-    rows, columns = capture.shape
-    scale = min(1.0, LONGEST_PX / max(rows, columns))
-    picture = _mean_image(capture, (max(1, round(columns * scale)), max(1, round(rows * scale))))
-    for corners in drawing["mirrors"].values():
-        _line(picture, corners, scale, (120, 120, 120), closed=True)
-    for outline in drawing["masks"].values():
-        _line(picture, outline, scale, ORANGE, closed=True)
-    for line in drawing["medial_lines"].values():
-        _line(picture, line, scale, SKY)
+def _mirror_picture(result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]) -> Picture:
+    """The mean image with the outlines in every view, where the shape came from mirrors."""
+    size, scale = _fitting(capture.shape)
+    picture = _mean_image(capture, size)
+    for name, shade in (("mirrors", (120, 120, 120)), ("masks", ORANGE), ("medial_lines", SKY)):
+        for line in drawing[name].values():
+            _line(picture, scale * np.array(line, dtype=np.float64), shade, 1, closed=name != "medial_lines")
     for outline in drawing["fitted"].values():
-        for point in outline:
-            place = (round(float(point[0]) * scale), round(float(point[1]) * scale))
+        for place in np.round(scale * np.array(outline, dtype=np.float64)).astype(int).tolist():
             cv2.circle(picture, place, 2, BLUE, -1, cv2.LINE_AA)
     caption = (
         "The finger itself and its mirror images. Orange: the outline found in each view. Pale blue: medial lines. "
         "Dark blue dots: the outline of the fitted finger, seen in the mirrors where they were found. Grey: where the "
         "rig file has the mirrors. Good: the dots lie on the orange lines."
     )
-    return [captioned("Views in the mirrors", picture, caption, pitch_mm=result.pitch_mm / scale, photo=True)]
+    return captioned("Views in the mirrors", picture, caption, result.pitch_mm / scale)
 
 
 def _line(
-    picture: ColourArray, points: Iterable[Any], scale: float, shade: tuple[int, int, int], *, closed: bool = False
+    picture: ColourArray, points: NDArray[np.float64], shade: Sequence[int], width: int, *, closed: bool = False
 ) -> None:
-    places = np.round(np.asarray(list(points), dtype=np.float64) * scale).astype(np.int32)
-    cv2.polylines(picture, [places], closed, shade, 1, cv2.LINE_AA)
+    cv2.polylines(picture, [np.round(points).astype(np.int32)], closed, shade, width, cv2.LINE_AA)

@@ -11,8 +11,8 @@ from splitknit.errors import importing, require
 from splitknit.io.pictures import normal_colours, on_paper, to_frame, upright_frame, upright_turn
 from splitknit.model import Reconstruction
 from splitknit.prints.ridges import surface_print
-from splitknit.report.figures import is_finger, relief_limits
-from splitknit.report.result import PRINT_PPI
+from splitknit.report.figures import relief_limits
+from splitknit.report.result import PRINT_PPI, is_printed
 
 PANELS = ("height", "relief", "normals", "print")
 _LONGEST_PX = 1200
@@ -28,8 +28,7 @@ def plot(result: Reconstruction, panels: Sequence[str] = (), ax: Any = None) -> 
         "python -m pip install 'splitknit[plot]', or in its folder, make install EXTRAS=plot."
     ):
         import matplotlib  # noqa: F401 - before anything is drawn
-    printed = result.scale_known and is_finger(result)
-    has = PANELS if printed else PANELS[:-1]
+    has = PANELS if is_printed(result) else PANELS[:-1]
     for panel in panels:
         require(panel in PANELS, f"there is no panel {panel!r}; panels are {', '.join(PANELS)}.")
         require(panel in has, "this result has no print: that needs a finger, and a known scale.")

@@ -12,16 +12,18 @@ import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box
-from splitknit.io.atomic import atomic_folder, write_file
-from splitknit.io.pictures import data_uri, upright_frame, upright_limits
+from splitknit.io.atomic import atomic_file, atomic_folder
+from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
@@ -29,15 +31,13 @@ from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, template
-from splitknit.report.figures import ShadedViews, is_finger
-from splitknit.report.photos import LONGEST_PX, Picture, mask_on_image, mirror_pictures
+from splitknit.report.figures import Truth
+from splitknit.report.photos import LONGEST_PX, Picture, capture_pictures, is_finger
 
 if TYPE_CHECKING:
     from splitknit.evaluation.accuracy import Comparison
 
-Truth = Mapping[str, NDArray[Any]]
-
-COMPARED = (
+_COMPARED = (
     ("surface_rms_mm", "Whole surface, rms", "mm", "below 0.13 mm"),
     ("shape_rms_mm", "Shape without ridges, rms", "mm", "below 0.13 mm"),
     ("normals_mean_deg", "Normals, mean angle", "deg", "small"),
@@ -54,24 +54,33 @@ COMPARED = (
 
 
 @dataclass(frozen=True, slots=True)
-class _Report:
-    """The page, the same facts for programs, and the surface as the page shows it."""
+class Report:
+    """The page, the same facts for programs, and the pictures that are files of their own."""
 
     html: str
     facts: Mapping[str, Any]
-    views: ShadedViews
+    views: Sequence[ColourArray]
+    """The shaded surface from above, the left and the right."""
+    prints: NDArray[np.uint8] | None
+    """The relief as a print; None of what is no finger or has no scale."""
+
+    def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
+        """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
+        facts = {**self.facts, "files": list(files)}
+        with atomic_file(folder / "report.html") as stream:
+            stream.write(self.html.encode("utf-8"))
+        with atomic_file(folder / "report.json") as stream:
+            stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+        return facts
 
 
 def make_report(
     result: Reconstruction,
     capture: Capture | None,
-    prints: NDArray[np.uint8] | None,
-    *,
     truth: Truth | None = None,
     others: Sequence[Reconstruction] = (),
-    files: Sequence[str] = (),
     title: str = "",
-) -> _Report:
+) -> Report:
     """Build the report of `result`; its pictures are drawn side by side, in threads.
 
     Parameters
@@ -79,36 +88,29 @@ def make_report(
     result : Reconstruction
     capture : Capture, optional
         What it was made from; only small previews of the images enter the page. None leaves them out.
-    prints : (h, w) uint8
-        The relief as a print.
     truth : mapping, optional
         A simulator's arrays; `result` and `others` are then compared with it, side by side.
     others : sequence of Reconstruction
         The same capture by other presets.
-    files : sequence of str
-        Names of the files written beside the report.
     title : str
         By default "3D fingerprint", or "Surface" of what is no finger.
     """
-    finger = is_finger(result)
+    finger, results = is_finger(result), (result, *others)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
+        printing = pool.submit(surface_print, result, PRINT_PPI) if is_printed(result) else None
         page = pool.submit(template, "report.html")
         frame = upright_frame(result, LONGEST_PX)
         small = figures.small_fields(result, frame)
-        drawn = figures.draw_views(result, small, pool.map)
-        uncertainty = pool.submit(figures.uncertainty_picture, result, frame)
-        photographs = [] if capture is None else [pool.submit(mask_on_image, result, capture)]
-        drawings = (figures.normals_picture, figures.relief_picture, figures.shape_picture)
-        fields = [pool.submit(draw, result, small) for draw in drawings]
-        printed = None if prints is None else pool.submit(figures.print_picture, prints)
+        drawn = figures.render_views(result, small, pool.map)
+        photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
+        fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
         charted, summary = pool.submit(_profiles, result, truth), pool.submit(_summary, result)
-        comparisons = [] if truth is None else _compared((result, *others), truth)
-        facts = _facts(result, capture, comparisons, files)
-        maps = [job.result() for job in photographs + fields]
-        maps += [] if capture is None else mirror_pictures(result, capture)
-        maps += [picture] if (picture := uncertainty.result()) is not None else []
-        above, left, right = drawn
-    views = ShadedViews(above, left, right, frame.pitch_mm)
+        comparisons = [] if truth is None else _compared(results, truth)
+        facts = _facts(result, capture, comparisons)
+        maps = [] if photographs is None else photographs.result()
+        maps += [picture for job in fields if (picture := job.result()) is not None]
+        prints, views = None if printing is None else printing.result(), list(drawn)
+    close_ups, errors = ([], []) if truth is None else figures.truth_pictures(results, truth, comparisons, frame)
 
     def of_size(pictures: list[Picture]) -> list[Picture]:
         """Without bars of a length in mm where there is no scale."""
@@ -120,9 +122,9 @@ def make_report(
         unit="millimetres" if result.scale_known else "pixels: its scale is unknown",
         facts=facts,
         summary=summary.result(),
-        warnings=[_sentence(warning) for warning in result.warnings],
-        views=of_size(figures.view_pictures(views, finger)),
-        prints=None if printed is None else printed.result(),
+        warnings=[warning[:1].upper() + warning[1:] for warning in result.warnings],
+        views=of_size(figures.view_pictures(views, frame.pitch_mm, finger)),
+        prints=None if prints is None else figures.print_picture(prints),
         maps=of_size(maps),
         profiles=charted.result(),
         quality=_tables(facts["quality"]),
@@ -130,16 +132,11 @@ def make_report(
         settings=_tables(facts["settings"]),
         capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
         comparison=_comparison_table(comparisons),
-        close_ups=_close_ups(result, others, truth),
-        errors=[
-            figures.error_pictures(each, comparison, frame)
-            for each, comparison in zip((result, *others), comparisons, strict=bool(comparisons))
-        ]
-        if comparisons
-        else [],
+        close_ups=close_ups,
+        errors=errors,
         total_s=sum(result.timings_s.values()),
     )
-    return _Report(html, facts, views)
+    return Report(html, facts, views, prints)
 
 
 def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
@@ -148,9 +145,7 @@ def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Compariso
     return [compare(each, truth) for each in results]
 
 
-def _facts(
-    result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison], files: Sequence[str]
-) -> dict[str, Any]:
+def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
     import splitknit  # the version, without an import cycle
 
     return {
@@ -168,43 +163,43 @@ def _facts(
             "px_per_mm": capture.rig.camera.px_per_mm if capture.rig.camera.scale_known else None,
             "bands": {name: len(band.leds) for name, band in capture.bands.items()},
             "captured_at": capture.captured_at,
-            "subject": plain(capture.subject),
+            "subject": _plain(capture.subject),
         },
         "result": {
             "pitch_mm": result.pitch_mm if result.scale_known else None,
             "scale_known": result.scale_known,
-            "input_from_upright": plain(result.input_from_upright),
+            "input_from_upright": _plain(result.input_from_upright),
             "upright_size": list(result.upright_size),
             "area_mm2": int(np.count_nonzero(result.mask)) * result.pitch_mm**2 if result.scale_known else None,
             "area_px": int(np.count_nonzero(result.mask)),
         },
         "warnings": list(result.warnings),
-        "quality": plain(result.quality),
-        "facts": plain(result.facts),
-        "settings": plain(result.settings),
-        "timings_s": plain(result.timings_s),
+        "quality": _plain(result.quality),
+        "facts": _plain(result.facts),
+        "settings": _plain(result.settings),
+        "timings_s": _plain(result.timings_s),
         "inputs_sha256": dict(sorted(result.hashes.items())),
-        "files": list(files),
-        "comparison": {each.preset: plain(each.figures) for each in comparisons},
+        "files": [],
+        "comparison": {each.preset: _plain(each.figures) for each in comparisons},
     }
 
 
-def plain(value: Any) -> Any:  # noqa: PLR0911
+def _plain(value: Any) -> Any:  # noqa: PLR0911
     """Return `value` as lists, dictionaries, strings and finite numbers; what is not finite becomes ``None``."""
     if isinstance(value, np.ndarray):
-        return plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
+        return _plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return _plain(value.item())
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     if value is None or isinstance(value, (bool, int, str)):
         return value
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(item) for item in value]
+        return [_plain(item) for item in value]
     if hasattr(value, "__dataclass_fields__") and not isinstance(value, type):
-        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     return str(value)
 
 
@@ -222,18 +217,17 @@ def _summary(result: Reconstruction) -> list[tuple[str, str]]:
             ("Area measured", f"{int(np.count_nonzero(result.mask))} px in projection"),
             ("Relief of fine details", f"{swing / 1000.0:.2f} px (5th to 95th percentile where it faces the camera)"),
         ]
-    if not is_finger(result):
-        return [
-            ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
-            ("Area measured", f"{int(np.count_nonzero(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
-            ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm"),
-            ("Relief of fine details", f"{swing:.0f} µm (5th to 95th percentile where it faces the camera)"),
-        ]
+    finger = is_finger(result)
+    per_inch = f" ({25.4 / result.pitch_mm:.0f} per inch)" if finger else ""
+    where = f"5th to 95th percentile where {'the skin' if finger else 'it'} faces the camera"
     return [
         ("Size seen from above", f"{width:.1f} mm wide, {length:.1f} mm long, {depth:.1f} mm deep"),
-        ("Skin measured", f"{int(np.count_nonzero(result.mask)) * result.pitch_mm**2:.0f} mm² in projection"),
-        ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm ({25.4 / result.pitch_mm:.0f} per inch)"),
-        ("Relief, valley to ridge", f"{swing:.0f} µm (5th to 95th percentile where the skin faces the camera)"),
+        (
+            "Skin measured" if finger else "Area measured",
+            f"{int(np.count_nonzero(result.mask)) * result.pitch_mm**2:.0f} mm² in projection",
+        ),
+        ("Sampling", f"one value every {1000 * result.pitch_mm:.1f} µm{per_inch}"),
+        ("Relief, valley to ridge" if finger else "Relief of fine details", f"{swing:.0f} µm ({where})"),
     ]
 
 
@@ -249,7 +243,7 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
         step = np.array([0.0, half]) if along else np.array([half, 0.0])
         start, end = (middle[0] - step[0], middle[1] - step[1]), (middle[0] + step[0], middle[1] + step[1])
-        values = charts.line_through(field, result.input_from_upright, start, end)
+        values = _line_through(field, result.input_from_upright, start, end)
         return np.linspace(-half * pitch, half * pitch, values.size).astype(np.float32), values
 
     charted = []
@@ -259,7 +253,7 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
             {name: cut(np.asarray(field, dtype=np.float32), extent / 2, along=along) for name, field in fields}
         )
         if lines:
-            chart = charts.line_chart(lines, f"{large} from the middle", f"height, {large}", equal=True)
+            chart = charts.profile_chart(lines, f"{large} from the middle", f"height, {large}", equal=True)
             caption = f"Height {words} the {thing}, through its middle, both axes to one scale."
             charted.append((f"Section {words} the {thing}", chart, caption))
     half = min(3.0 / pitch, whole.size[0] / 2) if result.scale_known else whole.size[0] / 2
@@ -268,31 +262,36 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
         fields.append(("truth", truth["height_mm"] - truth["shape_mm"]))
     lines = _lines({name: cut(np.asarray(field, dtype=np.float32), half, along=True) for name, field in fields}, factor)
     if lines:
-        chart = charts.line_chart(lines, f"{large} from the middle{axis}", f"relief, {small}")
+        chart = charts.profile_chart(lines, f"{large} from the middle{axis}", f"relief, {small}")
         title = "Ridges along the finger's axis" if is_finger(result) else "Fine details along the surface"
         charted.append((title, chart, f"Relief along {2 * half * pitch:.0f} {large} of the axis, mean removed."))
     return charted
 
 
-def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float = 1.0) -> list[charts.Line]:
+def _line_through(
+    field: FloatArray, input_from_upright: NDArray[np.float64], start: tuple[float, float], end: tuple[float, float]
+) -> FloatArray:
+    """Values of `field` (H, W) at about one sample a pixel from `start` to `end` (column, row of the upright frame)."""
+    count = int(np.hypot(end[0] - start[0], end[1] - start[1])) + 2
+    upright = np.stack([np.linspace(start[0], end[0], count), np.linspace(start[1], end[1], count), np.ones(count)])
+    column, row = (input_from_upright @ upright)[:2].astype(np.float32)
+    sampled = cv2.remap(
+        field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
+    )
+    return np.asarray(sampled[0], dtype=np.float32)
+
+
+def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float = 1.0) -> list[charts.Curve]:
     """Curves times `factor`, all with a mean of zero over the places where every one of them is known."""
     known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts.values()])
     if not known.any():
         return []
-    return [charts.Line(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
-
-
-def _close_ups(result: Reconstruction, others: Sequence[Reconstruction], truth: Truth | None) -> list[Picture]:
-    if truth is None:
-        return []
-    true_relief = np.asarray(truth["height_mm"] - truth["shape_mm"], dtype=np.float32)
-    pictures = [figures.close_up(true_relief, result, "Truth")]
-    return pictures + [figures.close_up(each.ridge_mm, result, each.preset) for each in (result, *others)]
+    return [charts.Curve(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
 
 
 def _comparison_table(comparisons: Sequence[Comparison]) -> dict[str, Any]:
     rows = []
-    for key, words, unit, good in COMPARED:
+    for key, words, unit, good in _COMPARED:
         values = [each.figures.get(key) for each in comparisons]
         if any(value is not None for value in values):
             shown = ["-" if value is None else f"{value:.3g} {unit}".strip() for value in values]
@@ -316,7 +315,7 @@ def _shown(value: Any) -> str | Markup:
     """Show a number, a text, or a short list of numbers as bars."""
     numbers = isinstance(value, list) and bool(value) and all(type(item) in (int, float) for item in value)
     if numbers and len(value) <= 32:
-        return charts.bar_chart(value, [str(k) for k in range(len(value))])
+        return charts.bar_chart(value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -380,11 +379,6 @@ def _label(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _sentence(text: str) -> str:
-    """Return `text` with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
 PRINT_PPI = 500.0
 FILES = (
     "phalange.ply",
@@ -399,22 +393,13 @@ FILES = (
 )
 
 
-def _files_of(result: Reconstruction) -> tuple[str, ...]:
-    """Files of a result's folder: a print of a finger whose scale is known, measured normals where there are any."""
-    measured = () if result.normals_measured is None else ("normals_measured.png",)
-    return (*(name for name in FILES if name != "print.png" or _is_printed(result)), *measured)
-
-
-def _is_printed(result: Reconstruction) -> bool:
+def is_printed(result: Reconstruction) -> bool:
+    """Whether there is a print of it: of a finger whose scale is known."""
     return result.scale_known and is_finger(result)
 
 
 def write_results(
-    result: Reconstruction,
-    capture: Capture | None,
-    folder: str | os.PathLike[str],
-    truth: Truth | None = None,
-    others: Sequence[Reconstruction] = (),
+    result: Reconstruction, capture: Capture | None, folder: str | os.PathLike[str], truth: Truth | None = None
 ) -> dict[str, Any]:
     """Write all files of a reconstruction into `folder` and return the facts of ``report.json``.
 
@@ -427,8 +412,6 @@ def write_results(
         Appears complete or not at all; an earlier result in it is replaced.
     truth : mapping, optional
         A simulator's arrays, compared in the report.
-    others : sequence of Reconstruction
-        Further presets, compared beside `result`.
 
     Raises
     ------
@@ -436,20 +419,16 @@ def write_results(
         If the folder holds files of others or cannot be written.
     """
     with atomic_folder(folder) as target:
-        return write_files(result, capture, target, truth, others)
+        return write_files(result, capture, target, truth)
 
 
 def write_files(
-    result: Reconstruction,
-    capture: Capture | None,
-    target: Path,
-    truth: Truth | None = None,
-    others: Sequence[Reconstruction] = (),
+    result: Reconstruction, capture: Capture | None, target: Path, truth: Truth | None = None
 ) -> dict[str, Any]:
     """Write the files of :func:`write_results` into an existing folder."""
     unit, pitch = ("mm", result.pitch_mm) if result.scale_known else ("pixel", None)
+    files = [name for name in FILES if name != "print.png" or is_printed(result)]
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        printing = pool.submit(surface_print, result, PRINT_PPI) if _is_printed(result) else None
         origin = provenance({"preset": result.preset, **result.settings}, result.hashes)
         jobs = [
             pool.submit(write_normals, target / "normals.png", result, origin),
@@ -460,27 +439,25 @@ def write_files(
         ]
         if (measured := result.normals_measured) is not None:
             jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
-        prints = None if printing is None else printing.result()
-        if prints is not None:
-            write_print_png(target / "print.png", prints, PRINT_PPI, provenance_texts(origin))
-        report = make_report(result, capture, prints, truth=truth, others=others, files=_files_of(result))
-        write_picture(target / "preview.png", _shaded(report.views), origin)
-        write_report(target, report.html, report.facts)
+            files.append("normals_measured.png")
+        report = make_report(result, capture, truth)
+        if report.prints is not None:
+            write_print_png(target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin))
+        write_picture(target / "preview.png", _shaded(*report.views[:2]), origin)
         for job in jobs:
             job.result()
-    return dict(report.facts)
+    return report.write(target, files)
 
 
 def preview_html(result: Reconstruction) -> str:
     """The shaded surface from above and from the left as an image element, small, for notebooks."""
     small = figures.small_fields(result, upright_frame(result, 400))
-    data = data_uri(_shaded(figures.render_views(result, small)), photo=True)
+    data = data_uri(_shaded(*islice(figures.render_views(result, small), 2)), photo=True)
     return f'<img src="{data}" alt="surface from above and from the left">'
 
 
-def _shaded(views: ShadedViews) -> NDArray[np.uint8]:
-    """The surface from above and from the left beside each other, on their own paper."""
-    panels = views.above, views.left
+def _shaded(*panels: ColourArray) -> NDArray[np.uint8]:
+    """Views of the surface beside each other, on their own paper."""
     height, paper = max(panel.shape[0] for panel in panels), int(panels[0][0, 0, 0])
     padded = []
     for panel in panels:
@@ -488,9 +465,3 @@ def _shaded(views: ShadedViews) -> NDArray[np.uint8]:
         edges = ((missing // 2, missing - missing // 2), (0, 0), (0, 0))
         padded.append(np.pad(panel, edges, constant_values=paper))
     return np.hstack(padded)
-
-
-def write_report(target: Path, html: str, facts: Mapping[str, Any]) -> None:
-    """Write ``report.html`` and ``report.json``."""
-    write_file(target / "report.html", html.encode("utf-8"))
-    write_file(target / "report.json", (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
