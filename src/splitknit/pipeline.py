@@ -778,7 +778,7 @@ def _doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
         notes.append(Note(hardly, relief / 1000.0, error / 1000.0))
     if facts["gloss"] < LITTLE_GLOSS:
         notes.append(
-            "the skin shows hardly any specular reflection: its brightness tells the ridges' heights, which may all be "
+            "the skin shows hardly any specular reflection: ridge heights follow from its brightness, and may all be "
             f"off by a common factor (standard deviation {100 * gain:.0f} %)."
         )
     return tuple(notes)

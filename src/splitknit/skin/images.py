@@ -64,7 +64,7 @@ NO_NETWORK = (
     "the network of the relief needs six white lights all around the finger and at least 12 pixels a millimetre; "
     "relief and glare are separated by their colours alone."
 )
-GREY = "the white images are grey: glare cannot be told from skin by its colour."
+GREY = "the white images are grey: glare is indistinguishable from skin by its colour."
 SEPARATED_BY = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
     "colour": "glare by colour, scattering by its transfer function (modelled)",
