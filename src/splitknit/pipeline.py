@@ -167,7 +167,7 @@ def reconstruct(
             steps.images_are_read()
             surface = _skin_surface(images, chosen.skin, chosen.metric)
         else:
-            white, nir = (FingerImages(capture, band, finger, chosen.metric.plane_mm) for band in (bands[0], bands[-1]))
+            white, nir = (FingerBand(capture, band, finger, chosen.metric.plane_mm) for band in (bands[0], bands[-1]))
             p = chosen.parameters(bool(white.band.colours), capture.material)
             method = metric_opaque if chosen.method == "metric" else THESIS[chosen.knit.method]
             surface = smoothed_surface(method(white, nir, p), white, chosen.smooth.sigma_mm)
@@ -248,7 +248,7 @@ def _plain_normals(capture: Capture) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Normals of the white band by plain photometric stereo, where nothing of a finger is looked for."""
     plain = PRESETS["ea"]
     capture, thing = locate_finger(replace(capture, material="opaque"), plain.finding())
-    white = FingerImages(capture, capture.bands["white"], thing)
+    white = FingerBand(capture, capture.bands["white"], thing)
     result = _finished(capture, thing, ea(white, white, plain.parameters(False, "opaque")), plain.top_mm)
     return result.normals, result.mask
 
@@ -314,7 +314,7 @@ def _in_pixels(result: Reconstruction) -> Reconstruction:
 
 
 @dataclass(frozen=True, slots=True)
-class FingerImages:
+class FingerBand:
     """One band's photographs of the finger."""
 
     capture: Capture
@@ -359,7 +359,7 @@ class FingerSurface:
     warnings: tuple[str, ...] = ()
 
 
-def ea(white: FingerImages, _: FingerImages, p: Parameters) -> FingerSurface:
+def ea(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
     """EA and PR (thesis, section 5.4): the visible surface, whole.
 
     EA is photometric stereo and integration; PR adds contrast enhancement and direct light. The systems of Kumar,
@@ -371,7 +371,7 @@ def ea(white: FingerImages, _: FingerImages, p: Parameters) -> FingerSurface:
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
-def ea_split(white: FingerImages, _: FingerImages, p: Parameters) -> FingerSurface:
+def ea_split(white: FingerBand, _: FingerBand, p: Parameters) -> FingerSurface:
     """EA or PR with the relief that shapelets extract from the visible surface, as in Split and Knit."""
     normals, albedo = visible_normals(white, p.photometry)
     slopes = slopes_of(normals, white, p.max_slope)
@@ -380,7 +380,7 @@ def ea_split(white: FingerImages, _: FingerImages, p: Parameters) -> FingerSurfa
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
-def snk(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
+def snk(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
     """Split and Knit (thesis, chapter 3): relief from direct white light, shape from near-infrared light."""
     normals, albedo = visible_normals(white, p.photometry)  # 3.3.1
     relief = ridge_relief(slopes_of(normals, white, p.max_slope), white, p.shapelets)  # 3.3.1.3
@@ -388,7 +388,7 @@ def snk(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
     return FingerSurface(add(relief, shape, white.inside), relief, shape, albedo, normals)  # 3.3.3
 
 
-def snk_by_crossover(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
+def snk_by_crossover(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
     """Split and Knit by a crossover of frequencies: H visible + (1 - H) shape, H the gain of the shapelets."""
     normals, albedo = visible_normals(white, p.photometry)
     shape = integrated(shape_slopes(nir, p.photometry), nir, p.height)
@@ -402,7 +402,7 @@ THESIS = {"whole": ea, "none": ea_split, "addition": snk, "crossover": snk_by_cr
 
 
 @step("surface")
-def smoothed_surface(surface: FingerSurface, white: FingerImages, sigma_mm: float) -> FingerSurface:
+def smoothed_surface(surface: FingerSurface, white: FingerBand, sigma_mm: float) -> FingerSurface:
     """Kumar's system: a Gaussian over the finished surface; the same surface for a sigma of zero."""
     if sigma_mm == 0:
         return surface
@@ -411,7 +411,7 @@ def smoothed_surface(surface: FingerSurface, white: FingerImages, sigma_mm: floa
     return replace(surface, height_mm=height_mm, ridge_mm=ridge_mm, shape_mm=height_mm - ridge_mm)
 
 
-def metric_opaque(white: FingerImages, nir: FingerImages, p: Parameters) -> FingerSurface:
+def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSurface:
     """The `metric` method for what does not scatter light inside: near lights, robust weights, masked integration.
 
     A near-infrared band, where there is one, gives the shape by a crossover of frequencies.
@@ -548,7 +548,7 @@ def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple
 
 
 @shared
-def visible_normals(white: FingerImages, p: Photometry) -> tuple[FloatArray, FloatArray]:
+def visible_normals(white: FingerBand, p: Photometry) -> tuple[FloatArray, FloatArray]:
     """Normals (h, w, 3) and albedo of the direct visible light (thesis, section 3.3.1)."""
     if not p.prepares:
         lights, inside = white.rig.light_vectors(), white.inside
@@ -567,34 +567,34 @@ def visible_normals(white: FingerImages, p: Photometry) -> tuple[FloatArray, Flo
     return _distant_normals(images, _lights(white, p.enhance), white.inside, p.normals)
 
 
-def shape_slopes(nir: FingerImages, p: Photometry) -> Slopes:
+def shape_slopes(nir: FingerBand, p: Photometry) -> Slopes:
     """Slopes from the band of the shape (thesis, section 3.3.2)."""
     normals, _ = _distant_normals(_grey_images(nir), _lights(nir, p.enhance), nir.inside, p.normals)
     return slopes_of(normals, nir, p.normals.max_slope)
 
 
-def _lights(photographs: FingerImages, enhance: EnhanceSettings) -> NDArray[np.float64]:
+def _lights(photographs: FingerBand, enhance: EnhanceSettings) -> NDArray[np.float64]:
     """(L, 3) distant lights; of unit length beside equalised images, which have no common scale of brightness."""
     lights = photographs.rig.light_vectors()
     return lights / np.linalg.norm(lights, axis=1, keepdims=True) if enhance.clahe else lights
 
 
 @step("light")
-def _grey_images(photographs: FingerImages) -> FloatArray:
+def _grey_images(photographs: FingerBand) -> FloatArray:
     """(L, h, w) linear grey images."""
     encoding, window = photographs.capture.encoding, photographs.finger.window
     return np.maximum(linear_stack(photographs.band, encoding, "grey", window), np.float32(0.0))
 
 
 @step("light")
-def _equalised(images: FloatArray, photographs: FingerImages, enhance: EnhanceSettings) -> FloatArray:
+def _equalised(images: FloatArray, photographs: FingerBand, enhance: EnhanceSettings) -> FloatArray:
     """Contrast-limited adaptive histogram equalisation of every image."""
     scale, inside = photographs.px_per_mm, photographs.inside
     return np.stack([clahe(image, scale, enhance.cells, mask=inside) for image in images])
 
 
 @step("light")
-def _direct_images(images: FloatArray, white: FingerImages, direct: DirectSettings) -> FloatArray:
+def _direct_images(images: FloatArray, white: FingerBand, direct: DirectSettings) -> FloatArray:
     """Direct light in the grey images, zero outside the skin, by the network of the thesis."""
     inside = images * white.inside
     if not (direct.from_colours and has_colour(white.band)):
@@ -605,7 +605,7 @@ def _direct_images(images: FloatArray, white: FingerImages, direct: DirectSettin
 
 
 def _by_rows(
-    photographs: FingerImages, solve: Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
+    photographs: FingerBand, solve: Callable[[FloatArray, slice], tuple[FloatArray, FloatArray]]
 ) -> tuple[FloatArray, FloatArray]:
     """Normals and albedo by a method that works pixel by pixel on the linear images of some rows.
 
@@ -641,7 +641,7 @@ def _distant_normals(
 
 
 @step("normals")
-def slopes_of(normals: FloatArray, photographs: FingerImages, max_slope: float) -> Slopes:
+def slopes_of(normals: FloatArray, photographs: FingerBand, max_slope: float) -> Slopes:
     """Slopes of normals of the rig's frame, in the frames of the pixels' rays."""
     view = view_of(photographs.capture.rig.camera, *photographs.finger.window, along_rays=True)
     own = np.moveaxis(view.turned(np.moveaxis(normals, -1, 0)[None])[0], 0, -1)
@@ -649,7 +649,7 @@ def slopes_of(normals: FloatArray, photographs: FingerImages, max_slope: float) 
 
 
 def near_slopes(
-    photographs: FingerImages, p: NormalsSettings, height: HeightSettings
+    photographs: FingerBand, p: NormalsSettings, height: HeightSettings
 ) -> tuple[Slopes, FloatArray, FloatArray]:
     """Slopes, albedo and normals of one band of an opaque thing: near lights and the surface that they reach, in
     turns."""
@@ -675,7 +675,7 @@ def near_slopes(
 
 
 @step("surface")
-def integrated(slopes: Slopes, photographs: FingerImages, p: HeightSettings) -> FloatArray:
+def integrated(slopes: Slopes, photographs: FingerBand, p: HeightSettings) -> FloatArray:
     """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
     if p.method == "frankot_chellappa":
         return frankot_chellappa(*slopes, photographs.inside, p.padding) * photographs.pitch_mm
@@ -684,13 +684,13 @@ def integrated(slopes: Slopes, photographs: FingerImages, p: HeightSettings) -> 
 
 
 @step("surface")
-def ridge_relief(slopes: Slopes, photographs: FingerImages, p: ShapeletSettings) -> FloatArray:
+def ridge_relief(slopes: Slopes, photographs: FingerBand, p: ShapeletSettings) -> FloatArray:
     """(h, w) relief in mm that a bank of shapelets extracts from slopes (thesis, section 3.3.1.3)."""
     return shapelets(*slopes, photographs.inside, _bank(photographs, p)) * photographs.pitch_mm
 
 
 @step("surface")
-def fast_part(height_mm: FloatArray, photographs: FingerImages) -> FloatArray:
+def fast_part(height_mm: FloatArray, photographs: FingerBand) -> FloatArray:
     """(h, w) relief in mm of a surface that is not split: its height less its slow part, for pictures and prints.
 
     The slow part is a Gaussian mean, and that of what the first one missed beside the outline and on the curved finger.
@@ -700,13 +700,13 @@ def fast_part(height_mm: FloatArray, photographs: FingerImages) -> FloatArray:
     return rest - smoothed(rest, photographs.inside, sigma_px)
 
 
-def ridge_response(photographs: FingerImages, p: ShapeletSettings) -> Callable[[NDArray[np.float64]], Any]:
+def ridge_response(photographs: FingerBand, p: ShapeletSettings) -> Callable[[NDArray[np.float64]], Any]:
     """Gain of the shapelets by frequency; beyond their finest scale it stays, so that a crossover keeps all detail."""
     bank = _bank(photographs, p)
     return lambda omega: shapelet_response(np.minimum(omega, np.sqrt(2.0) / bank.sigma_px), bank)
 
 
-def _bank(photographs: FingerImages, p: ShapeletSettings) -> ShapeletSettings:
+def _bank(photographs: FingerBand, p: ShapeletSettings) -> ShapeletSettings:
     """The shapelets at the photographs' scale; the thesis gives them in its own pixels."""
     return replace(p, sigma_px=p.sigma_px * (photographs.px_per_mm / REFERENCE_PX_PER_MM))
 
