@@ -28,7 +28,7 @@ from splitknit.matching.thesis import FingerImages, ThesisSettings, finger_featu
 from splitknit.model import default_rig
 from splitknit.prints.ridges import relief_print
 from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from timing import machine, print_table, race
 
 SURFACE = 0.5
@@ -156,7 +156,7 @@ def warm(a: Prepared, b: Prepared) -> None:
         assert side.key
 
 
-def print_of(seen: FingerSurface, px_per_mm: float) -> NDArray[np.uint8]:
+def print_of(seen: SimulatedSurface, px_per_mm: float) -> NDArray[np.uint8]:
     """The relief print of a surface."""
     upright = find_upright(seen.mask)
     ridge = seen.height_mm - seen.shape_mm

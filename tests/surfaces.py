@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from splitknit.model import Camera
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 PX_PER_MM = 37.85
 
 
-def plane(size: tuple[int, int] = (96, 128), px_per_mm: float = 10.0) -> FingerSurface:
+def plane(size: tuple[int, int] = (96, 128), px_per_mm: float = 10.0) -> SimulatedSurface:
     """A flat sheet that fills the picture at z = 0."""
     zero = np.zeros(size, dtype=np.float32)
     up = np.zeros((*size, 3), dtype=np.float32)
     up[..., 2] = 1.0
     mask = np.ones(size, dtype=np.bool_)
-    return FingerSurface(Camera(px_per_mm, size), zero, zero, up, up, zero, mask, np.ones(size, dtype=np.float32))
+    return SimulatedSurface(Camera(px_per_mm, size), zero, zero, up, up, zero, mask, np.ones(size, dtype=np.float32))
 
 
 def ridged_egg(
     size: tuple[int, int] = (550, 480), px_per_mm: float = PX_PER_MM, depth_um: float = 75.0, period_mm: float = 0.43
-) -> FingerSurface:
+) -> SimulatedSurface:
     """A finger-sized half ellipsoid with concentric ridges; its normals are those of the ridged height, exactly."""
     camera = Camera(px_per_mm, size)
     x = ((np.arange(size[1]) - (size[1] - 1) / 2) / px_per_mm)[None, :]
@@ -41,7 +41,7 @@ def ridged_egg(
     sx, sy = -height * x / (width**2 * root), -height * y / (length**2 * root)
     gx = sx + slope * (x - 0.3) / radius - ripple * 2.0 * x / width**2
     gy = sy + slope * (y - 1.0) / radius - ripple * 2.0 * y / length**2
-    return FingerSurface(
+    return SimulatedSurface(
         camera=camera,
         height_mm=np.where(mask, shape + relief * 1e-3, np.nan).astype(np.float32),
         shape_mm=np.where(mask, shape, np.nan).astype(np.float32),
@@ -76,7 +76,7 @@ def perspective_camera(
     return Camera(px_per_mm, size, height_mm, "perspective", matrix, distortion, shading)
 
 
-def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> FingerSurface:
+def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> SimulatedSurface:
     """A flat sheet, z = z_mm + slope x, that fills the picture of a camera without distortion."""
     rows, columns = np.indices(camera.image_size)
     assert camera.matrix is not None
@@ -89,4 +89,4 @@ def perspective_plane(camera: Camera, z_mm: float, slope: float = 0.0) -> Finger
     normals = np.zeros((*camera.image_size, 3), dtype=np.float32)
     normals[:] = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
     one = np.ones(camera.image_size, dtype=np.float32)
-    return FingerSurface(camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y)
+    return SimulatedSurface(camera, z, z, normals, normals, 0.0 * z, np.ones(z.shape, np.bool_), one, x_mm=x, y_mm=y)

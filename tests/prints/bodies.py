@@ -9,7 +9,7 @@ import numpy as np
 
 from splitknit.prints.unroll_grid import GridSettings, SurfaceGrid, surface_grid
 from splitknit.simulator.finger.master_print import MasterPrint
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 PX_PER_MM = 16.0
 
@@ -18,7 +18,7 @@ PX_PER_MM = 16.0
 class Twin:
     """What the camera sees of a drawn finger, its master print, and its frame."""
 
-    seen: FingerSurface
+    seen: SimulatedSurface
     master: MasterPrint
 
     @property

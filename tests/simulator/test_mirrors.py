@@ -35,7 +35,7 @@ from splitknit.simulator.mirror_twin import _bare_behind, _section_points
 from splitknit.simulator.mirror_view import _Gate, _Reflection, as_built, lights_of, outline_coverage
 from splitknit.simulator.rigs import HolderProfile, MirrorSettings, _MirrorParts, _nominal_mirrors, mirror_rig
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from splitknit.simulator.twin import simulate_capture
 
 ALL = ("left", "right", "tip")
@@ -331,7 +331,7 @@ def test_light_by_way_of_a_mirror_falls_as_the_inverse_square_of_the_whole_way()
     normals = np.zeros((*size, 3), dtype=np.float32)
     normals[i, j] = (1.0, 0.0, 0.0)  # a facet that faces the mirror and stands along the light of the LED itself
     flat = np.where(mask, np.float32(-5.0), np.float32(np.nan))
-    surface = FingerSurface(
+    surface = SimulatedSurface(
         camera, flat, flat, normals, normals, np.zeros(size, np.float32), mask, np.ones(size, np.float32)
     )
     patch = cut_out(surface)

@@ -34,7 +34,7 @@ from splitknit.simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from surfaces import perspective_camera, perspective_plane, ridged_egg
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
@@ -54,23 +54,23 @@ def master(finger: SimulatedFinger) -> MasterPrint:
 
 
 @pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger, master: MasterPrint) -> FingerSurface:
+def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
     return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
-def _points(surface: FingerSurface) -> np.ndarray:
+def _points(surface: SimulatedSurface) -> np.ndarray:
     """(H, W, 3) of the skin."""
     assert surface.x_mm is not None and surface.y_mm is not None
     return np.stack([surface.x_mm, surface.y_mm, surface.height_mm], -1).astype(np.float64)
 
 
-def _view(surface: FingerSurface) -> np.ndarray:
+def _view(surface: SimulatedSurface) -> np.ndarray:
     """(H, W, 3) unit vectors from the skin to the camera."""
     to = np.array([0.0, 0.0, surface.camera.height_mm]) - _points(surface)
     return to / np.linalg.norm(to, axis=-1, keepdims=True)
 
 
-def test_every_point_appears_in_its_pixel(seen: FingerSurface) -> None:
+def test_every_point_appears_in_its_pixel(seen: SimulatedSurface) -> None:
     rows, columns = np.nonzero(seen.mask)
     column, row = pixels_of_points(CAMERA, *_points(seen)[seen.mask].T)
     assert np.abs(column - columns).max() < 1e-3
@@ -80,7 +80,7 @@ def test_every_point_appears_in_its_pixel(seen: FingerSurface) -> None:
     assert np.array_equal(np.isfinite(seen.shape_mm), seen.mask)
 
 
-def test_every_point_is_skin_and_nothing_stands_before_it(seen: FingerSurface, finger: SimulatedFinger) -> None:
+def test_every_point_is_skin_and_nothing_stands_before_it(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
     body = FingerBody(finger.shape)
     placement = placement_of(body, POSE, CAMERA)
     pick = seen.mask & ((_view(seen) * seen.normals).sum(-1) > 0.25)
@@ -98,7 +98,7 @@ def test_every_point_is_skin_and_nothing_stands_before_it(seen: FingerSurface, f
     assert 1e3 * np.abs(on_shape).max() < 0.01
 
 
-def test_normals_are_those_of_the_points_and_face_the_camera(seen: FingerSurface) -> None:
+def test_normals_are_those_of_the_points_and_face_the_camera(seen: SimulatedSurface) -> None:
     assert seen.x_mm is not None and seen.y_mm is not None
     lengths = np.linalg.norm(seen.normals[seen.mask], axis=1)
     np.testing.assert_allclose(lengths, 1.0, atol=1e-5)
@@ -182,7 +182,7 @@ def test_what_only_touches_a_ridge_is_turned_to_the_viewer() -> None:
     np.testing.assert_array_equal(given[2], [0.0, -0.96, 0.28])
 
 
-def test_landmarks_are_pixels_of_the_lens(seen: FingerSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_landmarks_are_pixels_of_the_lens(seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
     body = FingerBody(finger.shape)
     placement = placement_of(body, POSE, CAMERA)
     named = np.concatenate([master.cores_mm, master.deltas_mm])
@@ -199,7 +199,7 @@ def test_landmarks_are_pixels_of_the_lens(seen: FingerSurface, finger: Simulated
     assert seen.mask[round(tip[1]) + 2, round(tip[0])] and not seen.mask[round(tip[1]) - 3, round(tip[0])]
 
 
-def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: FingerSurface) -> None:
+def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface) -> None:
     again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     for name in ("height_mm", "normals", "x_mm", "y_mm"):
         assert getattr(again, name).tobytes() == getattr(seen, name).tobytes()
@@ -290,7 +290,7 @@ def test_the_beam_falls_off_about_its_aim() -> None:
     np.testing.assert_allclose(white_card(camera, same), white_card(camera, to_origin), rtol=1e-6)
 
 
-def test_what_perspective_cannot_have_is_refused(seen: FingerSurface) -> None:
+def test_what_perspective_cannot_have_is_refused(seen: SimulatedSurface) -> None:
     led = Led("white", (52.5, 0.0, 140.0))
     with pytest.raises(BadInput, match="orthographic"):
         separate_truth(seen, led, SkinOptics(), check_mm=1.0)

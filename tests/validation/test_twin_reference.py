@@ -15,7 +15,7 @@ from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led
 from splitknit.simulator.light.skin import ChannelOptics, diffuse_transmittance, diffusion_profile, fresnel
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 sys.path.append(str(VALIDATION / "twin"))
 reference: Any = importlib.import_module("reference")
@@ -35,13 +35,13 @@ BLUE = ChannelOptics(5.18, 0.40, 0.0)
 WINDOW = (slice(4, 20), slice(4, 20))
 
 
-def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> FingerSurface:
+def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> SimulatedSurface:
     shape = height_mm.shape
     up = np.zeros((*shape, 3), dtype=np.float32)
     up[..., 2] = 1.0
     one = np.ones(shape, dtype=np.float32)
     height = height_mm.astype(np.float32)
-    return FingerSurface(Camera(1.0 / pitch_mm, shape), height, 0 * one, up, up, 1e3 * height, one > 0, one)
+    return SimulatedSurface(Camera(1.0 / pitch_mm, shape), height, 0 * one, up, up, 1e3 * height, one > 0, one)
 
 
 FLAT = patch(np.zeros((24, 24)))

@@ -9,14 +9,14 @@ import numpy as np
 
 from script_folder import VALIDATION
 from splitknit.model import Camera
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 sys.path.append(str(VALIDATION / "twin"))
 scene: Any = importlib.import_module("reference_scene")
 LEDGE_MM, _skin_mesh = scene.LEDGE_MM, scene._skin_mesh
 
 
-def bump(size: int = 41, pitch_mm: float = 0.1, outline: bool = False) -> FingerSurface:
+def bump(size: int = 41, pitch_mm: float = 0.1, outline: bool = False) -> SimulatedSurface:
     """A half ellipsoid seen from above, cut by its outline, or a wavy patch."""
     along = (np.arange(size) - (size - 1) / 2) * pitch_mm
     x, y = np.meshgrid(along, -along)
@@ -29,7 +29,7 @@ def bump(size: int = 41, pitch_mm: float = 0.1, outline: bool = False) -> Finger
     height = z.astype(np.float32)
     normals = np.zeros((*x.shape, 3), dtype=np.float32)
     one = np.ones(x.shape, dtype=np.float32)
-    return FingerSurface(Camera(1.0 / pitch_mm, x.shape), height, height, normals, normals, 0 * one, mask, one)
+    return SimulatedSurface(Camera(1.0 / pitch_mm, x.shape), height, height, normals, normals, 0 * one, mask, one)
 
 
 WINDOW = (slice(15, 25), slice(15, 25))

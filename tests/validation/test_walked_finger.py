@@ -20,7 +20,7 @@ from splitknit.simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 sys.path.append(str(VALIDATION / "path_traced"))
 finger: Any = importlib.import_module("walked_finger")
@@ -36,7 +36,7 @@ ENTERING = STRENGTH * COSINE * (1 - fresnel(COSINE))
 TO_CAMERA = (1 - float(fresnel(np.array(1.0)))) / np.pi
 
 
-def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> FingerSurface:
+def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> SimulatedSurface:
     """A piece of skin that fills the picture, over a flat shape."""
     rows, columns = np.gradient(height_mm, pitch_mm)
     normals = np.stack([-columns, rows, np.ones_like(rows)], axis=-1)
@@ -45,7 +45,7 @@ def patch(height_mm: np.ndarray, pitch_mm: float = 0.05) -> FingerSurface:
     up[..., 2] = 1.0
     height = height_mm.astype(np.float32)
     camera = Camera(1.0 / pitch_mm, height_mm.shape)
-    return FingerSurface(camera, height, 0 * one, normals.astype(np.float32), up, 1e3 * height, one > 0, one)
+    return SimulatedSurface(camera, height, 0 * one, normals.astype(np.float32), up, 1e3 * height, one > 0, one)
 
 
 FLAT = patch(np.zeros((24, 24)))
@@ -59,7 +59,7 @@ def medium(scattering_per_mm: float, absorption_per_mm: float, spread: float = 1
     return np.array([scattering, absorption, absorption, 0.0, spread, 0.15, REFRACTIVE_INDEX, inside])
 
 
-def walked(surface: FingerSurface, optics: np.ndarray, walks: float = 100.0, threads: int = 1) -> np.ndarray:
+def walked(surface: SimulatedSurface, optics: np.ndarray, walks: float = 100.0, threads: int = 1) -> np.ndarray:
     """Mean radiance under both lights."""
     solid = finger._solid(surface, LEDS)
     even = np.ones(solid.lean.shape, dtype=np.float32)

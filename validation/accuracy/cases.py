@@ -15,7 +15,7 @@ from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_su
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from splitknit.simulator.twin import photograph, simulate_capture
 
 Truth = dict[str, NDArray[Any]]
@@ -133,7 +133,7 @@ def photographed(case: Case) -> tuple[Capture, Truth]:
 
 
 @lru_cache(maxsize=2)
-def _surface(seed: int, ridge_depth_um: float, pose: FingerPose, scale: float) -> FingerSurface:
+def _surface(seed: int, ridge_depth_um: float, pose: FingerPose, scale: float) -> SimulatedSurface:
     finger = draw_finger(seed)
     finger = replace(finger, skin=replace(finger.skin, ridge_depth_um=ridge_depth_um))
     return finger_surface(finger, pose, default_rig(scale, 0).camera)

@@ -23,7 +23,7 @@ from splitknit.errors import BadInput
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from splitknit.simulator.twin import lay_down
 
 
@@ -96,7 +96,7 @@ def make(case: Case, folder: Path, scale: float, walks: float, threads: int) -> 
     print(f"{case.name}: {time.perf_counter() - started:.0f} s, noise of the walks {100 * worst:.1f} %", flush=True)
 
 
-def without_ridges(surface: FingerSurface) -> FingerSurface:
+def without_ridges(surface: SimulatedSurface) -> SimulatedSurface:
     """The same finger with smooth skin."""
     return replace(
         surface, height_mm=surface.shape_mm, normals=surface.shape_normals, relief_um=0.0 * surface.relief_um

@@ -35,7 +35,7 @@ from splitknit.simulator.light.skin import (
     diffuse_transmittance,
     fresnel,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ def _rms(values: NDArray[Any]) -> float:
 
 
 def render_finger(
-    surface: FingerSurface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
+    surface: SimulatedSurface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
 ) -> _ChannelLight:  # fmt: skip
     """Light from within the skin under each LED, by random walks in one channel.
@@ -182,7 +182,7 @@ class _Solid:
     """Row and column of the picture where the maps begin."""
 
 
-def _solid(surface: FingerSurface, leds: Sequence[Led]) -> _Solid:
+def _solid(surface: SimulatedSurface, leds: Sequence[Led]) -> _Solid:
     camera, pitch = surface.camera, surface.camera.pitch_mm
     require(camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")
     require(
@@ -240,7 +240,7 @@ def _mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed:
 
 
 def walk_solid(
-    solid: _Solid, surface: FingerSurface, mottle: FloatArray, medium: Array,
+    solid: _Solid, surface: SimulatedSurface, mottle: FloatArray, medium: Array,
     *, walks: float, rays: int, threads: int, seed: Sequence[int], progress: Progress = no_progress,
 ) -> _ChannelLight:  # fmt: skip
     """Walk from all pixels that see the finger."""
@@ -316,7 +316,7 @@ def _load() -> tuple[Any, Any]:
 # Light that the surface alone reflects.
 
 
-def specular(surface: FingerSurface, led: Led, roughness: float) -> FloatArray:
+def specular(surface: SimulatedSurface, led: Led, roughness: float) -> FloatArray:
     """(H, W) radiance of the GGX reflection at the ridged skin, without shadows and inter-reflection.
 
     References
@@ -355,7 +355,7 @@ def _pixel_places(camera: Camera) -> tuple[Array, Array]:
 
 
 def photograph_finger(
-    surface: FingerSurface, rig: Rig, optics: FingerOptics,
+    surface: SimulatedSurface, rig: Rig, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
 ) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:  # fmt: skip
     """Photograph a finger under every LED of `rig` by random walks.

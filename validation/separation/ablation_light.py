@@ -15,7 +15,7 @@ from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_su
 from splitknit.simulator.light.separation import separate_truth
 from splitknit.simulator.light.skin import SkinOptics, SkinRanges
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from splitknit.simulator.twin import photograph
 
 BLACK, GAIN = 0.1, 0.85
@@ -28,7 +28,7 @@ class Twin:
 
     capture: Capture
     truth: Mapping[str, NDArray[Any]]
-    surface: FingerSurface
+    surface: SimulatedSurface
     skin: SkinOptics
 
 

@@ -20,7 +20,7 @@ from splitknit.simulator.light.separation import (
     separate_truth,
 )
 from splitknit.simulator.light.skin import ChannelOptics, Medium, SkinOptics, SkinRanges
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 PX_PER_MM = 37.85
 SIZE = (224, 240)
@@ -30,7 +30,7 @@ OPAQUE = (ChannelOptics(scattering_per_mm=1e6, absorption_per_mm=1e5, relief_gai
 RENDER: dict[str, Any] = {"settings": RenderSettings(reach_mm=3.0, workers=1)}
 """A shorter reach than the captures': of the light beyond 3 mm the checkerboard leaves nothing."""
 
-Patch = tuple[FingerSurface, Led, SkinOptics | Medium]
+Patch = tuple[SimulatedSurface, Led, SkinOptics | Medium]
 """What is looked at, where the projector stands, and the skin: the first arguments of the twin's separation."""
 
 
@@ -66,7 +66,7 @@ def photograph(patch: Patch, pattern: Checkerboard) -> np.ndarray:
     return np.moveaxis(checkerboard_stack(*patch, pattern, **RENDER), 1, -1)
 
 
-def inner(surface: FingerSurface, truth: Separated) -> np.ndarray:
+def inner(surface: SimulatedSurface, truth: Separated) -> np.ndarray:
     """Pixels that are judged: on the skin, not on its outline, not grazing, lit."""
     mask = cv2.erode(surface.mask[truth.window].astype(np.uint8), np.ones((5, 5))) > 0
     slope = surface.shape_normals[truth.window][..., 2] > 0.5

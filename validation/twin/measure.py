@@ -18,7 +18,7 @@ from splitknit.model import FloatArray, Led, default_rig
 from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.light.renderer import render_band
 from splitknit.simulator.light.skin import Channel, ChannelOptics, Medium, SkinOptics
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 FIELD_MM = 10.0
 CROP_PX = 128
@@ -49,13 +49,13 @@ def lights(channel: str) -> tuple[tuple[Led, ...], Array]:
 
 
 @lru_cache(maxsize=1)
-def _scene(depth_um: float, seed: int, nir: bool, crop_px: int) -> tuple[FingerSurface, ReferenceScene]:
+def _scene(depth_um: float, seed: int, nir: bool, crop_px: int) -> tuple[SimulatedSurface, ReferenceScene]:
     surface = ridged_patch(depth_um, FIELD_MM, seed=seed)
     leds, _ = lights("nir" if nir else "red")
     return surface, reference_scene(surface, middle(surface, crop_px), leds, ReferenceSettings())
 
 
-def _twin(surface: FingerSurface, leds: Sequence[Led], optics: ChannelOptics) -> FloatArray:
+def _twin(surface: SimulatedSurface, leds: Sequence[Led], optics: ChannelOptics) -> FloatArray:
     """The twin's light without and with its relief term, (2, L, H, W)."""
     both = [replace(optics, relief_gain_per_um=0.0), optics]
     light = render_band(surface, leds, Medium(both, 0.25, 0.0))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from splitknit.model import Camera
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.finger.skin_map import SkinRelief, skin_map
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 PITCH_MM = 0.0132
@@ -24,7 +24,7 @@ def _master(seed: int) -> MasterPrint:
 
 def ridged_patch(
     depth_um: float, size_mm: float, *, radius_mm: float | None = None, tilt_deg: float = 0.0, seed: int = 5
-) -> FingerSurface:
+) -> SimulatedSurface:
     """A square of ridged skin from the pad of a drawn print, without creases: flat, or a cylinder along y.
 
     `depth_um` is the mean height of the ridges over the valleys, the same all over. The mean height is zero in the
@@ -48,14 +48,14 @@ def ridged_patch(
     height = shape + displacement * np.hypot(1.0, slope)
     middle = float(height[count // 2 - 60 : count // 2 + 60, count // 2 - 60 : count // 2 + 60].mean())
     down, across = np.gradient(height, PITCH_MM)
-    return FingerSurface(
+    return SimulatedSurface(
         camera, (height - middle).astype(np.float32), (shape - middle).astype(np.float32), _unit(across, -down),
         _unit(slope, 0.0 * slope), (1e3 * displacement).astype(np.float32), np.ones(x.shape, dtype=np.bool_),
         np.ones(x.shape, dtype=np.float32),
     )  # fmt: skip
 
 
-def middle(surface: FingerSurface, size_px: int) -> tuple[slice, slice]:
+def middle(surface: SimulatedSurface, size_px: int) -> tuple[slice, slice]:
     """Rows and columns of the central square of `size_px` map pixels."""
     start = (surface.mask.shape[0] - size_px) // 2
     return slice(start, start + size_px), slice(start, start + size_px)

@@ -21,14 +21,14 @@ from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_
 from splitknit.simulator.light.lighting import cut_out
 from splitknit.simulator.light.renderer import render_band
 from splitknit.simulator.light.skin import CHANNELS, Medium, SkinOptics, fresnel
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 SCALE = 0.25
 SLANTS = ((0, 30), (30, 40), (40, 50), (50, 60), (60, 70))
 Array32 = NDArray[np.float32]
 
 
-def light(surface: FingerSurface, leds: tuple[Led, ...], skin: SkinOptics) -> Array32:
+def light(surface: SimulatedSurface, leds: tuple[Led, ...], skin: SkinOptics) -> Array32:
     """(L, C, H, W) light inside the skin before it leaves towards the camera."""
     patch = cut_out(surface)
     optics = [skin.channel(channel) for channel in CHANNELS]

@@ -26,7 +26,7 @@ from splitknit.errors import importing, require
 from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.skin import REFRACTIVE_INDEX, ChannelOptics, diffuse_transmittance
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 FAINT = 0.1
 """Below this weight a walk goes on with half the chance that its weight would give, and twice FAINT as weight."""
@@ -308,7 +308,7 @@ class ReferenceImage:
 
 
 def render_crop(
-    surface: FingerSurface, window: tuple[slice, slice], leds: Sequence[Led], optics: ChannelOptics,
+    surface: SimulatedSurface, window: tuple[slice, slice], leds: Sequence[Led], optics: ChannelOptics,
     settings: ReferenceSettings | None = None,
 ) -> ReferenceImage:  # fmt: skip
     """Light that came through the skin, in one channel, by random walks in its volume.
@@ -335,7 +335,7 @@ def render_crop(
 
 
 def reference_scene(
-    surface: FingerSurface, window: tuple[slice, slice], leds: Sequence[Led], settings: ReferenceSettings
+    surface: SimulatedSurface, window: tuple[slice, slice], leds: Sequence[Led], settings: ReferenceSettings
 ) -> ReferenceScene:
     """Build triangles and lights once, for several channels; arguments as for :func:`render_crop`."""
     require(surface.camera.model == "orthographic", "the reference's walks start under an orthographic camera only.")

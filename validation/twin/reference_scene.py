@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import Led
 from splitknit.simulator.light.skin import fresnel
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class _Mesh:
         return float(np.max(np.hypot(normals[:, 0], normals[:, 1]) / np.maximum(normals[:, 2], 1e-9)))
 
 
-def _skin_mesh(surface: FingerSurface, window: tuple[slice, slice], margin_mm: float) -> _Mesh:
+def _skin_mesh(surface: SimulatedSurface, window: tuple[slice, slice], margin_mm: float) -> _Mesh:
     """Triangles of `surface` around the pixels of `window`; vertices are the centres of the pixels."""
     height, width = surface.mask.shape
     pitch = surface.camera.pitch_mm
@@ -88,7 +88,7 @@ def _quads(index: NDArray[np.intp], chosen: NDArray[np.bool_]) -> NDArray[np.uin
     return np.concatenate([first, second]).astype(np.uint32)
 
 
-def _closed(surface: FingerSurface, x: Array, y: Array) -> _Mesh:
+def _closed(surface: SimulatedSurface, x: Array, y: Array) -> _Mesh:
     """The finger as the camera sees it, its smooth shape mirrored below, and a wall along the outline."""
     mask = surface.mask
     inside = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
@@ -170,7 +170,7 @@ class Seen:
 
 def build(
     engine: tuple[Any, Any],
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     window: tuple[slice, slice],
     leds: Sequence[Led],
     *,

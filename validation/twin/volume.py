@@ -19,7 +19,7 @@ from splitknit.simulator.light.skin import (
     diffuse_transmittance,
     fresnel,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 HALF_WIDTH_MM, HALF_HEIGHT_MM = 8.0, 5.5
@@ -82,7 +82,7 @@ def volume_radiance(x_mm: float, scattering: float, absorption: float, rng: np.r
     return total / WALKS * out_share / (np.pi * diffuse_transmittance())
 
 
-def cylinder(px_per_mm: float = 10.0) -> FingerSurface:
+def cylinder(px_per_mm: float = 10.0) -> SimulatedSurface:
     """The cylinder as the twin sees it."""
     camera = Camera(px_per_mm=px_per_mm, image_size=(200, 221))
     x = (np.arange(221) - 110.0) / px_per_mm
@@ -94,7 +94,7 @@ def cylinder(px_per_mm: float = 10.0) -> FingerSurface:
     row = np.where(inside[:, None], _normals(np.stack([x, 0.0 * x, z])).T, 0.0)
     normals = np.broadcast_to(row, (*shape, 3)).astype(np.float32)
     zero, one = np.zeros(shape, dtype=np.float32), np.ones(shape, dtype=np.float32)
-    return FingerSurface(camera, height, height, normals, normals, zero, mask, one)
+    return SimulatedSurface(camera, height, height, normals, normals, zero, mask, one)
 
 
 def main() -> None:

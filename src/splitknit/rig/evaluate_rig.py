@@ -37,7 +37,7 @@ from splitknit.simulator.finger.finger import (
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.light.skin import SkinOptics, SkinRanges
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 # The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
 
@@ -75,13 +75,13 @@ def _pose_of(seed: int, camera: Camera) -> FingerPose:
     return replace(pose, insertion_mm=pose.insertion_mm + 0.5 * (rows_mm - even.image_size[0] / even.px_per_mm))
 
 
-def _view_of(seed: int, camera: Camera) -> FingerSurface:
+def _view_of(seed: int, camera: Camera) -> SimulatedSurface:
     """The finger on the pixels of `camera`."""
     finger, master = _person(seed)
     return finger_surface(replace(finger, printed=master), _pose_of(seed, camera), camera, workers=1)
 
 
-def _phalange(seed: int, surface: FingerSurface) -> BoolArray:
+def _phalange(seed: int, surface: SimulatedSurface) -> BoolArray:
     """(H, W) pixels of the distal phalange: the finger above its first crease."""
     finger, _ = _person(seed)
     placement = placement_of(FingerBody(finger.shape), _pose_of(seed, surface.camera), surface.camera)
@@ -91,12 +91,12 @@ def _phalange(seed: int, surface: FingerSurface) -> BoolArray:
     return np.asarray(surface.mask & (along >= ABOVE_CREASE_MM))
 
 
-def _printed(surface: FingerSurface, where: BoolArray) -> BoolArray:
+def _printed(surface: SimulatedSurface, where: BoolArray) -> BoolArray:
     """(H, W) pixels of `where` whose shape is flat enough to carry the print."""
     return np.asarray(where & (surface.shape_normals[..., 2] > np.cos(np.deg2rad(MAX_SLANT_DEG))))
 
 
-def _places(surface: FingerSurface) -> tuple[Array, Array]:
+def _places(surface: SimulatedSurface) -> tuple[Array, Array]:
     """(H, W) x and y of what each pixel sees, mm; of the pixel on the finger plane beside the finger."""
     x, y = _grid_places(surface.camera)
     if surface.x_mm is not None and surface.y_mm is not None:
@@ -216,7 +216,7 @@ def _rigs(candidate: RigCandidate, study: Study) -> tuple[Rig, Rig]:
 
 
 def _compare_surfaces(
-    result: Reconstruction, surface: FingerSurface, whole: BoolArray, seed: int, truth_px_per_mm: float
+    result: Reconstruction, surface: SimulatedSurface, whole: BoolArray, seed: int, truth_px_per_mm: float
 ) -> dict[str, float]:
     """Distances between the true and the reconstructed surface.
 
@@ -263,7 +263,7 @@ def _ridge_correlation(
 
 
 @functools.lru_cache(maxsize=32)
-def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> FingerSurface:
+def _seen(seed: int, height_mm: float, px_per_mm: float, build: BuildSettings) -> SimulatedSurface:
     """The finger under this height's camera: the LEDs do not change it."""
     standing = RigCandidate(height_mm, 50.0, 1.0, None, px_per_mm)
     return _view_of(seed, candidate_rig(standing, build, {"white": 1.0}).camera)

@@ -24,7 +24,7 @@ from splitknit.simulator.light.lighting import render_opaque, white_card
 from splitknit.simulator.light.renderer import RenderSettings, render_band
 from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics
 from splitknit.simulator.scene import finger_depth
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 PLANCK_LIGHT = 1.98645e-25
 """Planck's constant times the speed of light, J m."""
@@ -164,7 +164,7 @@ class ExposedCapture:
 
 
 def photograph_candidate(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     rig: Rig,
     *,
     known_rig: Rig,
@@ -238,7 +238,7 @@ def photograph_candidate(
 
 
 def _frames(
-    surface: FingerSurface, leds: list[Led], name: str, skin: SkinOptics | None
+    surface: SimulatedSurface, leds: list[Led], name: str, skin: SkinOptics | None
 ) -> tuple[list[FloatArray], float]:
     """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without specular light."""
     if skin is None:
@@ -260,7 +260,7 @@ def _frames(
     return frames, brightest
 
 
-def _defocus(surface: FingerSurface, photons: PhotonSettings) -> FloatArray:
+def _defocus(surface: SimulatedSurface, photons: PhotonSettings) -> FloatArray:
     """(H, W) width of the defocus in pixels; beyond the outline that of the outline goes on."""
     camera = surface.camera
     depth, top = finger_depth(surface)

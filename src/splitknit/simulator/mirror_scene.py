@@ -33,7 +33,7 @@ from splitknit.simulator.scene import (
     brightest,
     finger_depth,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class MirrorScene:
 
     def __init__(
         self,
-        subject: tuple[FingerSurface, Rig, SkinOptics],
+        subject: tuple[SimulatedSurface, Rig, SkinOptics],
         seen: Sequence[ReflectedView],
         settings: TwinSettings,
         seed: np.random.SeedSequence,
@@ -115,7 +115,7 @@ class MirrorScene:
         band = self.front.take(name, [(k,) for k in members], shoot, ambient * exposure, seed)
         return band, glare, np.array(float(exposure))
 
-    def _render(self, surface: FingerSurface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
+    def _render(self, surface: SimulatedSurface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
         """Light of a finger, or its reflection, in as many images as there are groups of `lights`.
 
         With one light without a gate in each group it is that of
@@ -203,7 +203,7 @@ class MirrorScene:
 
 def _put(
     frame: FloatArray,
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     window: tuple[slice, slice],
     diffuse: FloatArray,
     glare: FloatArray | None,

@@ -16,7 +16,7 @@ from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement, cast_rays, fill_surface, meets, rays_of
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.rigs import MirrorSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -187,7 +187,7 @@ class ReflectedView:
     mirror: Mirror
     """As it truly is."""
     reflection: _Reflection
-    surface: FingerSurface
+    surface: SimulatedSurface
     """The reflected finger, also a little beyond the outline; in the rig's frame, as though there were no mirror."""
     coverage: Coverage
     """The face in the picture."""
@@ -262,7 +262,7 @@ def _widened(window: tuple[slice, slice], margin: int, size: tuple[int, int]) ->
     return rows, columns
 
 
-def _surface(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int) -> FingerSurface:
+def _surface(finger: PlacedFinger, camera: Camera, box: tuple[slice, slice], workers: int) -> SimulatedSurface:
     """The first points of a placed finger on the rays of a part of the camera's pixels."""
     body, placement = finger.body, finger.placement
     bottom, top = _reach_in_height(body, placement)

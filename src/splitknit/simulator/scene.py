@@ -24,7 +24,7 @@ from splitknit.simulator.light.lighting import finger_window, white_card
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
 from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit.simulator.rigs import MirrorSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 BACKGROUND_MM = 10.0
 """Distance of the background below the finger plane."""
@@ -165,7 +165,7 @@ class TwinSettings(Checked):
 # What is known about a capture, as plain arrays by name.
 
 
-def surface_truth(surface: FingerSurface) -> dict[str, NDArray[Any]]:
+def surface_truth(surface: SimulatedSurface) -> dict[str, NDArray[Any]]:
     """Heights, normals, mask, relief and landmarks; of a perspective camera also the points' x and y, and its lens."""
     truth: dict[str, NDArray[Any]] = {
         "height_mm": surface.height_mm,
@@ -213,7 +213,7 @@ class Scene:
 
     def __init__(
         self,
-        subject: tuple[FingerSurface, Rig, SkinOptics],
+        subject: tuple[SimulatedSurface, Rig, SkinOptics],
         settings: TwinSettings,
         rng: np.random.Generator,
     ) -> None:
@@ -429,7 +429,7 @@ def take_capture(
     return Capture(rig=rig, bands=bands, encoding=encoding, material="skin", subject={"id": "anonymous"})
 
 
-def finger_depth(surface: FingerSurface) -> tuple[FloatArray, float]:
+def finger_depth(surface: SimulatedSurface) -> tuple[FloatArray, float]:
     """(H, W) z of the finger's shape in mm, and that of its highest point.
 
     Beyond the outline that of the outline goes on: the dark background shows no blur of its own.

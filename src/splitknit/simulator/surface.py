@@ -82,7 +82,7 @@ class Texture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FingerSurface:
+class SimulatedSurface:
     """One posed finger on the camera's pixel grid: each pixel's values belong to the first point that its ray meets.
 
     Heights are z in the rig's frame and normals are vectors of that frame, whatever the camera.

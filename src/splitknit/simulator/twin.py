@@ -40,7 +40,7 @@ from splitknit.simulator.scene import (
     surface_truth,
     take_capture,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 
 def twin_settings(scale: float | None, changes: Mapping[str, Any] | None) -> TwinSettings:
@@ -180,7 +180,7 @@ def simulate_capture(
 class _LaidDown:
     """A finger under a rig."""
 
-    surface: FingerSurface
+    surface: SimulatedSurface
     rig: Rig
     skin: SkinOptics
     photo_seed: np.random.SeedSequence
@@ -231,7 +231,7 @@ def _drawn(
 
 
 def photograph(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     rig: Rig,
     skin: SkinOptics,
     seed: np.random.SeedSequence,
@@ -423,7 +423,7 @@ class FingerScene:
         self.settings = settings
         self.rig: Rig = laid.rig
         self.skin: SkinOptics = laid.skin
-        self.surface: FingerSurface = laid.surface
+        self.surface: SimulatedSurface = laid.surface
         rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
         self._bands: dict[str, _Rendered] = {}

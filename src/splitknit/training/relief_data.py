@@ -29,7 +29,7 @@ from splitknit.simulator.finger.finger import PoseRanges, finger_surface
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_band
 from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 from splitknit.skin.grid import BandImages, Grid, coarsen
 from splitknit.skin.images import skin_images
 from splitknit.skin.learned import GLARE as GLARE_UNIT
@@ -252,7 +252,7 @@ def _white_rig(rng: np.random.Generator, scale: float, data: ReliefData) -> Rig:
 
 
 def _piece(  # noqa: PLR0917
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     window: tuple[slice, slice],
     scene: tuple[SkinOptics, Rig, float],
     data: ReliefData,

@@ -26,7 +26,7 @@ from splitknit.simulator.finger.finger import PoseRanges, SimulatedFinger, draw_
 from splitknit.simulator.finger.master_print import MasterPrintSettings
 from splitknit.simulator.light.skin import CHANNELS, Boundary, SkinOptics, SkinRanges
 from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.surface import FingerSurface, Texture
+from splitknit.simulator.surface import SimulatedSurface, Texture
 from splitknit.simulator.twin import master_of_print_file, photograph
 from splitknit.skin.grid import Grid
 
@@ -183,7 +183,7 @@ def drawn_sensor(rng: np.random.Generator, data: SceneRanges) -> SensorSettings:
     return SensorSettings(full_well_e=_log_uniform(rng, data.full_well_e))
 
 
-def textured(surface: FingerSurface, rng: np.random.Generator, data: SceneRanges) -> FingerSurface:
+def textured(surface: SimulatedSurface, rng: np.random.Generator, data: SceneRanges) -> SimulatedSurface:
     """The surface with pigment at the scale of ridges, mottled blood, patches of sweat and a fixed pattern."""
     px_per_mm = surface.camera.px_per_mm
 

@@ -29,7 +29,7 @@ from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_su
 from splitknit.simulator.finger.palm import draw_palm, palm_surface
 from splitknit.simulator.light.separation import Checkerboard, Separated, checkerboard_stack, separate_truth
 from splitknit.simulator.light.skin import SkinOptics, SkinRanges
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 _FULL_PX_PER_MM = 75.7
 _FINGER_PITCH_UM = 20.0
@@ -130,7 +130,7 @@ def enhanced_contrast(grey: FloatArray, px_per_mm: float, mask: BoolArray) -> Fl
     return clahe(grey, px_per_mm, mask=mask)
 
 
-def drawn_surface(kind: str, index: int, seed: int, settings: SeparationData) -> FingerSurface:
+def drawn_surface(kind: str, index: int, seed: int, settings: SeparationData) -> SimulatedSurface:
     """The palm or finger itself, before its camera: what :func:`photographs` takes pictures of."""
     require(kind in ("palm", "finger"), f"kind must be palm or finger, not '{kind}'.")
     rng = np.random.default_rng(_root(kind, index, seed).spawn(1)[0])
@@ -141,12 +141,12 @@ def _root(kind: str, index: int, seed: int) -> np.random.SeedSequence:
     return np.random.SeedSequence([seed, 0x7A, kind == "finger", index])
 
 
-def _palm(rng: np.random.Generator, settings: SeparationData) -> FingerSurface:
+def _palm(rng: np.random.Generator, settings: SeparationData) -> SimulatedSurface:
     camera = Camera(px_per_mm=1000.0 / _pitch_um(rng, settings.pitch_um), image_size=settings.image_size)
     return palm_surface(draw_palm(int(rng.integers(2**31))), camera)
 
 
-def _finger(rng: np.random.Generator, settings: SeparationData) -> FingerSurface:
+def _finger(rng: np.random.Generator, settings: SeparationData) -> SimulatedSurface:
     low, high = (max(pitch, _FINGER_PITCH_UM) for pitch in settings.pitch_um)
     camera = default_rig(1000.0 / _pitch_um(rng, (low, high)) / _FULL_PX_PER_MM).camera
     finger = draw_finger(int(rng.integers(2**31)))
@@ -158,7 +158,7 @@ def _pitch_um(rng: np.random.Generator, limits: tuple[float, float]) -> float:
 
 
 def _photograph(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     name: tuple[str, int],
     seed: np.random.SeedSequence,
     settings: SeparationData,
@@ -193,7 +193,7 @@ def _light(rng: np.random.Generator, settings: SeparationData, camera: Camera) -
     return Led("white", position_mm=position)
 
 
-def _through_patterns(surface: FingerSurface, led: Led, skin: SkinOptics, light: Separated) -> FloatArray:
+def _through_patterns(surface: SimulatedSurface, led: Led, skin: SkinOptics, light: Separated) -> FloatArray:
     """Direct light (3, h, w) from 25 shifted checkerboards, L_max - L_min of the noise-free images."""
     pattern = Checkerboard(light.check_mm, steps=5, alpha=0.5, dark=0.0)
     stack = checkerboard_stack(surface, led, skin, pattern).transpose(0, 2, 3, 1)
@@ -206,7 +206,7 @@ def _through_patterns(surface: FingerSurface, led: Led, skin: SkinOptics, light:
 
 
 def _record(
-    light: Separated, surface: FingerSurface, sensor: SensorSettings, seed: np.random.SeedSequence, enhance: Enhance
+    light: Separated, surface: SimulatedSurface, sensor: SensorSettings, seed: np.random.SeedSequence, enhance: Enhance
 ) -> NDArray[np.float16]:
     """Photograph the white light, noise and clipping included, and bring image and direct light to one scale."""
     mask, px_per_mm = surface.mask[light.window], surface.camera.px_per_mm

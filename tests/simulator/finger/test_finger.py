@@ -19,7 +19,7 @@ from splitknit.simulator.finger.finger import (
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 from splitknit.simulator.finger.skin_map import FlexionCrease, SkinRelief
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 SHORT = MasterPrintSettings(proximal_mm=12.0)
 POSE = FingerPose(yaw_rad=0.2, pitch_rad=-0.1, roll_rad=0.25, x_mm=1.5, insertion_mm=33.0, height_mm=0.5)
@@ -38,7 +38,7 @@ def master(finger: SimulatedFinger) -> MasterPrint:
 
 
 @pytest.fixture(scope="module")
-def seen(finger: SimulatedFinger, master: MasterPrint) -> FingerSurface:
+def seen(finger: SimulatedFinger, master: MasterPrint) -> SimulatedSurface:
     return finger_surface(replace(finger, printed=master), POSE, CAMERA)
 
 
@@ -105,7 +105,7 @@ def test_the_chart_is_symmetric() -> None:
     np.testing.assert_allclose(v_left, v, atol=1e-12)
 
 
-def test_every_pixel_lies_on_the_skin(seen: FingerSurface, finger: SimulatedFinger) -> None:
+def test_every_pixel_lies_on_the_skin(seen: SimulatedSurface, finger: SimulatedFinger) -> None:
     """Relief is the distance from the smooth shape: on flat parts, the difference of heights times the cosine."""
     assert not (ndimage.binary_fill_holes(seen.mask) & ~seen.mask).any()
     assert np.array_equal(np.isfinite(seen.height_mm), seen.mask)
@@ -125,7 +125,7 @@ def test_every_pixel_lies_on_the_skin(seen: FingerSurface, finger: SimulatedFing
     assert -1.4 * finger.skin.ridge_depth_um < np.percentile(ridges, 3) < -0.6 * finger.skin.ridge_depth_um
 
 
-def test_normals_are_those_of_the_heights(seen: FingerSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
+def test_normals_are_those_of_the_heights(seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint) -> None:
     """A camera of 100 times the scale looks at single spots: finite differences of its heights give the normals.
 
     The finger is shifted so that the spot lies on the small camera's axis.
@@ -149,7 +149,7 @@ def test_normals_are_those_of_the_heights(seen: FingerSurface, finger: Simulated
             assert angle < 0.6, (row, column, angle)
 
 
-def test_shape_normals_are_those_of_the_shape(seen: FingerSurface) -> None:
+def test_shape_normals_are_those_of_the_shape(seen: SimulatedSurface) -> None:
     z = seen.shape_mm.astype(np.float64)
     slope_x = np.gradient(z, axis=1) * CAMERA.px_per_mm
     slope_y = -np.gradient(z, axis=0) * CAMERA.px_per_mm
@@ -164,7 +164,7 @@ def test_shape_normals_are_those_of_the_shape(seen: FingerSurface) -> None:
     assert (seen.normals[seen.mask][:, 2] > 0).all()
 
 
-def test_smooth_shape_has_no_staircase(seen: FingerSurface) -> None:
+def test_smooth_shape_has_no_staircase(seen: SimulatedSurface) -> None:
     rough = np.diff(seen.shape_mm[:, 290].astype(np.float64), 4)
     rough = rough[np.isfinite(rough)][60:-2]
     assert np.abs(rough).max() < 1e-5  # 10 nm, of heights that change by millimetres
@@ -198,7 +198,7 @@ def test_the_pose_is_where_it_says(finger: SimulatedFinger, master: MasterPrint)
         assert not surface.mask[0].any()
     rows = np.arange(450, 600)
 
-    def lean(surface: FingerSurface) -> float:
+    def lean(surface: SimulatedSurface) -> float:
         columns = np.arange(CAMERA.image_size[1])
         middles = [columns[surface.mask[row]].mean() for row in rows]
         return float(np.arctan(np.polyfit(rows, middles, 1)[0]))
@@ -231,7 +231,7 @@ def test_the_creases_are_grooves_where_the_landmarks_say(finger: SimulatedFinger
 
 
 def test_landmarks_show_the_chart_points_they_name(
-    seen: FingerSurface, finger: SimulatedFinger, master: MasterPrint
+    seen: SimulatedSurface, finger: SimulatedFinger, master: MasterPrint
 ) -> None:
     body = FingerBody(finger.shape)
     named = np.concatenate([master.cores_mm, master.deltas_mm])
@@ -251,7 +251,7 @@ def test_without_a_crease_in_view_there_is_no_landmark(finger: SimulatedFinger, 
     assert np.isfinite(surface.landmarks["tip_px"]).all()
 
 
-def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: FingerSurface) -> None:
+def test_workers_do_not_change_the_result(finger: SimulatedFinger, master: MasterPrint, seen: SimulatedSurface) -> None:
     again = finger_surface(replace(finger, printed=master), POSE, CAMERA, workers=1)
     assert again.height_mm.tobytes() == seen.height_mm.tobytes()
     assert again.normals.tobytes() == seen.normals.tobytes()

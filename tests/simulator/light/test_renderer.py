@@ -24,7 +24,7 @@ from splitknit.simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import FingerSurface, Texture
+from splitknit.simulator.surface import SimulatedSurface, Texture
 from surfaces import plane, ridged_egg
 
 OVERHEAD = Led("white", position_mm=(0.0, 0.0, 1e5), intensity=1e6)
@@ -195,7 +195,7 @@ def test_a_finger_outside_the_picture_is_refused():
         RenderSettings(workers=0)
 
 
-def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264) -> FingerSurface:
+def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float = 0.0264) -> SimulatedSurface:
     """A plane that is tilted about y by its slope along x, with a wave of `height` (mm) every 0.45 mm across x."""
     x = (np.arange(size) - size / 2) * pitch_mm
     period = 0.45
@@ -209,7 +209,7 @@ def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float =
     def full(row: np.ndarray) -> np.ndarray:
         return np.broadcast_to(row, (size, size)).astype(np.float32).copy()
 
-    return FingerSurface(
+    return SimulatedSurface(
         camera=Camera(1 / pitch_mm, (size, size)),
         height_mm=full(slope * x + relief),
         shape_mm=full(slope * x),
@@ -221,7 +221,7 @@ def _wave(slope: float, height: float = 0.02, size: int = 240, pitch_mm: float =
     )
 
 
-def _diffuse(surface: FingerSurface, led: Led, boundary: Boundary | None) -> np.ndarray:
+def _diffuse(surface: SimulatedSurface, led: Led, boundary: Boundary | None) -> np.ndarray:
     media = [replace(one, relief_gain_per_um=0.0) for one in _all_channels()[:3]]
     settings = RenderSettings(rim_exponent=0.0, reach_mm=1.0)
     image = render_band(surface, [led], Medium(media, 0.25, 0.0, boundary), settings)
@@ -235,7 +235,7 @@ def test_ridges_flatten_a_slope_in_a_blurred_image_only(slope):
     ridged = _wave(slope)
     smooth = replace(ridged, normals=ridged.shape_normals, height_mm=ridged.shape_mm)
 
-    def contrast(surface: FingerSurface, blurred: bool) -> float:
+    def contrast(surface: SimulatedSurface, blurred: bool) -> float:
         boundary = Boundary(blurred=blurred, entry_power=0.0)
         near, far = (float(_diffuse(surface, led, boundary).mean()) for led in leds)
         return (near - far) / (near + far)

@@ -20,7 +20,7 @@ from splitknit.simulator.finger.ridges import smooth_noise
 from splitknit.simulator.finger.skin_map import SkinMap, skin_map
 from splitknit.simulator.light.coat import draw_grains, stamp
 from splitknit.simulator.light.skin import CHANNELS, SkinOptics, diffusion_profile
-from splitknit.simulator.surface import Coat, Film, FingerSurface
+from splitknit.simulator.surface import Coat, Film, SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -234,7 +234,7 @@ def _parabolic(values: Array, pitch_mm: float, radius_mm: float, reach: int, sig
 # From the map of the skin to the picture: values at the points that the camera sees, and directions in space.
 
 
-def _on_chart(values: Array, surface: FingerSurface, laid: SkinMap) -> FloatArray:
+def _on_chart(values: Array, surface: SimulatedSurface, laid: SkinMap) -> FloatArray:
     """(H, W) values of the skin's map at the points of the picture, zero beside the finger."""
     assert surface.chart is not None
     chart = np.nan_to_num(surface.chart).astype(np.float64)
@@ -243,7 +243,7 @@ def _on_chart(values: Array, surface: FingerSurface, laid: SkinMap) -> FloatArra
     return np.asarray(np.where(surface.mask, found, 0.0), dtype=np.float32)
 
 
-def _ridges_in_space(angle_rad: Array, surface: FingerSurface, master: MasterPrint) -> FloatArray:
+def _ridges_in_space(angle_rad: Array, surface: SimulatedSurface, master: MasterPrint) -> FloatArray:
     """(H, W, 3) unit vectors along the ridges, in the skin's surface.
 
     A step in the picture moves the point on the chart by the chart's Jacobian; the inverse takes the ridges' direction
@@ -334,7 +334,7 @@ def conditioned_surface(  # noqa: PLR0917
     seed: np.random.SeedSequence,
     *,
     workers: int = 2,
-) -> FingerSurface:
+) -> SimulatedSurface:
     """Show a posed finger whose skin is in some condition, with its coat.
 
     Parameters
@@ -402,7 +402,7 @@ def _with_relief(skin: SkinMap, displacement: Array, weathered: _Weathered | Non
     return replace(skin, coefficients=ndimage.spline_filter(displacement, order=3, mode="mirror"), pigment=pigment)
 
 
-def _wet(surface: FingerSurface, water: FingerSurface, skin: SkinOptics, severity: float) -> Coat:
+def _wet(surface: SimulatedSurface, water: SimulatedSurface, skin: SkinOptics, severity: float) -> Coat:
     mask = surface.mask & water.mask
     thickness = np.where(mask, water.relief_um - surface.relief_um, 0.0)
     fraction = np.clip(thickness / 1.0, 0.0, 1.0).astype(np.float32)  # a micrometre covers skin's own roughness
@@ -415,7 +415,7 @@ def _wet(surface: FingerSurface, water: FingerSurface, skin: SkinOptics, severit
 
 
 def _weathered(
-    surface: FingerSurface, laid: SkinMap, weathered: _Weathered, skin: SkinOptics, condition: Condition
+    surface: SimulatedSurface, laid: SkinMap, weathered: _Weathered, skin: SkinOptics, condition: Condition
 ) -> Coat:
     fraction = _on_chart(weathered.fraction, surface, laid)
     if condition.kind == "dry":
@@ -444,7 +444,7 @@ def _tint(skin: SkinOptics, other: SkinOptics) -> dict[str, float]:
     return {name: albedo(other, name) / albedo(skin, name) for name in CHANNELS}
 
 
-def _glossy(surface: FingerSurface, master: MasterPrint, skin: SkinOptics, severity: float) -> Coat:
+def _glossy(surface: SimulatedSurface, master: MasterPrint, skin: SkinOptics, severity: float) -> Coat:
     """Sebum that was wiped along the ridges: smooth along them, less so across.
 
     Along the ridges alpha falls to 0.05, across them by two fifths.

@@ -18,7 +18,7 @@ from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSett
 from splitknit.simulator.finger.raycast import PlacedFinger, Placement, above, finger_in_view
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 from splitknit.simulator.finger.skin_map import FlexionCrease, SkinMap, SkinRelief, skin_map
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -230,7 +230,7 @@ def finger_surface(
     *,
     workers: int = 2,
     skin: SkinMap | None = None,
-) -> FingerSurface:
+) -> SimulatedSurface:
     """Show one posed finger to a camera.
 
     The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
@@ -289,7 +289,9 @@ def placement_of(body: FingerBody, pose: FingerPose, camera: Camera) -> Placemen
 # What the simulated finger knows about itself, in pixels.
 
 
-def _find_landmarks(finger: SimulatedFinger, pose: FingerPose, surface: FingerSurface, skin: SkinMap) -> dict[str, Any]:
+def _find_landmarks(
+    finger: SimulatedFinger, pose: FingerPose, surface: SimulatedSurface, skin: SkinMap
+) -> dict[str, Any]:
     """Collect landmarks; pixel positions are (column, row), NaN or absent where not in view."""
     mask, chart, master, camera = surface.mask, surface.chart, finger.master(), surface.camera
     assert chart is not None

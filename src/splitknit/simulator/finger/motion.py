@@ -22,7 +22,7 @@ from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finge
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.raycast import Placement
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -157,7 +157,7 @@ class _MovingFinger:
         shift = self.path.slip[shot, 0] * first.shift_mm + self.path.slip[shot, 1] * second.shift_mm
         return Deformation(first.u_mm, first.v_mm, shift)
 
-    def surfaces(self, workers: int = 2) -> Iterator[FingerSurface]:
+    def surfaces(self, workers: int = 2) -> Iterator[SimulatedSurface]:
         """Yield the surface of every shot, in the order in which they are taken; the threads do not change them."""
         for shot in range(len(self.path.time_s)):
             master = self.master
@@ -166,7 +166,7 @@ class _MovingFinger:
             worn = replace(self.finger, printed=master)
             yield finger_surface(worn, self.pose_of(shot), self.camera, workers=workers)
 
-    def truth(self, reference: FingerSurface) -> dict[str, NDArray[Any]]:
+    def truth(self, reference: SimulatedSurface) -> dict[str, NDArray[Any]]:
         """Arrays by name: the path, and where the skin of the reference shot lies in every other picture.
 
         ``motion_flow_px`` (N, 2, h, w): columns and rows by which the skin that the reference shows at the pixels
@@ -218,7 +218,7 @@ def moving_finger(
     return _MovingFinger(finger, pose, camera, master, path, (first, second))
 
 
-def _points(surface: FingerSurface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
+def _points(surface: SimulatedSurface, grid: Any, inside: NDArray[np.bool_], here: Array) -> tuple[Array, Array, Array]:
     """x, y and z (N,) of the smooth skin at some pixels; of a perspective camera, of the skin itself."""
     camera = surface.camera
     if surface.x_mm is not None and surface.y_mm is not None:

@@ -21,7 +21,7 @@ from splitknit.model import Camera
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.finger.master_print import MasterPrintSettings, ridge_profile, scatter_pores, twice_as_fine
 from splitknit.simulator.finger.ridges import grow_ridges, smooth_noise
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -329,7 +329,7 @@ def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:
     )
 
 
-def palm_surface(palm: _Palm, camera: Camera) -> FingerSurface:
+def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
     """Show a palm to an orthographic camera, the middle of the patch in the middle of the picture.
 
     Normals are the derivatives of the splines that the heights are drawn from.
@@ -356,7 +356,7 @@ def palm_surface(palm: _Palm, camera: Camera) -> FingerSurface:
     rise = np.sqrt(1.0 + slope_x**2 + slope_y**2)
     skin_x, skin_y = slope_x + sample(spline, 0, 1) * rise, slope_y + sample(spline, 1, 0) * rise
     pigment = RectBivariateSpline(palm.y_mm[::-1], palm.x_mm, palm.pigment[::-1].astype(np.float64), kx=1, ky=1)
-    return FingerSurface(
+    return SimulatedSurface(
         camera=camera,
         height_mm=_where(seen, height + relief * rise, np.nan),
         shape_mm=_where(seen, height, np.nan),

@@ -14,7 +14,7 @@ from splitknit.model import Camera
 from splitknit.simulator.camera.lens import slopes_of_pixels
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.finger.skin_map import SkinMap
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -219,7 +219,7 @@ _EMPTY = (np.nan, np.nan, 0.0, 0.0, 0.0, 1.0, np.nan, np.nan, np.nan)
 Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | Array32]]]
 
 
-def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int) -> FingerSurface:
+def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int) -> SimulatedSurface:
     """Show what the rays of a part of the camera's pixels meet, with its chart.
 
     Parameters
@@ -248,13 +248,13 @@ def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: 
         list(pool.map(fill, range(box[0].start, box[0].stop, tall)))
     height, shape_height, normals, shape_normals, relief, pigment, chart, *places = arrays
     x_mm, y_mm = places or (None, None)
-    return FingerSurface(
+    return SimulatedSurface(
         camera, height, shape_height, normals, shape_normals, relief, np.isfinite(height), pigment,
         x_mm=x_mm, y_mm=y_mm, chart=chart,
     )  # fmt: skip
 
 
-def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> FingerSurface:
+def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> SimulatedSurface:
     """The first points of a placed finger on the rays of all pixels.
 
     Raises

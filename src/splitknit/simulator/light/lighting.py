@@ -13,7 +13,7 @@ from splitknit.errors import require
 from splitknit.model import Camera, FloatArray, Led
 from splitknit.simulator.camera.lens import px_per_mm_at, slopes_of_pixels
 from splitknit.simulator.light.skin import fresnel
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 UNIT = 1e4
 """Irradiance of an LED of intensity one at 100 mm."""
@@ -50,7 +50,7 @@ class Patch:
         return 1.0 / self.px_per_mm
 
 
-def finger_window(surface: FingerSurface, margin: int = 8) -> tuple[slice, slice]:
+def finger_window(surface: SimulatedSurface, margin: int = 8) -> tuple[slice, slice]:
     """Rows and columns of the finger's bounding box, widened by `margin` pixels inside the frame."""
     rows, columns = np.flatnonzero(surface.mask.any(axis=1)), np.flatnonzero(surface.mask.any(axis=0))
     require(rows.size > 0, "the simulated finger is outside the picture; move it into the frame.")
@@ -61,7 +61,7 @@ def finger_window(surface: FingerSurface, margin: int = 8) -> tuple[slice, slice
     )
 
 
-def cut_out(surface: FingerSurface) -> Patch:
+def cut_out(surface: SimulatedSurface) -> Patch:
     """Return the part of `surface` inside its window."""
     window = finger_window(surface)
     mask = np.ascontiguousarray(surface.mask[window])
@@ -84,7 +84,7 @@ def cut_out(surface: FingerSurface) -> Patch:
     return Patch(window, mask, x, y, z, nx, ny, nz, view, nv, px_per_mm, (slopes[0], slopes[1]), area)
 
 
-def _places(surface: FingerSurface, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
+def _places(surface: SimulatedSurface, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
     """x and y (mm) of the points that the pixels of the window show, zero beside the finger of a perspective camera."""
     if surface.x_mm is not None and surface.y_mm is not None:
         inside = surface.mask[window]
@@ -207,7 +207,7 @@ def irradiance(led: Led, points: Sequence[Any] | NDArray[Any], normal: Sequence[
 
 
 def render_opaque(
-    surface: FingerSurface, leds: Sequence[Led], albedo: float = 0.5
+    surface: SimulatedSurface, leds: Sequence[Led], albedo: float = 0.5
 ) -> tuple[tuple[slice, slice], FloatArray]:
     """Photograph a Lambertian finger under each of `leds`, without noise.
 

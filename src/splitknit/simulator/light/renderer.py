@@ -29,7 +29,7 @@ from splitknit.simulator.light.skin import (
     diffusion_profile,
     fresnel,
 )
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 LED_RADIUS_MM = 1.5
 """Radius of an LED's emitting face; it widens the specular reflection."""
@@ -70,7 +70,7 @@ class BandLight:
 
 
 def render_band(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     leds: Sequence[Led],
     skin: Medium,
     settings: RenderSettings | None = None,
@@ -155,7 +155,7 @@ def render_lights(
 
 
 def render_ambient(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     level: float,
     skin: Medium,
     settings: RenderSettings | None = None,
@@ -315,7 +315,7 @@ def _sampled(field: FloatArray, row: FloatArray, column: FloatArray, how: int) -
 class Relief:
     """Brightness of the relief: pigment times 1 + k h, h the band-passed relief in um."""
 
-    def __init__(self, surface: FingerSurface, patch: Patch, skin: Medium) -> None:
+    def __init__(self, surface: SimulatedSurface, patch: Patch, skin: Medium) -> None:
         """Filter the relief of a patch of skin."""
         self._patch, self._skin = patch, skin
         self._normals = surface.shape_normals[patch.window]

@@ -24,7 +24,7 @@ from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on
 from splitknit.simulator.light.renderer import LED_RADIUS_MM, Relief, RenderSettings, SubsurfaceScattering
 from splitknit.simulator.light.skin import Medium, SkinOptics
-from splitknit.simulator.surface import FingerSurface
+from splitknit.simulator.surface import SimulatedSurface
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ def _wave(u: Array, period: float, lit: float, width: float) -> Array:
     return np.asarray(np.clip((0.5 * lit - middle) * (2.0 / width), -1.0, 1.0))
 
 
-def _check_camera(surface: FingerSurface) -> None:
+def _check_camera(surface: SimulatedSurface) -> None:
     """Refuse a camera under which patterns are not modelled."""
     require(
         surface.camera.model == "orthographic",
@@ -139,7 +139,7 @@ def _projected(patch: Patch, led: Led) -> tuple[Array, Array]:
     return px + (x - px) * scale, py + (y - py) * scale
 
 
-def pattern_states(surface: FingerSurface, led: Led, pattern: Checkerboard) -> FloatArray:
+def pattern_states(surface: SimulatedSurface, led: Led, pattern: Checkerboard) -> FloatArray:
     """(N, H, W) the projector's light on every camera pixel in each shift, in [dark, 1]; zero beside the surface.
 
     The camera is orthographic: a pixel's state is that of the surface point it sees.
@@ -184,7 +184,7 @@ class Separated:
 
 
 def separate_truth(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     led: Led,
     skin: SkinOptics | Medium,
     *,
@@ -222,7 +222,7 @@ def separate_truth(
 
 
 def checkerboard_images(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     led: Led,
     skin: SkinOptics | Medium,
     pattern: Checkerboard,
@@ -239,7 +239,7 @@ def checkerboard_images(
 
 
 def checkerboard_stack(
-    surface: FingerSurface,
+    surface: SimulatedSurface,
     led: Led,
     skin: SkinOptics | Medium,
     pattern: Checkerboard,
@@ -255,7 +255,7 @@ def checkerboard_stack(
     return stack
 
 
-def _check_size(check_mm: float, surface: FingerSurface) -> None:
+def _check_size(check_mm: float, surface: SimulatedSurface) -> None:
     _check_camera(surface)
     least = 2.0 * surface.camera.pitch_mm
     require(
@@ -268,7 +268,7 @@ class _Scene:
     """One surface in one light: everything that does not depend on the pattern."""
 
     def __init__(
-        self, surface: FingerSurface, led: Led, skin: SkinOptics | Medium, settings: RenderSettings | None
+        self, surface: SimulatedSurface, led: Led, skin: SkinOptics | Medium, settings: RenderSettings | None
     ) -> None:
         medium = skin if isinstance(skin, Medium) else skin.medium(led.band)
         self.pitch_mm = surface.camera.pitch_mm
