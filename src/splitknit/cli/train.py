@@ -216,5 +216,5 @@ def _curve_svg(x: Sequence[float], lines: Mapping[str, Sequence[float]], x_label
 
     drawn = [Line(name, np.array(x, dtype=np.float64), np.array(y)) for name, y in lines.items()]
     # plain text first: the markup's own replace() would escape what is put in
-    chart = str(line_chart(drawn, x_label, y_label, width=560, height=260))
+    chart = str(line_chart(drawn, x_label, y_label, size=(560, 260)))
     return chart.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).encode()

@@ -28,9 +28,10 @@ class Line:
 
 
 def line_chart(
-    lines: Sequence[Line], x_label: str, y_label: str, *, width: int = 400, height: int = 190, equal: bool = False
+    lines: Sequence[Line], x_label: str, y_label: str, *, size: tuple[int, int] = (400, 190), equal: bool = False
 ) -> Markup:
-    """Draw curves over one pair of axes; `equal` gives both axes the same scale."""
+    """Draw curves over one pair of axes, `size` (width, height); `equal` gives both axes the same scale."""
+    width, height = size
     left, right, top, bottom = 52, 10, 22, 36
     all_x = np.concatenate([line.x[np.isfinite(line.y)] for line in lines])
     all_y = np.concatenate([line.y[np.isfinite(line.y)] for line in lines])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from splitknit.evaluation.facts import Result
 from splitknit.evaluation.rates import Histograms, Roc, histograms, roc
 from splitknit.evaluation.study import FORMAT, EvaluationSettings, evaluate_scores
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.provenance import plain_json
+from splitknit.io.provenance import json_text
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, no_progress
 from splitknit.report import render
@@ -51,8 +50,7 @@ def evaluate_to_folder(
         for name, data in found.tables.items():
             (folder / name).write_bytes(data)
         (folder / "report.html").write_text(html, encoding="utf-8")
-        document = json.dumps(plain_json(found.facts), indent=1, allow_nan=False)
-        (folder / "report.json").write_text(document + "\n", encoding="utf-8")
+        (folder / "report.json").write_text(json_text(found.facts), encoding="utf-8")
     return found.facts
 
 
