@@ -132,7 +132,7 @@ def identify_file(
         acquired = made.acquired if isinstance(made, Minutiae) else not made.empty
         area_mm2 = 0.0 if isinstance(made, Minutiae) else made.area_mm2
         started = time.perf_counter()
-        found, facts = _search(opened, made, pool, mapped, settings=settings, progress=progress)
+        found, facts = _search(opened, made, pool if mapped is None else mapped, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
     by = {"minutiae": "minutiae_of_prints"}.get(facts["compared_by"], facts["compared_by"])
     threshold = similarity_at(question.fmr, by) if calibrated else None
@@ -190,13 +190,15 @@ def _pool(gallery: Gallery, person: str | None, finger: str | None, search: str)
 def _search(
     gallery: Gallery,
     probe: Template | Minutiae,
-    pool: list[Enrolled] | None,
-    shards: Shards | None = None,
+    pool: list[Enrolled] | Shards | None,
     *,
     settings: IdentifySettings,
     progress: Progress,
 ) -> tuple[list[_Found], dict[str, Any]]:
-    """Compare; all, or those that codes choose. By ridges and minutiae where the probe and all of these have both."""
+    """Compare these, or those that codes (of shards, or of the gallery) choose.
+
+    By ridges and minutiae where the probe and all of them have both.
+    """
     codes: dict[int, NDArray[np.int8]] = {}
     facts: dict[str, Any] = {
         "method": "exhaustive",
@@ -206,9 +208,9 @@ def _search(
         "people": None,
     }
     score: dict[int, float] = {}
-    if shards is not None:
+    if isinstance(pool, Shards):
         assert isinstance(probe, Template)
-        acquired, score = _by_shards(gallery, probe, shards, settings, facts)
+        acquired, score = _by_shards(gallery, probe, pool, settings, facts)
     elif pool is None:
         codes, facts["without_code"], facts["failures"] = _codes(gallery, progress)
         acquired = list(codes)
@@ -218,18 +220,18 @@ def _search(
         facts["people"] = len({one.person for one in names})
         facts["failures"] = len(pool) - len(names)
         acquired = [one.row for one in pool if one.template_bytes > 0]
-    facts["captures"], facts["compared"] = len(acquired) if shards is None else len(shards), 0
+    facts["captures"], facts["compared"] = len(pool) if isinstance(pool, Shards) else len(acquired), 0
     if isinstance(probe, Minutiae):
-        assert pool is not None
+        assert isinstance(pool, list)
         return _by_minutiae(gallery, probe, {one.row: one for one in pool}, acquired, facts)
     if probe.empty or not acquired:
         return [], facts
-    if pool is None and shards is None and len(acquired) > settings.search.candidates:
+    if pool is None and len(acquired) > settings.search.candidates:
         index = CodeIndex([str(row) for row in codes], np.stack(list(codes.values())))
         best, scores = index.search(probe, settings.search.candidates, settings.search.probe)
         score = {int(row): value for row, value in zip(best, scores.tolist(), strict=True)}
         acquired, facts["method"] = list(score), "codes"
-    rows = {one.row: one for one in pool} if pool is not None else gallery.entries_at(acquired)
+    rows = {one.row: one for one in pool} if isinstance(pool, list) else gallery.entries_at(acquired)
     ready = prepared(probe, settings.ridge)
     found: list[_Found] = []
     payloads = gallery.templates(acquired)
