@@ -86,12 +86,12 @@ def draw(
         light = np.clip(1.2 - along / 30.0, 0.15, 1.0)
     elif shadow == "side":
         light = np.where(across > 2.0, 0.3, 1.0)
-    skin = np.asarray(TONES[tone] if isinstance(tone, str) else tone)
-    backdrop = np.maximum(paper * (1.0 + paper_slope * x / 15.0), 0.0)
-    rgb = np.where(inside, light * albedo, 0.0)[None, ..., None] * shade[..., None] * skin
-    rgb = np.where(inside[None, ..., None], rgb, (backdrop + 0 * y)[None, ..., None] * np.ones(3))
+    skin = np.asarray(TONES[tone] if isinstance(tone, str) else tone, dtype=np.float32)
+    backdrop = np.broadcast_to(np.maximum(paper * (1.0 + paper_slope * x / 15.0), 0.0), z.shape)
+    rgb = (shade * (light * albedo)).astype(np.float32)[..., None] * skin
+    rgb[:, ~inside] = backdrop[~inside, None]
     if infrared:
-        rgb = rgb + infrared * np.where(inside[None, ..., None], shade[..., None], paper)
+        rgb += np.where(inside, infrared * shade, infrared * paper).astype(np.float32)[..., None]
     for _ in range(specks):
         spot = rng.uniform(-0.5, 0.5, 2) * np.array([size_mm[1], size_mm[0]])
         radius = rng.uniform(0.05, 0.4)
@@ -100,8 +100,7 @@ def draw(
     if glare:
         spot = ((across - 1.0) ** 2 + (along - 9.0) ** 2 < 1.2**2) & inside
         rgb[:, spot] = 1.0
-    rgb = rgb + noise * rng.standard_normal(rgb.shape)
-    rgb = rgb.astype(np.float32)
+    rgb += np.float32(noise) * rng.standard_normal(rgb.shape, dtype=np.float32)
     stack = np.einsum("lhwc,c->lhw", rgb, np.array([0.299, 0.587, 0.114], dtype=np.float32))
     tip = ((width - 1) / 2 + tip_at[0] * px_per_mm, (height - 1) / 2 - tip_at[1] * px_per_mm)
     return Scene(rgb.mean(axis=0), stack, inside, px_per_mm, tip, lights)
