@@ -263,7 +263,7 @@ def _pixels(path: Path) -> None:
     assert image.shape[2] in (1, 3)
     assert image.dtype in (np.uint8, np.uint16)
     assert image_size(path) == image.shape[:2]
-    said_hash = _read_photo(path, None, "x")[1]
+    said_hash = _read_photo(path, None)[1]
     assert said_hash == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
