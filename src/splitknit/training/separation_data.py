@@ -114,7 +114,7 @@ def photographs(kind: str, index: int, seed: int, settings: SeparationData, enha
     index : of the palm; everything follows from it and `seed`
     seed : of the data set
     settings : of the data set
-    enhance : the contrast enhancement of the thesis's presets, :func:`enhance`
+    enhance : the contrast enhancement of the thesis's presets, :func:`enhanced_contrast`
 
     Returns
     -------
