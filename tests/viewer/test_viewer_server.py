@@ -27,7 +27,7 @@ from splitknit.io.images import read_image
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service
 from splitknit.viewer.server import HEADERS
-from splitknit.viewer.surface import Surface, read_surface
+from splitknit.viewer.surface import ResultSurface, read_surface
 from written_files import read_glb, read_ply, read_stl
 
 Serve = Callable[..., Asking]
@@ -441,7 +441,7 @@ def test_surfaces_that_are_not_looked_at_are_let_go(
 
     def surfaces() -> int:
         gc.collect()
-        return sum(isinstance(thing, Surface) for thing in gc.get_objects())
+        return sum(isinstance(thing, ResultSurface) for thing in gc.get_objects())
 
     before = surfaces()
     server = asking(tmp_path)

@@ -14,10 +14,9 @@ from splitknit.errors import require
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit.matching.template import make_template
-from splitknit.viewer.catalogue import Entry
+from splitknit.viewer.catalogue import CatalogueEntry
 from splitknit.viewer.marks import Marks
-from splitknit.viewer.measure import Reading, locate, sample
-from splitknit.viewer.surface import Surface, fields_of
+from splitknit.viewer.surface import Reading, ResultSurface, fields_of, sample
 
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)
@@ -57,7 +56,7 @@ class Alignment:
         """(N, 3) points of the second finger in the first one's frame."""
         return np.asarray(points_mm @ self.rotation.T + self.shift_mm)
 
-    def read(self, surface: Surface) -> Reading:
+    def read(self, surface: ResultSurface) -> Reading:
         """Heights and relief of the second finger along the camera's axis of the first."""
 
         def along_axis(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
@@ -65,7 +64,7 @@ class Alignment:
             start, axis = self.rotation.T @ there, self.rotation[2]
             step = (np.nanmean(surface.height_mm[::16, ::16]) - start[2]) / axis[2]
             for _ in range(1 if axis[2] == 1.0 else 6):
-                place = locate(surface, start[0] + step * axis[0], start[1] + step * axis[1])
+                place = surface.locate(start[0] + step * axis[0], start[1] + step * axis[1])
                 step = (sample(surface.height_mm, place) - start[2]) / axis[2]
             return step, sample(surface.ridge_mm, place)
 
@@ -83,7 +82,7 @@ class Alignment:
         }
 
 
-def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
+def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntry, b: ResultSurface) -> Alignment:
     """Lay the second result on the first.
 
     Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
@@ -96,7 +95,8 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
         If a result lacks what a ridge template needs, or only one has a scale.
     """
     require(a.scale_known == b.scale_known, "one is in mm and one in pixels; give both a scale (--px-per-mm).")
-    if _same_photographs(first, second) and a.size == b.size:
+    photographs = first.report.get("inputs_sha256")
+    if photographs and photographs == second.report.get("inputs_sha256") and a.size == b.size:
         rotation = np.eye(3)
         rotation[:2, :2] = a.turn @ b.turn.T
         return _raised(Alignment("photographs", rotation), a, b)
@@ -112,19 +112,15 @@ def align(first: Entry, a: Surface, second: Entry, b: Surface) -> Alignment:
     return _fitted(found, a, b)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Difference:
-    """How much higher the second finger is than the first, along the camera's axis."""
+def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tuple[NDArray[np.uint8], dict[str, float]]:
+    """How much higher the second finger is than the first, along the camera's axis; in pixels without a scale.
 
-    picture: NDArray[np.uint8]
-    """(h, w) over the first one's input: 0 = unknown, 1 to 255 = -`range_um` to `range_um`."""
-    range_um: float
-    figures: dict[str, float]
-    """``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um`` and ``area_mm2``."""
-
-
-def difference(a: Surface, b: Surface, alignment: Alignment) -> Difference:
-    """Second minus first; in pixels where their scale is unknown.
+    Returns
+    -------
+    picture : (h, w) uint8
+        Over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``.
+    figures : dict
+        ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``.
 
     Raises
     ------
@@ -151,8 +147,9 @@ def difference(a: Surface, b: Surface, alignment: Alignment) -> Difference:
         "within_um": float(np.percentile(np.abs(apart), 95)),
         "relief_rms_um": float(np.sqrt(np.mean(reliefs**2))),
         "area_mm2": float(len(known) * (a.size[0] / height) * (a.size[1] / width) * a.pitch_mm**2),
+        "range_um": most,
     }
-    return Difference(picture.reshape(height, width), most, figures)
+    return picture.reshape(height, width), figures
 
 
 def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, int]]:
@@ -176,12 +173,7 @@ def _angles(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.arctan2(steps[:, 1], steps[:, 0]))
 
 
-def _same_photographs(first: Entry, second: Entry) -> bool:
-    mine, other = (entry.report.get("inputs_sha256") for entry in (first, second))
-    return bool(mine) and mine == other
-
-
-def _raised(found: Alignment, a: Surface, b: Surface) -> Alignment:
+def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     """Both at the same height on average, over a coarse grid of the first."""
     step = max(1, round(max(a.mask.shape) / 60))
     inside = a.mask[::step, ::step]
@@ -191,7 +183,7 @@ def _raised(found: Alignment, a: Surface, b: Surface) -> Alignment:
     return replace(found, shift_mm=found.shift_mm + np.array([0.0, 0.0, rise]))
 
 
-def _fitted(found: Alignment, a: Surface, b: Surface) -> Alignment:
+def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     """Move the second finger, rigidly, so that heights and relief agree best.
 
     Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
@@ -261,7 +253,7 @@ class _Band:
         return float(sample(self._columns, there)[0]), float(sample(self._rows, there)[0])
 
 
-def _upright(surface: Surface, column: float, row: float) -> NDArray[np.float64]:
+def _upright(surface: ResultSurface, column: float, row: float) -> NDArray[np.float64]:
     """(x, y) of a place of the input."""
     place = np.array([[column - surface.corner[1]], [row - surface.corner[0]]])
     seen = np.array([sample(surface.x_mm, place)[0], sample(surface.y_mm, place)[0]])

@@ -22,13 +22,13 @@ from splitknit.io.light_list import read_named_lights
 from splitknit.io.photos import FORMATS, decode_photo, encoding_of
 from splitknit.io.plain import photographs_in
 from splitknit.model import vector_at_origin
-from splitknit.viewer.catalogue import Entry, read_below
+from splitknit.viewer.catalogue import CatalogueEntry, read_below
 
 _WIDEST = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Photo:
+class LitPhoto:
     """One photograph."""
 
     name: str
@@ -42,10 +42,10 @@ class Photo:
 
 
 @dataclass(frozen=True, slots=True)
-class Photographs:
+class PhotoFolder:
     """The photographs of a folder, and what a person should know of them."""
 
-    photos: tuple[Photo, ...]
+    photos: tuple[LitPhoto, ...]
     plain: bool
     """A folder of photographs, no capture."""
     facts: tuple[tuple[str, str], ...] = ()
@@ -55,7 +55,7 @@ class Photographs:
 
 
 @lru_cache(maxsize=16)
-def photographs_of(folder: Path) -> Photographs:
+def photographs_of(folder: Path) -> PhotoFolder:
     """Return the photographs of a capture, or of any folder that holds some, band by band.
 
     Raises
@@ -69,7 +69,7 @@ def photographs_of(folder: Path) -> Photographs:
         return _plain(folder, where, out)
     plan = read_plan(folder / "capture.json")
     photos = tuple(
-        Photo(
+        LitPhoto(
             name,
             band,
             number,
@@ -92,10 +92,10 @@ def photographs_of(folder: Path) -> Photographs:
             if about.get(key)
         ),
     )
-    return Photographs(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
+    return PhotoFolder(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
 
 
-def _plain(folder: Path, where: str, out: str) -> Photographs:
+def _plain(folder: Path, where: str, out: str) -> PhotoFolder:
     table, notes = folder / "lights.txt", []
     lights: Sequence[Any] = ()
     try:
@@ -118,7 +118,7 @@ def _plain(folder: Path, where: str, out: str) -> Photographs:
     notes += [f"Not used: {', '.join(skipped[:8])}{' and more' if len(skipped) > 8 else ''}."] if skipped else []
     curve, _ = encoding_of(files[:1], lambda: False)
     photos = tuple(
-        Photo(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
+        LitPhoto(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
         for number, file in enumerate(files)
     )
     facts = (
@@ -128,7 +128,7 @@ def _plain(folder: Path, where: str, out: str) -> Photographs:
         ("Mask", masks[0].name if masks else "none"),
     )
     named = "" if table.is_file() else "--lights FILE "
-    return Photographs(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
+    return PhotoFolder(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
 
 
 def _unit(vector: Any) -> tuple[float, float, float] | None:
@@ -139,7 +139,7 @@ def _unit(vector: Any) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def photo_jpeg(entry: Entry, number: int, width: int) -> bytes:
+def photo_jpeg(entry: CatalogueEntry, number: int, width: int) -> bytes:
     """Return a photograph as JPEG, at most `width` pixels wide.
 
     Raises
@@ -158,7 +158,7 @@ def photo_jpeg(entry: Entry, number: int, width: int) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _jpeg(folder: Path, photo: Photo, sha256: str, plain: bool, width: int) -> bytes:
+def _jpeg(folder: Path, photo: LitPhoto, sha256: str, plain: bool, width: int) -> bytes:
     data = read_below(folder, photo.name)
     same = not sha256 or hashlib.sha256(data).hexdigest() == sha256
     require(same, f"{photo.name} is not the file that this result was made from: its hash is another.")

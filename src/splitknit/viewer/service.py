@@ -9,23 +9,22 @@ import contextlib
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.viewer.catalogue import Catalogue, Entry, Pieces, open_below, read_below
-from splitknit.viewer.marks import print_of
-from splitknit.viewer.surface import TILE, Surface, filled_tiles, first_view, read_surface, strides, tile_bytes
+from splitknit.viewer.catalogue import Catalogue, CatalogueEntry, Reply, open_below, read_below
+from splitknit.viewer.exports import export
+from splitknit.viewer.marks import Marks, marks_of, print_of
+from splitknit.viewer.surface import TILE, Reading, ResultSurface, pick, read_surface, section
 
 if TYPE_CHECKING:
-    from splitknit.viewer.marks import Marks
-    from splitknit.viewer.measure import Section
-    from splitknit.viewer.pair import Alignment, Difference
+    from splitknit.viewer.pair import Alignment
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {
@@ -45,21 +44,6 @@ _NOT_FOUND = "there is nothing at this address."
 Query = Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Answer:
-    """What is sent back."""
-
-    kind: str
-    size: int
-    chunks: bytes | Iterable[bytes]
-    headers: Mapping[str, str] = field(default_factory=dict)
-
-    def close(self) -> None:
-        """Give back what was opened; whoever has an answer does this, sent or not."""
-        if isinstance(self.chunks, Pieces):
-            self.chunks.close()
-
-
 class Service:
     """Answers about one catalogue; may be asked by several threads at once."""
 
@@ -67,7 +51,7 @@ class Service:
         """`gallery` is a :class:`splitknit.viewer.people.People`, or None."""
         self.catalogue = catalogue
         self.gallery = gallery
-        self._surfaces: OrderedDict[str, Surface] = OrderedDict()
+        self._surfaces: OrderedDict[str, ResultSurface] = OrderedDict()
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
         self._large = threading.Lock()  # held by what needs several times the memory of a surface
@@ -76,7 +60,7 @@ class Service:
         self._differed = lru_cache(maxsize=4)(self._differ)
         self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
-    def answer(self, path: str, query: Query) -> Answer:
+    def answer(self, path: str, query: Query) -> Reply:
         """Answer a request.
 
         Parameters
@@ -104,7 +88,7 @@ class Service:
                 return self._result(self.catalogue.entry(key), rest, query)
         raise BadInput(_NOT_FOUND)
 
-    def surface(self, entry: Entry) -> Surface:
+    def surface(self, entry: CatalogueEntry) -> ResultSurface:
         """Return a result's heights, read once as long as few others are asked for."""
         with self._lock:
             lock = self._locks.setdefault(entry.key, threading.Lock())
@@ -120,19 +104,26 @@ class Service:
                     self._surfaces.popitem(last=False)
             return surface
 
-    def _result(self, entry: Entry, rest: list[str], query: Query) -> Answer:  # noqa: PLR0911
+    def check(self, entry: CatalogueEntry) -> None:
+        """Read a result's heights, or what photographs there are. Raises BadInput if that cannot be done."""
+        if entry.result:
+            self.surface(entry)
+        else:
+            _describe_photographs(entry)
+
+    def _result(self, entry: CatalogueEntry, rest: list[str], query: Query) -> Reply:  # noqa: PLR0911
         match rest:
             case []:
-                return _json(_describe(entry, self.surface(entry)) if entry.result else describe_photographs(entry))
+                return _json(_describe(entry, self.surface(entry)) if entry.result else _describe_photographs(entry))
             case ["first"]:
-                return _bytes(first_view(self.surface(entry)), "application/octet-stream")
+                return _bytes(self.surface(entry).first_view(), "application/octet-stream")
             case ["tile", stride, row, column]:
                 numbers = (_whole(stride), _whole(row), _whole(column))
-                return _bytes(tile_bytes(self.surface(entry), *numbers), "application/octet-stream")
+                return _bytes(self.surface(entry).tile(*numbers), "application/octet-stream")
             case ["pick"]:
                 return _json(self._pick(entry, query))
             case ["section"]:
-                return _json(self._section(entry, query))
+                return _json(_cut(self.surface(entry), query))
             case ["minutiae"]:
                 return _json(self._minutiae(entry))
             case ["picture", name] if name in _PICTURES:
@@ -145,15 +136,11 @@ class Service:
                 width = _whole(query.get("width", "1200"))
                 return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
             case ["export", kind]:
-                from splitknit.viewer.exports import export
-
                 with self._large:
-                    made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
-                saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
-                return Answer(made.kind, made.size, made.chunks, saved)
+                    return export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
         raise BadInput(_NOT_FOUND)
 
-    def _page(self, name: str) -> Answer:
+    def _page(self, name: str) -> Reply:
         content = (STATIC / name).read_bytes()
         return _bytes(content, _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
 
@@ -165,58 +152,47 @@ class Service:
             "people": None if self.gallery is None else self.gallery.document(),
         }
 
-    def _pick(self, entry: Entry, query: Query) -> dict[str, Any]:
-        from splitknit.viewer.measure import pick
-
+    def _pick(self, entry: CatalogueEntry, query: Query) -> dict[str, Any]:
         ray = np.array([_number(query, name) for name in ("ox", "oy", "oz", "dx", "dy", "dz")])
         exaggeration = _number(query, "relief", 1.0)
         require(0 <= exaggeration <= 100, "an exaggeration must lie between 0 and 100.")
         return {"point_mm": pick(self.surface(entry), ray[:3], ray[3:], exaggeration)}
 
-    def _section(self, entry: Entry, query: Query) -> dict[str, Any]:
-        from splitknit.viewer.measure import section
-
-        ends = _ends(query)
-        try:
-            return _cut(section(self.surface(entry), *ends))
-        except BadInput as error:
-            return {"why_not": str(error)}
-
-    def _minutiae(self, entry: Entry) -> dict[str, Any]:
+    def _minutiae(self, entry: CatalogueEntry) -> dict[str, Any]:
         try:
             return {"minutiae": self._marks(entry.key).document()}
         except BadInput as error:
             return {"minutiae": None, "why_not": str(error)}
 
     def _read_marks(self, key: str) -> Marks:
-        from splitknit.viewer.marks import marks_of
+        return marks_of(self.catalogue.entry(key).folder, self._surface_of(key))
 
-        entry = self.catalogue.entry(key)
-        return marks_of(entry.folder, self.surface(entry))
+    def _surface_of(self, key: str) -> ResultSurface:
+        return self.surface(self.catalogue.entry(key))
 
     def _align(self, first: str, second: str) -> Alignment:
-        from splitknit.viewer.pair import align
+        from splitknit.viewer.pair import align_results
 
         one, two = self.catalogue.entry(first), self.catalogue.entry(second)
         with self._large:
-            return align(one, self.surface(one), two, self.surface(two))
+            return align_results(one, self.surface(one), two, self.surface(two))
 
-    def _differ(self, first: str, second: str) -> Difference:
+    def _differ(self, first: str, second: str) -> tuple[NDArray[np.uint8], dict[str, float]]:
         from splitknit.viewer.pair import difference
 
-        one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
+        one, two = map(self._surface_of, (first, second))
         found = self._aligned(first, second)
         with self._large:
             return difference(one, two, found)
 
-    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Answer:
+    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Reply:
         match rest:
             case []:
                 return _json(self._both(first, second))
             case ["difference"]:
                 from splitknit.io.images import encode_image
 
-                return _bytes(encode_image(self._differed(first, second).picture, ".png"), "image/png")
+                return _bytes(encode_image(self._differed(first, second)[0], ".png"), "image/png")
             case ["section"]:
                 return _json(self._section_of_both(first, second, query))
         raise BadInput(_NOT_FOUND)
@@ -232,33 +208,22 @@ class Service:
             return {"alignment": None, "why_not": str(error)}
         if found.how == "none":
             return {"alignment": None, "why_not": "they have too few ridges in common"}
-        try:
-            pairs = matched_marks(self._marks(first), self._marks(second), found)
-        except BadInput:
-            pairs = []
-        apart = None
+        pairs, apart = [], None
         with contextlib.suppress(BadInput):
-            differ = self._differed(first, second)
-            apart = {**differ.figures, "range_um": differ.range_um}
+            pairs = matched_marks(self._marks(first), self._marks(second), found)
+        with contextlib.suppress(BadInput):
+            _, apart = self._differed(first, second)
         return {"alignment": found.document(), "pairs": pairs, "difference": apart}
 
     def _section_of_both(self, first: str, second: str, query: Query) -> dict[str, Any]:
         """Both cut at the same places of the first one's frame."""
-        from splitknit.viewer.measure import section
         from splitknit.viewer.pair import Alignment
 
-        one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
+        one, two = map(self._surface_of, (first, second))
         found = Alignment("none")
         with contextlib.suppress(BadInput):
             found = self._aligned(first, second)
-        ends = _ends(query)
-        cuts = []
-        for read in (None, found.read(two)):
-            try:
-                cuts.append(_cut(section(one, *ends, read)))
-            except BadInput as error:
-                cuts.append({"why_not": str(error)})
-        return {"cuts": cuts}
+        return {"cuts": [_cut(one, query, read) for read in (None, found.read(two))]}
 
 
 @lru_cache(maxsize=512)
@@ -277,7 +242,7 @@ def _thumb(folder: Path) -> bytes:
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
 
 
-def _json(document: Any) -> Answer:
+def _json(document: Any) -> Reply:
     try:
         text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     except ValueError as error:
@@ -287,16 +252,16 @@ def _json(document: Any) -> Answer:
     return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
 
 
-def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Answer:
-    return Answer(kind, len(content), content, headers or {})
+def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Reply:
+    return Reply(kind, len(content), content, headers or {})
 
 
-def _file(folder: Path, name: str, kind: str) -> Answer:
-    pieces = Pieces(open_below(folder, name))
-    if pieces.size > _MAX_PICTURE_BYTES:
-        pieces.close()
-        raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MAX_PICTURE_BYTES} are sent.")
-    return Answer(kind, pieces.size, pieces)
+def _file(folder: Path, name: str, kind: str) -> Reply:
+    reply = Reply.of_file(open_below(folder, name), kind)
+    if reply.size > _MAX_PICTURE_BYTES:
+        reply.close()
+        raise BadInput(f"{name} is too large: {reply.size} bytes, at most {_MAX_PICTURE_BYTES} are sent.")
+    return reply
 
 
 def _whole(text: str) -> int:
@@ -313,12 +278,12 @@ def _number(query: Query, name: str, default: float | None = None) -> float:
     return value
 
 
-def _ends(query: Query) -> tuple[tuple[float, float], tuple[float, float]]:
+def _cut(surface: ResultSurface, query: Query, read: Reading | None = None) -> dict[str, Any]:
     x0, y0, x1, y1 = (_number(query, name) for name in ("x0", "y0", "x1", "y1"))
-    return (x0, y0), (x1, y1)
-
-
-def _cut(cut: Section) -> dict[str, Any]:
+    try:
+        cut = section(surface, (x0, y0), (x1, y1), read)
+    except BadInput as error:
+        return {"why_not": str(error)}
     step = max(1, len(cut.along_mm) // 4000)
     names = ("along_mm", "x_mm", "y_mm", "height_mm", "relief_um")
     return {**{name: _list(getattr(cut, name)[::step]) for name in names}, "figures": cut.figures}
@@ -340,7 +305,7 @@ def _shown(text: str) -> str:
     return text.translate(_TURNING)
 
 
-def _listed(entry: Entry) -> dict[str, Any]:
+def _listed(entry: CatalogueEntry) -> dict[str, Any]:
     """One line of the list."""
     subject = _mapping(_mapping(entry.report.get("capture")).get("subject"))
     return {
@@ -356,9 +321,8 @@ def _listed(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _describe(entry: Entry, surface: Surface) -> dict[str, Any]:
+def _describe(entry: CatalogueEntry, surface: ResultSurface) -> dict[str, Any]:
     """All that the page needs of a result before it requests pieces of it."""
-    levels = strides(surface)
     return {
         **_listed(entry),
         "pitch_mm": surface.pitch_mm,
@@ -371,8 +335,8 @@ def _describe(entry: Entry, surface: Surface) -> dict[str, Any]:
         "input_size": surface.size,
         "turn": surface.turn.tolist(),
         "tile": TILE,
-        "strides": levels,
-        "tiles": {str(stride): filled_tiles(surface, stride) for stride in levels},
+        "strides": surface.strides,
+        "tiles": {str(stride): surface.filled_tiles(stride) for stride in surface.strides},
         "pictures": [name for name in ("normals.png", "albedo.png") if (entry.folder / name).is_file()],
         "print": _print(entry),
         "photos": _photos(entry),
@@ -381,7 +345,7 @@ def _describe(entry: Entry, surface: Surface) -> dict[str, Any]:
     }
 
 
-def _relief_range_um(surface: Surface) -> float:
+def _relief_range_um(surface: ResultSurface) -> float:
     """Relief that nearly all of the skin keeps within: the ends of the colour scale, um or 0.1 pixel."""
     step = max(1, round(0.1 / surface.pitch_mm)) if surface.scale_known else 4
     relief = np.abs(surface.ridge_mm[::step, ::step][surface.mask[::step, ::step]])
@@ -390,7 +354,7 @@ def _relief_range_um(surface: Surface) -> float:
     return max(finest, finest * float(np.ceil(surface.um * widest / finest)))
 
 
-def _print(entry: Entry) -> dict[str, Any] | None:
+def _print(entry: CatalogueEntry) -> dict[str, Any] | None:
     try:
         file = print_of(entry.folder)
     except BadInput:
@@ -398,7 +362,7 @@ def _print(entry: Entry) -> dict[str, Any] | None:
     return {"rows": file.image.shape[0], "columns": file.image.shape[1], "ppi": file.resolution_ppi or 500.0}
 
 
-def describe_photographs(entry: Entry) -> dict[str, Any]:
+def _describe_photographs(entry: CatalogueEntry) -> dict[str, Any]:
     """All that the page needs of a folder of photographs. Raises BadInput if it cannot be read."""
     from splitknit.viewer.photographs import photographs_of
 
@@ -413,7 +377,7 @@ def describe_photographs(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _photos(entry: Entry) -> list[dict[str, Any]]:
+def _photos(entry: CatalogueEntry) -> list[dict[str, Any]]:
     if entry.capture is None:
         return []
     from splitknit.viewer.photographs import photographs_of  # the first view waits for no image library
@@ -425,7 +389,7 @@ def _photos(entry: Entry) -> list[dict[str, Any]]:
     return [{"name": _shown(p.name), "band": p.band, "number": p.number, "light": p.light} for p in found]
 
 
-def _facts(entry: Entry, surface: Surface) -> list[tuple[str, str]]:
+def _facts(entry: CatalogueEntry, surface: ResultSurface) -> list[tuple[str, str]]:
     report = entry.report
     about, software = _mapping(report.get("capture")), _mapping(report.get("software"))
     count = f"{surface.count:,}".replace(",", "\N{NO-BREAK SPACE}")
