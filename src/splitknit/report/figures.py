@@ -249,7 +249,11 @@ def truth_pictures(
 
 def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Picture:
     """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
-    frame = _close_up_frame(result)
+    whole = upright_frame(result, 10**6)
+    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
+    shift = np.eye(3)
+    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
+    frame = Frame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
     values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
     mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
     relief = 1000.0 * (values - np.float32(mean))
@@ -260,15 +264,6 @@ def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Pict
         frame.pitch_mm,
         charts.colour_bar(-60.0, 40.0, "µm"),
     )
-
-
-def _close_up_frame(result: Reconstruction) -> Frame:
-    """Upright square in the middle of the mask, one picture pixel for each input pixel."""
-    whole = upright_frame(result, 10**6)
-    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
-    shift = np.eye(3)
-    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
-    return Frame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
 
 
 # Shaded pictures of a height field, by a small renderer.
@@ -353,7 +348,7 @@ def oblique_view(surface: SmallFields, *, turn_deg: float = 0.0, tilt_deg: float
 def _turn(
     height: FloatArray, weight: FloatArray, painted: NDArray[np.uint8], angle_rad: float
 ) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """Rotate about the middle into a frame that holds all of it, `_SUPERSAMPLING` times finer; NaN and no paint outside."""
+    """Rotate about the middle into a finer frame that holds all of it; NaN and no paint outside."""
     (rows, columns), zoom = weight.shape, _SUPERSAMPLING
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     size = (

@@ -156,7 +156,8 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     """Pairs of minutiae that lie within 0.8 mm of each other and point the same way within 30 deg, nearest first."""
     moved, tails = alignment.moved(b.place_mm), alignment.moved(b.tail_mm)
     gaps = np.linalg.norm(a.place_mm[:, None, :2] - moved[None, :, :2], axis=2)
-    turns = (_angles(a.tail_mm - a.place_mm)[:, None] - _angles(tails - moved)[None, :] + np.pi) % (2 * np.pi) - np.pi
+    here, there = (np.arctan2(step[:, 1], step[:, 0]) for step in (a.tail_mm - a.place_mm, tails - moved))
+    turns = (here[:, None] - there[None, :] + np.pi) % (2 * np.pi) - np.pi
     fits = (gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD)
     pairs, used_a, used_b = [], set(), set()
     rows, columns = np.nonzero(fits)
@@ -167,10 +168,6 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
             used_a.add(i)
             used_b.add(j)
     return pairs
-
-
-def _angles(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.arctan2(steps[:, 1], steps[:, 0]))
 
 
 def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:

@@ -194,7 +194,7 @@ def read_surface(folder: Path) -> ResultSurface:
         height = np.where(inside, arrays["height_mm"][box], np.float32(np.nan))
         ridge = np.where(inside, np.nan_to_num(arrays["ridge_mm"][box]), np.float32(0.0))
     corner = (box[0].start, box[1].start)
-    low, high = zip(*(_range(values, inside) for values in (x, y, height)), strict=True)
+    low, high = zip(*((float(v.min()), float(v.max())) for v in (x[inside], y[inside], height[inside])), strict=True)
     relief = max(float(ridge.max()), -float(ridge.min()))
     surface = ResultSurface(
         height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, arrays["upright_size"],
@@ -211,11 +211,6 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
     path = folder / "height.npz"
     require(path.is_file() and not path.is_symlink(), f"'{folder}' is not a result: it holds no height.npz.")
     return read_fields(path, names, optional, unscaled=unscaled)
-
-
-def _range(values: FloatArray, mask: BoolArray) -> tuple[float, float]:
-    known = values[mask]
-    return float(known.min()), float(known.max())
 
 
 def _turn(input_from_upright: _Values) -> _Values:
