@@ -95,8 +95,8 @@ def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str
     for name, curve in curves:
         far, low, high = (np.array(systems[name]["roc"][part]) for part in ("far", "low", "high"))
         banded.append((name, curve, (far, low, high) if far.size and len(results) <= 3 else None))
-    most = max(1, *(int(np.sum(~one.scores.label)) for one in results))
-    lowest = float(np.clip(1.0 / most, 1e-7, 1e-2))
+    count = max(1, *(int(np.sum(~one.scores.label)) for one in results))
+    lowest = float(np.clip(1.0 / count, 1e-7, 1e-2))
     found = [(name, np.array(one["cmc"]["rate"])) for name, one in systems.items() if one["cmc"] is not None]
     return {
         "rates": [roc_chart(banded, lowest), _det_chart(curves, lowest)],

@@ -105,7 +105,11 @@ def make_report(
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
         charted, summary = pool.submit(_profiles, result, truth), pool.submit(_summary, result)
-        comparisons = [] if truth is None else _compared(results, truth)
+        comparisons: list[Comparison] = []
+        if truth is not None:
+            from splitknit.evaluation.accuracy import compare  # only what was simulated has a truth
+
+            comparisons = [compare(each, truth) for each in results]
         facts = _facts(result, capture, comparisons)
         maps = [] if photographs is None else photographs.result()
         maps += [picture for job in fields if (picture := job.result()) is not None]
@@ -138,12 +142,6 @@ def make_report(
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts, views, prints)
-
-
-def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
-    from splitknit.evaluation.accuracy import compare  # only what was simulated has a truth
-
-    return [compare(each, truth) for each in results]
 
 
 def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def _page(rigs: Sequence[_Rig], summary: Mapping[str, Any], study: Study, pictur
         unit=unit,
         summary=summary,
         fingers=study.fingers,
-        asked=(METHODS[study.method], MATERIALS[study.material], CAMERAS[study.camera]),
+        study=(METHODS[study.method], MATERIALS[study.material], CAMERAS[study.camera]),
         best=rig_in_words(best.record),
         verdict=verdict(summary),
         pictures=list(pictures.values()),
@@ -201,7 +201,7 @@ def _pareto(rigs: Sequence[_Rig], y_label: str) -> Markup:
 
 
 def _along(rigs: Sequence[_Rig], best: Candidate, axis: str) -> list[Dot]:
-    """Rigs that differ from the best one in one thing alone."""
+    """Rigs that differ from the best one along one axis only."""
     others = [name for name in AXES if name != axis]
     dots = []
     for one in rigs:

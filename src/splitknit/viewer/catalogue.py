@@ -69,7 +69,7 @@ class Reply:
         return cls(kind, os.fstat(stream.fileno()).st_size, chunks, headers or {}, stream)
 
     def close(self) -> None:
-        """Close the file; whoever has a reply does this, sent or not."""
+        """Close the file; call it for every reply, sent or not."""
         if self.stream is not None:
             self.stream.close()
 
@@ -158,7 +158,7 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     else:
         for path, root in zip(paths, roots, strict=True):
             require(_is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
-        folders, names = roots, _telling_names(roots)
+        folders, names = roots, _distinct_names(roots)
         chosen = tuple(str(k) for k in range(len(roots)))
     entries = tuple(
         _entry(str(k), name, folder, capture) for k, (name, folder) in enumerate(zip(names, folders, strict=True))
@@ -246,7 +246,7 @@ def _named_folder(path: Path) -> Path:
     return root
 
 
-def _telling_names(folders: Sequence[Path]) -> list[str]:
+def _distinct_names(folders: Sequence[Path]) -> list[str]:
     """Return the names of folders, with as many parents as it takes to distinguish them."""
     for depth in range(1, 1 + max(len(folder.parts) for folder in folders)):
         names = ["/".join(folder.parts[-depth:]) for folder in folders]

@@ -23,8 +23,8 @@ _TURNED_RAD = np.deg2rad(30.0)
 _PICTURE_PX = 1000
 _FIT_MM = 0.08
 """Distance of the places that are compared: a fifth of a ridge."""
-_FEWEST = 300
-_MOST_STEPS, _STILL = 30, 2e-5
+_MIN_PLACES = 300
+_MAX_STEPS, _STILL = 30, 2e-5
 _Values = NDArray[np.float64]
 
 
@@ -139,15 +139,15 @@ def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tupl
     apart, reliefs, known = apart[both], reliefs[both], known[both]
     largest = max(float(np.percentile(np.abs(apart), 98)), 0.1)
     power = 10.0 ** np.floor(np.log10(largest))
-    most = float(power * np.ceil(largest / power * 2) / 2)
+    limit = float(power * np.ceil(largest / power * 2) / 2)
     picture = np.zeros(height * width, dtype=np.uint8)
-    picture[known] = np.rint(128 + 127 * np.clip(apart / most, -1, 1))
+    picture[known] = np.rint(128 + 127 * np.clip(apart / limit, -1, 1))
     figures = {
         "rms_um": float(np.sqrt(np.mean(apart**2))),
         "within_um": float(np.percentile(np.abs(apart), 95)),
         "relief_rms_um": float(np.sqrt(np.mean(reliefs**2))),
         "area_mm2": float(len(known) * (a.size[0] / height) * (a.size[1] / width) * a.pitch_mm**2),
-        "range_um": most,
+        "range_um": limit,
     }
     return picture.reshape(height, width), figures
 
@@ -186,7 +186,7 @@ def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
     multiple range images", Image and Vision Computing 10(3), 1992) and on the relief's differences (B. Lucas and
     T. Kanade, IJCAI 1981), each divided by its spread, large ones weighted down. What lies beside the other finger, or
-    where the ridges are more than a quarter of a period apart, cannot be mended by this: `found` must be near.
+    where the ridges are more than a quarter of a period apart, stays wrong: `found` must be close.
     """
     step = max(1, round(_FIT_MM / a.pitch_mm))
     x, y, z, ridge = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm))
@@ -197,23 +197,24 @@ def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     flat = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=0))
     along_normal = np.stack([-slope[0], -slope[1], np.ones(len(x))]) * flat
     along_relief = -np.stack([relief[0], relief[1], np.zeros(len(x))])
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         height, other = found.read(b)(x, y)
         both = np.isfinite(height - z)
-        if both.sum() < _FEWEST:
+        if both.sum() < _MIN_PLACES:
             return found
         place = np.stack([x, y, z])[:, both]
         middle = place.mean(axis=1)
-        rows, misses = [], []
-        for way, apart in (
+        jacobian, residuals = [], []
+        for direction, residual in (
             (along_normal[:, both], ((height - z) * flat)[both]),
             (along_relief[:, both], (other - ridge)[both]),
         ):
-            spread = 3.0 * float(np.median(np.abs(apart - np.median(apart)))) + 1e-9
-            weight = 1.0 / (spread * (1.0 + (apart / spread) ** 2))
-            rows.append(np.vstack([np.cross((place - middle[:, None]).T, way.T).T, way]) * weight)
-            misses.append(-apart * weight)
-        move = np.linalg.lstsq(np.hstack(rows).T, np.concatenate(misses), rcond=None)[0]
+            spread = 3.0 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-9
+            weight = 1.0 / (spread * (1.0 + (residual / spread) ** 2))
+            lever = np.cross((place - middle[:, None]).T, direction.T).T
+            jacobian.append(np.vstack([lever, direction]) * weight)
+            residuals.append(-residual * weight)
+        move = np.linalg.lstsq(np.hstack(jacobian).T, np.concatenate(residuals), rcond=None)[0]
         rotation = _turned(*move[:3])
         found = replace(
             found, rotation=rotation @ found.rotation, shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:]
@@ -253,6 +254,6 @@ class _Band:
 def _upright(surface: ResultSurface, column: float, row: float) -> NDArray[np.float64]:
     """(x, y) of a place of the input."""
     place = np.array([[column - surface.corner[1]], [row - surface.corner[0]]])
-    seen = np.array([sample(surface.x_mm, place)[0], sample(surface.y_mm, place)[0]])
+    measured = np.array([sample(surface.x_mm, place)[0], sample(surface.y_mm, place)[0]])
     plan = surface.plan(np.array([column]), np.array([row]))[:, 0]
-    return np.where(np.isfinite(seen), seen, plan)
+    return np.where(np.isfinite(measured), measured, plan)

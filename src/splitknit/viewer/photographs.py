@@ -49,6 +49,7 @@ class PhotoFolder:
     plain: bool
     """A folder of photographs, no capture."""
     facts: tuple[tuple[str, str], ...] = ()
+    """Name and value, empty where it is not known."""
     notes: tuple[str, ...] = ()
     command: str = ""
     """What reconstructs them."""
@@ -69,15 +70,9 @@ def photographs_of(folder: Path) -> PhotoFolder:
         return _plain(folder, where, out)
     plan = read_plan(folder / "capture.json")
     photos = tuple(
-        LitPhoto(
-            name,
-            band,
-            number,
-            plan.encoding,
-            _unit(sum(vector_at_origin(plan.rig.leds[k]) for k in shots.leds[number])),
-        )
+        LitPhoto(name, band, number, plan.encoding, _unit(sum(vector_at_origin(plan.rig.leds[k]) for k in leds)))
         for band, shots in plan.bands.items()
-        for number, name in enumerate(shots.names)
+        for number, (name, leds) in enumerate(zip(shots.names, shots.leds, strict=True))
     )
     camera, about = plan.rig.camera, plan.subject
     facts = (
@@ -86,11 +81,8 @@ def photographs_of(folder: Path) -> PhotoFolder:
         ("Scale", f"{camera.px_per_mm:.4g} px/mm" if camera.scale_known else "unknown"),
         ("Stored", "sRGB" if plan.encoding == "srgb" else plan.encoding),
         ("Material", plan.material),
-        *(
-            (name.capitalize(), str(about[key]))
-            for name, key in (("finger", "finger"), ("person", "id"))
-            if about.get(key)
-        ),
+        ("Finger", str(about.get("finger") or "")),
+        ("Person", str(about.get("id") or "")),
     )
     return PhotoFolder(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
 

@@ -93,7 +93,7 @@ _DATABASE = b"SQLite format 3\0"
 def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Path | None = None) -> Service:
     """Return a service for a result, two results, a folder of results, photographs, a gallery, or an empty page.
 
-    What was named itself is read at once: what is damaged is said before a page opens.
+    Results that are named are read at once: damage is reported before a page opens.
 
     Raises
     ------
@@ -206,7 +206,7 @@ _HEAD_S = 20.0
 _ANSWER_S = 60.0
 """Until a piece of an answer must be taken."""
 _PACKED_FROM = 1000
-"""Bytes of an answer that is worth compressing."""
+"""Bytes from which an answer is compressed."""
 _PACKED_KINDS = ("text/", "application/", "image/svg")
 _FULL = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 1\r\nConnection: close\r\n\r\n"
 
@@ -229,7 +229,7 @@ class ViewerServer(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", port), _Handler)
 
     def run(self) -> None:
-        """Answer until Ctrl-C (or a polite kill)."""
+        """Answer until Ctrl-C or SIGTERM."""
         try:
             with contextlib.suppress(KeyboardInterrupt):
                 self.serve_forever(poll_interval=0.2)
@@ -238,10 +238,9 @@ class ViewerServer(ThreadingHTTPServer):
 
     def server_bind(self) -> None:
         """Bind without asking the network for this host's name."""
-        alone = getattr(
-            socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR
-        )  # of Windows, where the other shares the port
-        self.socket.setsockopt(socket.SOL_SOCKET, alone, 1)
+        # on Windows SO_REUSEADDR would share the port
+        exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR)
+        self.socket.setsockopt(socket.SOL_SOCKET, exclusive, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = "127.0.0.1", int(self.server_address[1])
@@ -347,7 +346,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._say(code, "the request cannot be read")
 
     def _say(self, status: int, words: str) -> None:
-        """Send a refusal and close: what else the request holds is not read."""
+        """Send a refusal and close; the rest of the request is not read."""
         body = (words + "\n").encode("utf-8")
         self.close_connection = True
         self._send(status, Reply("text/plain; charset=utf-8", len(body), body, {"Connection": "close"}))

@@ -45,7 +45,7 @@ Query = Mapping[str, str]
 
 
 class Service:
-    """Answers about one catalogue; may be asked by several threads at once."""
+    """Answers about one catalogue; several threads may call it at once."""
 
     def __init__(self, catalogue: Catalogue, gallery: Any = None) -> None:
         """`gallery` is a :class:`splitknit.viewer.people.People`, or None."""
@@ -89,7 +89,7 @@ class Service:
         raise BadInput(_NOT_FOUND)
 
     def surface(self, entry: CatalogueEntry) -> ResultSurface:
-        """Return a result's heights, read once as long as few others are asked for."""
+        """Return a result's heights; the last results are kept in memory."""
         with self._lock:
             lock = self._locks.setdefault(entry.key, threading.Lock())
         with lock:
@@ -370,7 +370,7 @@ def _describe_photographs(entry: CatalogueEntry) -> dict[str, Any]:
     return {
         **_listed(entry),
         "photos": _photos(entry),
-        "facts": [(name, _shown(value)) for name, value in found.facts],
+        "facts": [(name, _shown(value)) for name, value in found.facts if value],
         "notes": [_shown(note) for note in found.notes],
         "command": _shown(found.command),
         "plain": found.plain,

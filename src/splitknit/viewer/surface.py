@@ -109,8 +109,8 @@ class ResultSurface:
         """(2, N) column and row in the box where the surface has these x and y; iterated where the rays spread."""
         place = self.grid_of_plan(x_mm, y_mm)
         for _ in range(4):
-            seen = np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
-            error = np.nan_to_num(np.stack([x_mm, y_mm]) - seen)
+            measured = np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
+            error = np.nan_to_num(np.stack([x_mm, y_mm]) - measured)
             if float(np.abs(error).max(initial=0.0)) < 1e-6:
                 break
             back = self.grid_of_plan(error[0], error[1]) - self.grid_of_plan(np.zeros(1), np.zeros(1))
