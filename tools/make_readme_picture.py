@@ -82,7 +82,7 @@ def main() -> None:
     rows, columns = np.nonzero(inked < 250)
     inked = inked[max(rows.min() - 12, 0) : rows.max() + 13, max(columns.min() - 12, 0) : columns.max() + 13]
     small = small_fields(result, upright_frame(result, 2 * HEIGHT_PX))
-    shaded = oblique_view(small.surface(1.6), turn_deg=28, tilt_deg=48)
+    shaded = oblique_view(small.exaggerated(1.6), turn_deg=28, tilt_deg=48)
     shaded = np.minimum(255, shaded * (255 / shaded[0, 0, 0])).astype(np.uint8)  # on white, as the others
     panels = [
         photograph(capture, result, frame),

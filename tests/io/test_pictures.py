@@ -3,10 +3,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from handmade import finger
-from splitknit.io.pictures import colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import UprightSurface, _top_view, oblique_view, small_fields
+from splitknit.io.pictures import Frame, colour, on_paper, to_frame, upright_frame
+from splitknit.report.figures import SmallFields, _top_view, oblique_view, small_fields
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
@@ -50,19 +51,22 @@ def test_paper_shows_outside() -> None:
     assert on_paper(picture, weight)[..., 0].tolist() == [[255, 0], [128, 0]]
 
 
-def _bump() -> UprightSurface:
+def _fields(height: NDArray[np.float32], weight: NDArray[np.float32]) -> SmallFields:
+    normals = np.broadcast_to(np.float32([0, 0, 1]), (*height.shape, 3))
+    return SmallFields(Frame(np.eye(3), height.shape, 0.1), weight, height, height * 0, height, normals)
+
+
+def _bump() -> SmallFields:
     """A plane with a wall of 3 mm to the right of the middle column, ten pixels before the front edge."""
     height = np.zeros((120, 80), np.float32)
     height[100:110, 40:60] = 3.0
-    return UprightSurface(height, height * 0, np.ones(height.shape, np.float32), 0.1)
+    return _fields(height, np.ones(height.shape, np.float32))
 
 
 def test_what_is_in_front_hides_what_is_behind() -> None:
     """Seen at 60 deg, a wall of 3 mm rises by 26 pixels on the screen and hides the plane behind it."""
     view = oblique_view(_bump(), tilt_deg=60.0).astype(int)
-    flat = oblique_view(
-        UprightSurface(*(np.zeros((120, 80), np.float32),) * 2, np.ones((120, 80), np.float32), 0.1), tilt_deg=60.0
-    )
+    flat = oblique_view(_fields(np.zeros((120, 80), np.float32), _bump().weight), tilt_deg=60.0)
     assert abs(view.shape[0] - flat.shape[0]) <= 3  # the wall does not reach above the far edge
     changed = np.abs(view[: flat.shape[0]] - flat.astype(int)[: view.shape[0]]).max(axis=2) > 25
     rows, columns = np.nonzero(changed[8:-8, 14:-14])
@@ -75,7 +79,7 @@ def test_a_gap_between_two_parts_stays_empty() -> None:
     bump = _bump()
     weight = bump.weight.copy()
     weight[:, 30:50] = 0.0
-    view = oblique_view(UprightSurface(bump.height_mm * 0, bump.relief_mm, weight, 0.1), tilt_deg=60.0)
+    view = oblique_view(_fields(bump.height_mm * 0, weight), tilt_deg=60.0)
     columns = (view.min(axis=2) < 235).any(axis=0)
     shown = np.flatnonzero(columns)
     assert np.diff(shown).max() > 18  # of 20, whose edges are smooth
@@ -83,7 +87,7 @@ def test_a_gap_between_two_parts_stays_empty() -> None:
 
 def test_views_show_the_finger_and_the_light() -> None:
     result, _ = finger()
-    surface = small_fields(result, upright_frame(result, 240)).surface(2.0)
+    surface = small_fields(result, upright_frame(result, 240)).exaggerated(2.0)
     above = _top_view(surface).astype(int)
     middle = slice(above.shape[0] // 2, above.shape[0] // 2 + 40)
     assert above[0, 0].min() > 240
@@ -96,6 +100,6 @@ def test_views_show_the_finger_and_the_light() -> None:
 
 def test_steeper_view_is_flatter() -> None:
     result, _ = finger()
-    surface = small_fields(result, upright_frame(result, 240)).surface()
+    surface = small_fields(result, upright_frame(result, 240))
     low, high = (oblique_view(surface, tilt_deg=tilt).shape[0] for tilt in (75.0, 20.0))
     assert low < 0.8 * high

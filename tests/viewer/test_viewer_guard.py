@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.viewer.catalogue import open_below, read_below
-from splitknit.viewer.server import POLICY, _new_token, _refusal
+from splitknit.viewer.server import POLICY, _refusal, open_paths, start
 
 TOKEN, PORT = "t0ken", 8123
 
@@ -83,9 +83,10 @@ def test_nothing_can_be_written(method: str) -> None:
     assert ask(method=method) == 405
 
 
-def test_tokens_are_of_chance() -> None:
-    assert _new_token() != _new_token()
-    assert len(_new_token()) >= 32
+def test_tokens_are_random() -> None:
+    with start(open_paths([]), 0) as one, start(open_paths([]), 0) as other:
+        assert one.token != other.token
+        assert len(one.token) >= 32
 
 
 def test_the_policy_lets_nothing_in_from_elsewhere() -> None:

@@ -11,17 +11,16 @@ from scipy import ndimage
 from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.report.result import write_results
-from splitknit.viewer.measure import locate, pick, section
-from splitknit.viewer.surface import ShownSurface, read_shown_surface
+from splitknit.viewer.surface import ResultSurface, pick, read_surface, section
 
 
 @pytest.fixture(scope="module")
-def surface(shown: Path) -> ShownSurface:
-    return read_shown_surface(shown / "metric")
+def surface(shown: Path) -> ResultSurface:
+    return read_surface(shown / "metric")
 
 
 @pytest.fixture(scope="module")
-def perspective(tmp_path_factory: pytest.TempPathFactory) -> ShownSurface:
+def perspective(tmp_path_factory: pytest.TempPathFactory) -> ResultSurface:
     """The same finger as a camera 140 mm above sees it."""
     result, _ = finger()
     height, width = result.mask.shape
@@ -31,7 +30,7 @@ def perspective(tmp_path_factory: pytest.TempPathFactory) -> ShownSurface:
     object.__setattr__(result, "y_mm", y.astype(np.float32))
     folder = tmp_path_factory.mktemp("perspective") / "result"
     write_results(result, capture_of(result), folder)
-    return read_shown_surface(folder)
+    return read_surface(folder)
 
 
 def height_at(x: float, y: float) -> float:
@@ -42,12 +41,12 @@ def height_at(x: float, y: float) -> float:
 
 
 @pytest.mark.parametrize("at", [(0.3, 1.7), (-4.0, -3.0), (3.0, 6.0)])
-def test_a_point_from_above(surface: ShownSurface, at: tuple[float, float]) -> None:
+def test_a_point_from_above(surface: ResultSurface, at: tuple[float, float]) -> None:
     found = pick(surface, np.array([*at, 80.0]), np.array([0.0, 0.0, -2.0]))
     assert found == pytest.approx((*at, height_at(*at)), abs=0.004)
 
 
-def test_a_point_from_the_side_is_the_first_that_is_met(surface: ShownSurface) -> None:
+def test_a_point_from_the_side_is_the_first_that_is_met(surface: ResultSurface) -> None:
     origin, way = np.array([-60.0, -2.0, 20.0]), np.array([60.0, 0.0, -16.0])
     found = pick(surface, origin, way)
     assert found is not None
@@ -57,7 +56,7 @@ def test_a_point_from_the_side_is_the_first_that_is_met(surface: ShownSurface) -
     assert found[2] == pytest.approx(height_at(found[0], found[1]), abs=0.02)
 
 
-def test_where_a_picture_exaggerates_the_point_is_still_true(surface: ShownSurface) -> None:
+def test_where_a_picture_exaggerates_the_point_is_still_true(surface: ResultSurface) -> None:
     crest = (0.6 + 0.45 * 4, 2.0)  # turn = 0, radius = 4 periods: a crest, where the surface faces the camera
     origin = np.array([*crest, 50.0]) + np.array([0.0, 0.0, 0.0])
     found = pick(surface, origin, np.array([0.0, 0.0, -1.0]), 8.0)
@@ -71,7 +70,7 @@ def test_where_a_picture_exaggerates_the_point_is_still_true(surface: ShownSurfa
     assert abs(plain[0] - crest[0]) > 0.08
 
 
-def test_beside_the_finger_there_is_nothing(surface: ShownSurface) -> None:
+def test_beside_the_finger_there_is_nothing(surface: ResultSurface) -> None:
     assert pick(surface, np.array([9.0, 0.0, 50.0]), np.array([0.0, 0.0, -1.0])) is None
     assert pick(surface, np.array([0.0, 0.0, 50.0]), np.array([0.0, 0.0, 1.0])) is None
     with pytest.raises(BadInput):
@@ -80,7 +79,7 @@ def test_beside_the_finger_there_is_nothing(surface: ShownSurface) -> None:
         pick(surface, np.zeros(3), np.zeros(3))
 
 
-def test_a_section_across_has_the_ellipse_s_length(surface: ShownSurface) -> None:
+def test_a_section_across_has_the_ellipse_s_length(surface: ResultSurface) -> None:
     cut = section(surface, (-6.0, -4.0), (6.0, -4.0))
     assert cut.figures["flat_mm"] == pytest.approx(12.0)
     assert cut.figures["height_difference_mm"] == pytest.approx(height_at(6, -4) - height_at(-6, -4), abs=0.01)
@@ -94,7 +93,7 @@ def test_a_section_across_has_the_ellipse_s_length(surface: ShownSurface) -> Non
 
 @pytest.mark.parametrize("which", ["surface", "perspective"])
 def test_a_section_along_a_ray_of_the_spiral_has_its_relief(which: str, request: pytest.FixtureRequest) -> None:
-    shown: ShownSurface = request.getfixturevalue(which)
+    shown: ResultSurface = request.getfixturevalue(which)
     cut = section(shown, (0.6, 3.0), (0.6, 8.4))
     assert cut.figures["relief_um"] == pytest.approx(2 * 30 * np.cos(0.05 * np.pi), rel=0.06)
     assert cut.figures["relief_rms_um"] == pytest.approx(30 / np.sqrt(2), rel=0.06)
@@ -104,19 +103,19 @@ def test_a_section_along_a_ray_of_the_spiral_has_its_relief(which: str, request:
     assert cut.figures["ridges"] in (11, 12, 13)
 
 
-def test_places_of_a_perspective_camera_are_found(perspective: ShownSurface) -> None:
+def test_places_of_a_perspective_camera_are_found(perspective: ResultSurface) -> None:
     inner = ndimage.binary_erosion(perspective.mask, iterations=6)  # at the rim neighbours are missing
     inside = inner[::37, ::41]
     x, y = (field[::37, ::41][inside].astype(float) for field in (perspective.x_mm, perspective.y_mm))
     columns, rows = np.meshgrid(
         np.arange(0, perspective.mask.shape[1], 41), np.arange(0, perspective.mask.shape[0], 37)
     )
-    place = locate(perspective, x, y)
+    place = perspective.locate(x, y)
     np.testing.assert_allclose(place[0], columns[inside], atol=0.02)
     np.testing.assert_allclose(place[1], rows[inside], atol=0.02)
 
 
-def test_a_section_over_the_edge_says_so(surface: ShownSurface) -> None:
+def test_a_section_over_the_edge_says_so(surface: ResultSurface) -> None:
     cut = section(surface, (0.0, -4.0), (12.0, -4.0))
     assert cut.figures["straight_mm"] is None
     assert cut.figures["along_surface_mm"] is None
@@ -124,7 +123,7 @@ def test_a_section_over_the_edge_says_so(surface: ShownSurface) -> None:
 
 
 @pytest.mark.parametrize("end", [(0.0, 0.0), (float("nan"), 0.0), (1e6, 0.0)])
-def test_ends_that_are_no_ends_are_refused(surface: ShownSurface, end: tuple[float, float]) -> None:
+def test_ends_that_are_no_ends_are_refused(surface: ResultSurface, end: tuple[float, float]) -> None:
     with pytest.raises(BadInput):
         section(surface, (0.0, 0.0), end)
     with pytest.raises(BadInput, match="no surface"):

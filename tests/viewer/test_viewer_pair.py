@@ -12,11 +12,11 @@ from perfect_results import write_perfect
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import rotation_about
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
 from splitknit.viewer.catalogue import make_catalogue
 from splitknit.viewer.marks import Marks
 from splitknit.viewer.pair import Alignment, _fitted, _turned, align_results, difference, matched_marks
-from splitknit.viewer.surface import read_shown_surface
+from splitknit.viewer.surface import read_surface
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pair")
     camera = default_rig(0.15).camera
     for seed, name, turn_deg in ((721, "a", 0.0), (721, "turned", 7.0), (722, "other", 0.0)):
-        seen = finger_surface(draw_finger(seed, "right_loop"), FingerPose(insertion_mm=27.0), camera)
+        seen = finger_surface(draw_finger(seed, "right_loop"), Pose(insertion_mm=27.0), camera)
         upright = find_upright(seen.mask)
         middle = ((upright.size[1] - 1) / 2, (upright.size[0] - 1) / 2)
         matrix = upright.input_from_upright @ rotation_about(middle, np.deg2rad(turn_deg))
@@ -36,7 +36,7 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def aligned(first: Path, second: Path) -> tuple[Alignment, np.ndarray, np.ndarray]:
     """Return how `second` is laid on `first`, and the places of the same pixels in both."""
     entries = make_catalogue([first, second]).entries
-    surfaces = [read_shown_surface(entry.folder) for entry in entries]
+    surfaces = [read_surface(entry.folder) for entry in entries]
     found = align_results(entries[0], surfaces[0], entries[1], surfaces[1])
     points = [np.stack([s.x_mm, s.y_mm, s.height_mm], axis=-1)[s.mask][::50] for s in surfaces]
     return found, points[0], points[1]
@@ -80,16 +80,16 @@ def test_minutiae_are_matched_where_place_and_direction_fit() -> None:
 
 def test_a_tilted_finger_is_laid_down_again(fingers: Path) -> None:
     """A finger is tilted and raised; what is found undoes it, and what is left of the difference is small."""
-    surface = read_shown_surface(fingers / "a")
+    surface = read_surface(fingers / "a")
     rotation = _turned(0.03, -0.06, 0.01)
     middle = np.array([field[surface.mask].mean() for field in (surface.x_mm, surface.y_mm, surface.height_mm)])
     motion = Alignment("ridges", rotation, middle - rotation @ middle + np.array([0.06, -0.05, 0.4]))
     height, ridge = motion.read(surface)(*(f[surface.mask].astype(float) for f in (surface.x_mm, surface.y_mm)))
     moved = replace(surface, height_mm=np.full_like(surface.height_mm, np.nan), ridge_mm=surface.ridge_mm.copy())
     moved.height_mm[surface.mask], moved.ridge_mm[surface.mask] = height, np.nan_to_num(ridge)
-    before = difference(surface, moved, Alignment("ridges")).figures
+    before = difference(surface, moved, Alignment("ridges"))[1]
     found = _fitted(Alignment("ridges"), surface, moved)
-    after = difference(surface, moved, found).figures
+    after = difference(surface, moved, found)[1]
     assert before["rms_um"] > 400
     assert after["rms_um"] < 15 and after["relief_rms_um"] < 0.4 * before["relief_rms_um"]
     assert after["area_mm2"] > 0.9 * surface.count * surface.pitch_mm**2
@@ -98,16 +98,16 @@ def test_a_tilted_finger_is_laid_down_again(fingers: Path) -> None:
 
 
 def test_a_difference_is_in_um_and_has_its_sign(shown: Path) -> None:
-    surface = read_shown_surface(shown / "metric")
+    surface = read_surface(shown / "metric")
     bump = np.zeros_like(surface.height_mm)
     rows, columns = np.argwhere(surface.mask).mean(axis=0).astype(int)
     bump[rows - 10 : rows + 10, columns - 10 : columns + 10] = 0.05
     other = replace(surface, height_mm=surface.height_mm + bump)
-    found = difference(surface, other, Alignment("photographs"))
-    height, width = found.picture.shape
+    picture, figures = difference(surface, other, Alignment("photographs"))
+    height, width = picture.shape
     top, left = (rows + surface.corner[0]) / surface.size[0], (columns + surface.corner[1]) / surface.size[1]
-    middle = int(found.picture[int(top * height), int(left * width)])
-    assert (middle - 128) / 127 * found.range_um == pytest.approx(min(50.0, found.range_um), abs=1)
-    assert found.picture[0, 0] == 0  # unknown
+    middle = int(picture[int(top * height), int(left * width)])
+    assert (middle - 128) / 127 * figures["range_um"] == pytest.approx(min(50.0, figures["range_um"]), abs=1)
+    assert picture[0, 0] == 0  # unknown
     inside = bump[surface.mask]
-    assert found.figures["rms_um"] == pytest.approx(1000 * np.sqrt(np.mean(inside**2)), rel=0.05)
+    assert figures["rms_um"] == pytest.approx(1000 * np.sqrt(np.mean(inside**2)), rel=0.05)

@@ -27,7 +27,7 @@ from splitknit.io.images import read_image
 from splitknit.viewer import server as server_module
 from splitknit.viewer import service
 from splitknit.viewer.server import HEADERS
-from splitknit.viewer.surface import ShownSurface, read_shown_surface
+from splitknit.viewer.surface import ResultSurface, read_surface
 from written_files import read_glb, read_ply, read_stl
 
 Serve = Callable[..., Asking]
@@ -162,7 +162,7 @@ def changed(shown: Path, folder: Path, **changes: Callable[[np.ndarray], np.ndar
 )
 def test_what_cannot_be_shown_is_refused(shown: Path, tmp_path: Path, name: str, change: Any, words: str) -> None:
     with pytest.raises(BadInput, match=words):
-        read_shown_surface(changed(shown, tmp_path / "result", **{name: change}))
+        read_surface(changed(shown, tmp_path / "result", **{name: change}))
 
 
 def test_normals_that_are_none_are_not_exported(shown: Path, asking: Serve, tmp_path: Path) -> None:
@@ -441,7 +441,7 @@ def test_surfaces_that_are_not_looked_at_are_let_go(
 
     def surfaces() -> int:
         gc.collect()
-        return sum(isinstance(thing, ShownSurface) for thing in gc.get_objects())
+        return sum(isinstance(thing, ResultSurface) for thing in gc.get_objects())
 
     before = surfaces()
     server = asking(tmp_path)

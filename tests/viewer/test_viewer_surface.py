@@ -12,26 +12,16 @@ from handmade import capture_of, finger
 from splitknit.errors import BadInput
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.report.result import write_results
-from splitknit.viewer.measure import section
-from splitknit.viewer.surface import (
-    TILE,
-    ShownSurface,
-    _root_stride,
-    filled_tiles,
-    first_view,
-    read_shown_surface,
-    strides,
-    tile_bytes,
-)
+from splitknit.viewer.surface import TILE, ResultSurface, read_surface, section
 from written_files import read_ply
 
 
 @pytest.fixture(scope="module")
-def surface(shown: Path) -> ShownSurface:
-    return read_shown_surface(shown / "metric")
+def surface(shown: Path) -> ResultSurface:
+    return read_surface(shown / "metric")
 
 
-def test_places_are_those_of_the_mesh(shown: Path, surface: ShownSurface) -> None:
+def test_places_are_those_of_the_mesh(shown: Path, surface: ResultSurface) -> None:
     mesh = read_ply(shown / "metric" / "phalange.ply")
     points = np.stack([surface.x_mm, surface.y_mm, surface.height_mm], axis=-1)[surface.mask]
     np.testing.assert_allclose(points, mesh.vertices_mm, atol=2e-6)
@@ -48,7 +38,7 @@ def test_rays_of_a_perspective_camera_are_kept(tmp_path: Path) -> None:
     object.__setattr__(result, "x_mm", x.astype(np.float32))
     object.__setattr__(result, "y_mm", y.astype(np.float32))
     write_results(result, capture_of(result), tmp_path / "result")
-    surface = read_shown_surface(tmp_path / "result")
+    surface = read_surface(tmp_path / "result")
     points = np.stack([surface.x_mm, surface.y_mm, surface.height_mm], axis=-1)[surface.mask]
     np.testing.assert_allclose(points, read_ply(tmp_path / "result" / "phalange.ply").vertices_mm, atol=2e-6)
 
@@ -66,10 +56,10 @@ def read_tile(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     return head, np.where(known, whole * quantum, np.nan).astype(np.float32)
 
 
-def test_tiles_hold_every_value_once(surface: ShownSurface) -> None:
+def test_tiles_hold_every_value_once(surface: ResultSurface) -> None:
     seen = np.zeros(surface.mask.shape, dtype=int)
-    for row, column in filled_tiles(surface, 1):
-        head, (x, y, z, relief) = read_tile(tile_bytes(surface, 1, row, column))
+    for row, column in surface.filled_tiles(1):
+        head, (x, y, z, relief) = read_tile(surface.tile(1, row, column))
         top, left = int(head[6]) - surface.corner[0], int(head[7]) - surface.corner[1]
         own = slice(1, min(TILE + 1, z.shape[0] - 1)), slice(1, min(TILE + 1, z.shape[1] - 1))
         rows = slice(top + 1, top + own[0].stop)
@@ -83,10 +73,10 @@ def test_tiles_hold_every_value_once(surface: ShownSurface) -> None:
     assert seen.max() == 1
 
 
-def test_coarse_points_are_fine_points(surface: ShownSurface) -> None:
-    step = strides(surface)[0]
+def test_coarse_points_are_fine_points(surface: ResultSurface) -> None:
+    step = surface.strides[0]
     assert step > 1
-    head, (_, _, z, _) = read_tile(tile_bytes(surface, step, 0, 0))
+    head, (_, _, z, _) = read_tile(surface.tile(step, 0, 0))
     top, left = int(head[6]) - surface.corner[0], int(head[7]) - surface.corner[1]
     assert (top, left) == (-step, -step)  # the rim
     there = surface.height_mm[: 4 * step : step, : 4 * step : step]
@@ -94,21 +84,21 @@ def test_coarse_points_are_fine_points(surface: ShownSurface) -> None:
     assert np.isnan(z[0]).all()
 
 
-def test_the_first_view_is_small_and_whole(surface: ShownSurface) -> None:
-    data, points = first_view(surface), 0
-    assert len(gzip.compress(data)) < 0.35 * 16 * surface.count / _root_stride(surface) ** 2  # of plain floats
+def test_the_first_view_is_small_and_whole(surface: ResultSurface) -> None:
+    data, points = surface.first_view(), 0
+    assert len(gzip.compress(data)) < 0.35 * 16 * surface.count / surface.strides[0] ** 2  # of plain floats
     while data:
         head, fields = read_tile(data)
         points += int(np.isfinite(fields[2]).sum())
         data = data[head[0] :]
-    assert surface.count / _root_stride(surface) ** 2 <= 70_000
-    assert 0.9 * surface.count < points * _root_stride(surface) ** 2 < 1.4 * surface.count  # rims are there twice
+    assert surface.count / surface.strides[0] ** 2 <= 70_000
+    assert 0.9 * surface.count < points * surface.strides[0] ** 2 < 1.4 * surface.count  # rims are there twice
 
 
 @pytest.mark.parametrize("where", [(3, 0, 0), (1, 99, 0), (1, 0, 99)])
-def test_tiles_that_are_not_there_are_refused(surface: ShownSurface, where: tuple[int, int, int]) -> None:
+def test_tiles_that_are_not_there_are_refused(surface: ResultSurface, where: tuple[int, int, int]) -> None:
     with pytest.raises(BadInput):
-        tile_bytes(surface, *where)
+        surface.tile(*where)
 
 
 @pytest.fixture
@@ -135,7 +125,7 @@ def test_arrays_of_another_kind_are_refused(arrays, change: dict, words: str) ->
     there.update(change)
     write_npz(folder / "height.npz", {name: value for name, value in there.items() if value is not None})
     with pytest.raises(BadInput, match=words):
-        read_shown_surface(folder)
+        read_surface(folder)
 
 
 @pytest.mark.parametrize("damage", ["cut", "flip", "text", "link", "none"])
@@ -151,7 +141,7 @@ def test_a_damaged_result_is_refused_in_one_sentence(shown: Path, tmp_path: Path
     elif damage == "link":
         file.symlink_to(shown / "metric" / "height.npz")
     with pytest.raises(BadInput) as refused:
-        read_shown_surface(tmp_path)
+        read_surface(tmp_path)
     assert "\n" not in str(refused.value)
     assert str(tmp_path) in str(refused.value)
 
@@ -169,7 +159,7 @@ def test_a_result_without_a_scale_is_in_pixels(shown: Path, arrays) -> None:
     for name in ("height", "ridge", "shape"):
         there[f"{name}_px"] = there.pop(f"{name}_mm") / np.float32(pitch)
     write_npz(folder / "height.npz", there)
-    surface, known = read_shown_surface(folder), read_shown_surface(shown / "metric")
+    surface, known = read_surface(folder), read_surface(shown / "metric")
     assert (surface.scale_known, surface.pitch_mm, surface.um) == (False, 1.0, 1.0)
     np.testing.assert_allclose(np.array(surface.high_mm) * pitch, known.high_mm, rtol=1e-5)
     cut, wanted = (section(one, (0.0, 3.0 * n), (0.0, 8.0 * n)) for one, n in ((surface, 1 / pitch), (known, 1)))

@@ -32,12 +32,7 @@ def add_view(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Serve until Ctrl-C; messages are printed before."""
-    from splitknit.viewer.server import (
-        open_paths,
-        opened_page,
-        serve,
-        start,
-    )
+    from splitknit.viewer.server import open_paths, opened_page, start
 
     service = open_paths(options.paths, options.capture, options.key_file)
     server = start(service, options.port)
@@ -47,7 +42,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         shown = not options.no_browser and stack.enter_context(opened_page(server.url))
         lines = [f"{server.url}", f"{'Shown in the browser' if shown else 'Open this address'}; Ctrl-C ends it."]
         print(json.dumps(facts, indent=1) if options.json else "\n".join(lines), file=sys.stdout, flush=True)
-        serve(server)
+        server.run()
     return {}, []
 
 

@@ -248,7 +248,7 @@ class Cell:
     value: float | None
     """None where it was refused or failed."""
     note: str
-    """What is said in the cell in the place of a value."""
+    """Text of the cell instead of a value."""
     best: bool = False
     as_good: bool = False
     thesis: bool = False

@@ -90,21 +90,16 @@ def _bare(value: float) -> str:
 
 def _pictures(results: Sequence[Result], systems: Mapping[str, Any]) -> dict[str, list[Markup]]:
     """ROC and DET of all systems together, a histogram each, and the CMC where there is one."""
-    curves, bands = [], []
-    most = 1
-    for result in results:
-        scores = result.scores
-        curve = roc(scores.genuine, scores.impostor)
-        facts = systems[scores.name]
-        far, low, high = (np.array(facts["roc"][name]) for name in ("far", "low", "high"))
-        band = (far, low, high) if far.size else None
-        curves.append((scores.name, curve))
-        bands.append((scores.name, curve, band if len(results) <= 3 else None))
-        most = max(most, int(np.sum(~scores.label)))
-    lowest = float(np.clip(1.0 / most, 1e-7, 1e-2))
+    curves = [(one.scores.name, roc(one.scores.genuine, one.scores.impostor)) for one in results]
+    banded = []
+    for name, curve in curves:
+        far, low, high = (np.array(systems[name]["roc"][part]) for part in ("far", "low", "high"))
+        banded.append((name, curve, (far, low, high) if far.size and len(results) <= 3 else None))
+    count = max(1, *(int(np.sum(~one.scores.label)) for one in results))
+    lowest = float(np.clip(1.0 / count, 1e-7, 1e-2))
     found = [(name, np.array(one["cmc"]["rate"])) for name, one in systems.items() if one["cmc"] is not None]
     return {
-        "rates": [roc_chart(bands, lowest), _det_chart(curves, lowest)],
+        "rates": [roc_chart(banded, lowest), _det_chart(curves, lowest)],
         "histograms": [
             _histogram_chart(
                 result.scores.name,

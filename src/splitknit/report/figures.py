@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -53,16 +53,15 @@ class SmallFields:
     normals: FloatArray
     """(h, w, 3)."""
 
-    def surface(self, exaggeration: float = 1.0) -> UprightSurface:
-        """The surface with its relief multiplied by `exaggeration`.
+    def exaggerated(self, factor: float) -> SmallFields:
+        """The same with the relief in the height multiplied by `factor`.
 
         So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep
         flanks, where they would overhang.
         """
         facing = self.normals[..., 2]
-        extra = np.float32(exaggeration - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
-        height = (self.height_mm + extra * self.ridge_mm).astype(np.float32)
-        return UprightSurface(height, self.ridge_mm, self.weight, self.frame.pitch_mm)
+        extra = np.float32(factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
+        return replace(self, height_mm=(self.height_mm + extra * self.ridge_mm).astype(np.float32))
 
 
 def small_fields(result: Reconstruction, frame: PictureFrame) -> SmallFields:
@@ -182,7 +181,7 @@ FIELD_PICTURES = (_normals_picture, _relief_picture, _shape_picture, _uncertaint
 
 def render_views(result: Reconstruction, small: SmallFields, each: Callable[..., Any] = map) -> Iterator[ColourArray]:
     """The shaded surface from above, the left and the right; a pool's ``map`` as `each` begins at once."""
-    surface = small.surface(RELIEF_EXAGGERATION if is_finger(result) else 1.0)
+    surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
     sides = (partial(oblique_view, surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
     drawn: Iterator[ColourArray] = each(lambda view: view(), (partial(_top_view, surface), *sides))
     return drawn
@@ -250,7 +249,11 @@ def truth_pictures(
 
 def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Picture:
     """Show a square of the relief in the middle of the finger, on one fixed scale so that squares can be compared."""
-    frame = _close_up_frame(result)
+    whole = upright_frame(result, 10**6)
+    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
+    shift = np.eye(3)
+    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
+    frame = PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
     values, weight = to_frame(relief_mm, result.mask & np.isfinite(relief_mm), frame)
     mean = float(np.mean(values[weight > 0.5])) if bool((weight > 0.5).any()) else 0.0
     relief = 1000.0 * (values - np.float32(mean))
@@ -261,15 +264,6 @@ def _close_up(relief_mm: FloatArray, result: Reconstruction, title: str) -> Pict
         frame.pitch_mm,
         charts.colour_bar(-60.0, 40.0, "µm"),
     )
-
-
-def _close_up_frame(result: Reconstruction) -> PictureFrame:
-    """Upright square in the middle of the mask, one picture pixel for each input pixel."""
-    whole = upright_frame(result, 10**6)
-    side = max(8, round(_CLOSE_UP_MM / result.pitch_mm))
-    shift = np.eye(3)
-    shift[:2, 2] = (whole.size[1] - side) / 2, (whole.size[0] - side) / 2
-    return PictureFrame(whole.input_from_picture @ shift, (side, side), whole.pitch_mm)
 
 
 # Shaded pictures of a height field, by a small renderer.
@@ -286,20 +280,7 @@ _SUPERSAMPLING = 2
 _NOWHERE = np.float32(1e9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class UprightSurface:
-    """A small upright height field."""
-
-    height_mm: FloatArray
-    """(H, W), the relief in it exaggerated."""
-    relief_mm: FloatArray
-    """(H, W), as measured."""
-    weight: FloatArray
-    """(H, W) in [0, 1], fraction of the pixel inside the mask."""
-    pitch_mm: float
-
-
-def _shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
+def _shade(surface: SmallFields, turn_rad: float = 0.0) -> FloatArray:
     """Light a height field like matt clay; valleys are slightly darker, as in a corner that light reaches less.
 
     The lamps stand still in front of a viewer for whom the finger is turned by `turn_rad`, counter-clockwise.
@@ -310,13 +291,13 @@ def _shade(surface: UprightSurface, turn_rad: float = 0.0) -> FloatArray:
     """
     inside = surface.weight > 0.5
     known = np.where(inside, surface.height_mm, np.float32(np.nan))
-    normals = normals_from_gradients(*height_gradients(known, surface.pitch_mm))
+    normals = normals_from_gradients(*height_gradients(known, surface.frame.pitch_mm))
     key = np.clip(normals @ _lamp(_KEY, turn_rad), 0.0, 1.0)
     fill = np.clip(normals @ _lamp(_FILL, turn_rad), 0.0, 1.0)
     halfway = _KEY / np.linalg.norm(_KEY) + np.array([0.0, 0.0, 1.0], dtype=np.float32)
     gloss = np.clip(normals @ _lamp(halfway, turn_rad), 0.0, 1.0) ** 24
-    deviation = float(np.sqrt(np.mean(np.square(surface.relief_mm[inside])))) if bool(inside.any()) else 0.0
-    depth = np.clip(surface.relief_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
+    deviation = float(np.sqrt(np.mean(np.square(surface.ridge_mm[inside])))) if bool(inside.any()) else 0.0
+    depth = np.clip(surface.ridge_mm / max(2.0 * deviation, 1e-6), -1.0, 1.0)
     light = (0.10 + 0.74 * key + 0.20 * fill) * (1.0 + np.float32(0.14) * depth)
     shaded = light[..., None] * _CLAY + np.float32(0.10) * gloss[..., None]
     return np.asarray(np.clip(shaded, 0.0, 1.0) ** np.float32(0.8), dtype=np.float32)
@@ -329,18 +310,18 @@ def _lamp(direction: FloatArray, turn_rad: float) -> FloatArray:
     return np.array([cos * x + sin * y, -sin * x + cos * y, z], dtype=np.float32)
 
 
-def _top_view(surface: UprightSurface) -> ColourArray:
+def _top_view(surface: SmallFields) -> ColourArray:
     """Shaded surface seen from the camera, upright."""
     alpha = surface.weight[..., None]
     return _bytes(_shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))
 
 
-def oblique_view(surface: UprightSurface, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
+def oblique_view(surface: SmallFields, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
     """Shaded surface seen at an angle, parallel projection.
 
     Parameters
     ----------
-    surface : UprightSurface
+    surface : SmallFields
     turn_deg : float
         Turn of the finger about the camera's axis, counter-clockwise, before it is tilted.
     tilt_deg : float
@@ -353,22 +334,22 @@ def oblique_view(surface: UprightSurface, *, turn_deg: float = 0.0, tilt_deg: fl
     turn_rad, weight = np.deg2rad(turn_deg), surface.weight
     colours = _shade(surface, turn_rad)
     painted = _bytes(np.dstack([colours, np.ones_like(weight)]))
-    height, painted = _turn(surface.height_mm, _smooth_edge(weight), painted, turn_rad, zoom=_SUPERSAMPLING)
-    view = _tilt(height, painted, np.deg2rad(tilt_deg), surface.pitch_mm / _SUPERSAMPLING)
-    return _flattened(_cut(view, margin=12 * _SUPERSAMPLING))
-
-
-def _smooth_edge(weight: FloatArray) -> FloatArray:
-    """Round the staircase of the mask's edge, staying inside it, so that steep flanks do not end in a fringe."""
+    # the staircase of the mask's edge is rounded, inside it: steep flanks would end in a fringe
     blurred = cv2.GaussianBlur(weight, (0, 0), 4.0, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(np.clip((blurred - 0.65) / 0.3, 0.0, 1.0), dtype=np.float32)
+    edge = np.asarray(np.clip((blurred - 0.65) / 0.3, 0.0, 1.0), dtype=np.float32)
+    height, painted = _turn(surface.height_mm, edge, painted, turn_rad)
+    view = _tilt(height, painted, np.deg2rad(tilt_deg), surface.frame.pitch_mm / _SUPERSAMPLING)
+    if (covered := view[..., 3] > 0).any():
+        margin = 12 * _SUPERSAMPLING
+        view = np.pad(view[bounding_box(covered)], ((margin, margin), (margin, margin), (0, 0)))
+    return _flattened(view)
 
 
 def _turn(
-    height: FloatArray, weight: FloatArray, painted: NDArray[np.uint8], angle_rad: float, zoom: int
+    height: FloatArray, weight: FloatArray, painted: NDArray[np.uint8], angle_rad: float
 ) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """Rotate about the middle into a frame that holds all of it, `zoom` times finer; NaN and no paint outside."""
-    rows, columns = weight.shape
+    """Rotate about the middle into a finer frame that holds all of it; NaN and no paint outside."""
+    (rows, columns), zoom = weight.shape, _SUPERSAMPLING
     cos, sin = np.cos(angle_rad), np.sin(angle_rad)
     size = (
         int(zoom * (abs(cos) * columns + abs(sin) * rows)) + 1,
@@ -411,13 +392,6 @@ def _tilt(height: FloatArray, painted: NDArray[np.uint8], tilt_rad: float, pitch
             source[column, ends] = np.interp(lines[ends], line, places + float(rows.start))
     across = np.ascontiguousarray(np.broadcast_to(np.arange(len(source), dtype=np.float32), source.shape[::-1]))
     return np.asarray(cv2.remap(painted, across, cv2.transpose(source), cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-def _cut(view: NDArray[np.uint8], margin: int) -> NDArray[np.uint8]:
-    covered = view[..., 3] > 0
-    if not bool(covered.any()):
-        return view
-    return np.pad(view[bounding_box(covered)], ((margin, margin), (margin, margin), (0, 0)))
 
 
 def _flattened(view: NDArray[np.uint8]) -> ColourArray:

@@ -112,7 +112,9 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
     cv2.drawContours(picture, outlines, -1, ORANGE, 2, cv2.LINE_AA)
     finger = is_finger(result)
     if finger:
-        ends = scale * _axis(result)
+        ends = upright_limits(result)
+        ends[:, 0] = ends[:, 0].mean()  # tip and base of the upright frame's middle line in the mask
+        ends = scale * (ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2])
         _line(picture, ends, SKY, 2)
         cv2.circle(picture, np.round(ends[0]).astype(int).tolist(), 5, SKY, -1, cv2.LINE_AA)
     crease = result.facts.get("crease_line")
@@ -132,13 +134,6 @@ def _mask_on_image(result: Reconstruction, capture: Capture) -> Picture:
             "follows the thing closely and holds neither background nor shadow."
         )
     return captioned("Finger found" if finger else "Outline", picture, caption, result.pitch_mm / scale)
-
-
-def _axis(result: Reconstruction) -> NDArray[np.float64]:
-    """Two points (column, row) of the input: tip end and base end of the upright frame's middle line in the mask."""
-    ends = upright_limits(result)
-    ends[:, 0] = ends[:, 0].mean()
-    return np.asarray(ends @ result.input_from_upright[:2, :2].T + result.input_from_upright[:2, 2])
 
 
 def _mirror_picture(result: Reconstruction, capture: Capture, drawing: Mapping[str, Any]) -> Picture:

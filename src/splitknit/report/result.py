@@ -27,7 +27,6 @@ from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
-from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, template
@@ -105,7 +104,11 @@ def make_report(
         photographs = None if capture is None else pool.submit(capture_pictures, result, capture)
         fields = [pool.submit(draw, result, small) for draw in figures.FIELD_PICTURES]
         charted, summary = pool.submit(_profiles, result, truth), pool.submit(_summary, result)
-        comparisons = [] if truth is None else _compared(results, truth)
+        comparisons: list[Comparison] = []
+        if truth is not None:
+            from splitknit.evaluation.accuracy import compare  # only what was simulated has a truth
+
+            comparisons = [compare(each, truth) for each in results]
         facts = _facts(result, capture, comparisons)
         maps = [] if photographs is None else photographs.result()
         maps += [picture for job in fields if (picture := job.result()) is not None]
@@ -131,18 +134,13 @@ def make_report(
         found=_tables({name: fact for name, fact in facts["facts"].items() if name != "mirror_drawing"}),
         settings=_tables(facts["settings"]),
         capture=[(_label(key), _flat(value)) for key, value in facts["capture"].items() if value],
-        comparison=_comparison_table(comparisons),
+        comparisons=comparisons,
+        compared=[row for row in _COMPARED if any(each.figures.get(row[0]) is not None for each in comparisons)],
         close_ups=close_ups,
         errors=errors,
         total_s=sum(result.timings_s.values()),
     )
     return Report(html, facts, views, prints)
-
-
-def _compared(results: Sequence[Reconstruction], truth: Truth) -> list[Comparison]:
-    from splitknit.evaluation.accuracy import compare  # only what was simulated has a truth
-
-    return [compare(each, truth) for each in results]
 
 
 def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
@@ -241,10 +239,15 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     thing, axis = ("finger", ", tip to the left") if is_finger(result) else ("surface", "")
 
     def cut(field: FloatArray, half: float, *, along: bool) -> tuple[FloatArray, FloatArray]:
-        step = np.array([0.0, half]) if along else np.array([half, 0.0])
-        start, end = (middle[0] - step[0], middle[1] - step[1]), (middle[0] + step[0], middle[1] + step[1])
-        values = _line_through(field, result.input_from_upright, start, end)
-        return np.linspace(-half * pitch, half * pitch, values.size).astype(np.float32), values
+        """Places (mm) and values at about one sample a pixel, `half` pixels to both sides of the middle."""
+        steps = np.linspace(-half, half, int(2 * half) + 2)
+        upright = np.stack([np.full(steps.size, middle[0]), np.full(steps.size, middle[1]), np.ones(steps.size)])
+        upright[int(along)] += steps
+        column, row = (result.input_from_upright @ upright)[:2].astype(np.float32)
+        values = cv2.remap(
+            field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,)
+        )
+        return (steps * pitch).astype(np.float32), np.asarray(values[0], dtype=np.float32)
 
     charted = []
     for words, along, extent in (("across", False, whole.size[1]), ("along", True, whole.size[0])):
@@ -268,35 +271,12 @@ def _profiles(result: Reconstruction, truth: Truth | None) -> list[tuple[str, Ma
     return charted
 
 
-def _line_through(
-    field: FloatArray, input_from_upright: NDArray[np.float64], start: tuple[float, float], end: tuple[float, float]
-) -> FloatArray:
-    """Values of `field` (H, W) at about one sample a pixel from `start` to `end` (column, row of the upright frame)."""
-    count = int(np.hypot(end[0] - start[0], end[1] - start[1])) + 2
-    upright = np.stack([np.linspace(start[0], end[0], count), np.linspace(start[1], end[1], count), np.ones(count)])
-    column, row = (input_from_upright @ upright)[:2].astype(np.float32)
-    sampled = cv2.remap(
-        field, column[None], row[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),)
-    )
-    return np.asarray(sampled[0], dtype=np.float32)
-
-
 def _lines(cuts: Mapping[str, tuple[FloatArray, FloatArray]], factor: float = 1.0) -> list[charts.Curve]:
     """Curves times `factor`, all with a mean of zero over the places where every one of them is known."""
     known = np.logical_and.reduce([np.isfinite(y) for _, y in cuts.values()])
     if not known.any():
         return []
     return [charts.Curve(name, x, factor * (y - y[known].mean())) for name, (x, y) in cuts.items()]
-
-
-def _comparison_table(comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    rows = []
-    for key, words, unit, good in _COMPARED:
-        values = [each.figures.get(key) for each in comparisons]
-        if any(value is not None for value in values):
-            shown = ["-" if value is None else f"{value:.3g} {unit}".strip() for value in values]
-            rows.append({"words": words, "values": shown, "good": good})
-    return {"presets": [each.preset for each in comparisons], "rows": rows}
 
 
 def _tables(facts: Mapping[str, Any]) -> list[dict[str, Any]]:

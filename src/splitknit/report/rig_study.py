@@ -120,11 +120,11 @@ def _page(rigs: Sequence[_Rig], summary: Mapping[str, Any], study: Study, pictur
         unit=unit,
         summary=summary,
         fingers=study.fingers,
-        asked=(METHODS[study.method], MATERIALS[study.material], CAMERAS[study.camera]),
+        study=(METHODS[study.method], MATERIALS[study.material], CAMERAS[study.camera]),
         best=rig_in_words(best.record),
         verdict=verdict(summary),
         pictures=list(pictures.values()),
-        rows=[_row(one) for _, _, one in sorted(measured, key=lambda row: row[:2])],
+        rigs=[one for _, _, one in sorted(measured, key=lambda row: row[:2])],
         findings=[one["words"] for one in best.record["constraints"]],
         reasons=list(summary["reasons"].items()),
     )
@@ -201,7 +201,7 @@ def _pareto(rigs: Sequence[_Rig], y_label: str) -> Markup:
 
 
 def _along(rigs: Sequence[_Rig], best: RigCandidate, axis: str) -> list[Dot]:
-    """Rigs that differ from the best one in one thing alone."""
+    """Rigs that differ from the best one along one axis only."""
     others = [name for name in AXES if name != axis]
     dots = []
     for one in rigs:
@@ -210,22 +210,6 @@ def _along(rigs: Sequence[_Rig], best: RigCandidate, axis: str) -> list[Dot]:
         x = one.candidate.beam_deg if axis == "tilt_deg" else getattr(one.candidate, axis)
         dots.append(Dot(x=float(x), y=one.figure["value"], low=one.figure["low"], high=one.figure["high"]))
     return sorted(dots, key=lambda dot: dot.x)
-
-
-def _row(one: _Rig) -> dict[str, Any]:
-    its, mean = one.figure or {}, one.record["mean"]
-    return {
-        "candidate": one.candidate,
-        "tilt": "centre" if one.candidate.tilt_deg is None else f"{one.candidate.tilt_deg:g}",
-        "value": f"{its['value']:.3f}",
-        "interval": "" if its["low"] is None else f"{its['low']:.3f} to {its['high']:.3f}",
-        "worse": f"{its['worse_by']:+.3f}",
-        "as_good": one.as_good,
-        "best": its["best"],
-        "front": one.front,
-        "exposure": f"{1000 * mean['exposure_s_white']:.3g} ms, gain {mean['gain_white']:.2g}",
-        "ridges": f"{mean['ridge_correlation']:.3f}",
-    }
 
 
 def _rounded(values: Mapping[str, Any]) -> dict[str, Any]:

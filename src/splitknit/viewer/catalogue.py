@@ -6,8 +6,9 @@ import hashlib
 import json
 import os
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -50,20 +51,27 @@ def open_below(root: Path, name: str) -> BinaryIO:
             os.close(handle)
 
 
-class Pieces:
-    """The content of an open file, a piece at a time; whoever has it closes it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Reply:
+    """What is sent back."""
 
-    def __init__(self, stream: BinaryIO) -> None:  # noqa: D107 - the class says it
-        self._stream = stream
-        self.size = os.fstat(stream.fileno()).st_size
+    kind: str
+    size: int
+    chunks: bytes | Iterable[bytes]
+    headers: Mapping[str, str] = field(default_factory=dict)
+    stream: BinaryIO | None = None
+    """The open file that the chunks come from."""
 
-    def __iter__(self) -> Iterator[bytes]:
-        while piece := self._stream.read(_PIECE):
-            yield piece
+    @classmethod
+    def of_file(cls, stream: BinaryIO, kind: str, headers: Mapping[str, str] | None = None) -> Reply:
+        """The content of an open file, a piece at a time."""
+        chunks = iter(partial(stream.read, _PIECE), b"")
+        return cls(kind, os.fstat(stream.fileno()).st_size, chunks, headers or {}, stream)
 
     def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
+        """Close the file; call it for every reply, sent or not."""
+        if self.stream is not None:
+            self.stream.close()
 
 
 def read_below(root: Path, name: str, max_bytes: int = 1 << 30) -> bytes:
@@ -132,17 +140,14 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     require(len(paths) <= 2, "name one result, a folder of results, two results, or photographs.")
     if not paths:
         return Catalogue("", (), ())
-    roots = [_resolved(path) for path in paths]
-    for path, root in zip(paths, roots, strict=True):
-        _check_kind(path, root)
+    roots = [_named_folder(path) for path in paths]
     if len(roots) == 1 and not _is_result(roots[0]):
         taken = (roots[0] / "capture.json").is_file()
         folders = [] if taken else _find_results(roots[0])
         if taken or (not folders and _holds_photographs(roots[0])):
             require(capture is None, f"'{paths[0]}' holds photographs itself; leave --capture out.")
-            return Catalogue(
-                roots[0].name, (CatalogueEntry("0", roots[0].name, roots[0], roots[0], result=False),), ("0",)
-            )
+            only = CatalogueEntry("0", roots[0].name, roots[0], roots[0], result=False)
+            return Catalogue(only.name, (only,), (only.key,))
         require(
             len(folders) > 0,
             f"there is no result in '{paths[0]}' (folders with a height.npz, as `splitknit reconstruct` writes them), "
@@ -153,7 +158,7 @@ def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalo
     else:
         for path, root in zip(paths, roots, strict=True):
             require(_is_result(root), f"'{path}' is not a result (it holds no height.npz); name two results.")
-        folders, names = roots, _telling_names(roots)
+        folders, names = roots, _distinct_names(roots)
         chosen = tuple(str(k) for k in range(len(roots)))
     entries = tuple(
         _entry(str(k), name, folder, capture) for k, (name, folder) in enumerate(zip(names, folders, strict=True))
@@ -230,16 +235,18 @@ def _resolved(path: Path) -> Path:
         raise BadInput(f"{os.fspath(path)!r} is not a usable path: {error}.") from error
 
 
-def _check_kind(path: Path, root: Path) -> None:
+def _named_folder(path: Path) -> Path:
+    root = _resolved(path)
     try:
         folder, there = root.is_dir(), root.exists()
     except (OSError, ValueError):
         folder = there = False
     require(there, f"there is no '{path}'; name a result folder, a folder of results, or photographs.")
     require(folder, f"'{path}' is a file; name a result folder (with height.npz), or a folder of results.")
+    return root
 
 
-def _telling_names(folders: Sequence[Path]) -> list[str]:
+def _distinct_names(folders: Sequence[Path]) -> list[str]:
     """Return the names of folders, with as many parents as it takes to distinguish them."""
     for depth in range(1, 1 + max(len(folder.parts) for folder in folders)):
         names = ["/".join(folder.parts[-depth:]) for folder in folders]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +14,14 @@ from splitknit.io.images import decode_image
 from splitknit.io.mesh import glb_chunks, stl_chunks, stl_size, surface_mesh
 from splitknit.io.ply import write_ply
 from splitknit.model import FloatArray
-from splitknit.viewer.catalogue import CatalogueEntry, Pieces, open_below, read_below
-from splitknit.viewer.surface import ShownSurface, fields_of
+from splitknit.viewer.catalogue import CatalogueEntry, Reply, open_below, read_below
+from splitknit.viewer.surface import ResultSurface, fields_of
 
 KINDS = {"ply": "application/octet-stream", "stl": "model/stl", "glb": "model/gltf-binary"}
 STEPS = (1, 2, 4, 8)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Export:
-    """A file on its way out."""
-
-    name: str
-    kind: str
-    size: int
-    chunks: Iterable[bytes]
-
-
-def export(entry: CatalogueEntry, surface: ShownSurface, kind: str, step: int) -> _Export:
+def export(entry: CatalogueEntry, surface: ResultSurface, kind: str, step: int) -> Reply:
     """Make a file of every `step`-th value along rows and columns.
 
     Raises
@@ -43,10 +31,11 @@ def export(entry: CatalogueEntry, surface: ShownSurface, kind: str, step: int) -
     """
     require(kind in KINDS, f"a surface is exported as {', '.join(KINDS)}, not as {kind[:20]!a}.")
     require(step in STEPS, "every 1st, 2nd, 4th or 8th value can be exported.")
-    name = f"{_plain(entry.name)}{'' if step == 1 else f'-every-{step}'}.{kind}"
+    name = f"{_ascii(entry.name)}{'' if step == 1 else f'-every-{step}'}.{kind}"
+    saved = {"Content-Disposition": f'attachment; filename="{name}"'}
     if kind == "ply" and step == 1:
         try:
-            return _opened(name, kind, open_below(entry.folder, "phalange.ply"))
+            return Reply.of_file(open_below(entry.folder, "phalange.ply"), KINDS[kind], saved)
         except BadInput:
             pass  # made anew below
     vertices, faces, index = surface_mesh(
@@ -55,24 +44,19 @@ def export(entry: CatalogueEntry, surface: ShownSurface, kind: str, step: int) -
     require(len(faces) > 0, "nothing is left of the surface at this step; export more values.")
     if kind == "stl":
         title = f"{entry.report.get('preset', '')} {name}"
-        return _Export(name, KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title))
+        return Reply(KINDS[kind], stl_size(len(faces)), stl_chunks(vertices, faces, title), saved)
     used = index >= 0
     normals = _normals(entry, surface)[::step, ::step][used]
     intensity = _albedo(entry, surface)[::step, ::step][used]
     facts = _origin(entry, step, "mm" if surface.scale_known else "pixel, the scale is unknown")
     if kind == "glb":
         size, chunks = glb_chunks(vertices, normals, intensity, faces, facts)
-        return _Export(name, KINDS[kind], size, chunks)
+        return Reply(KINDS[kind], size, chunks, saved)
     with tempfile.TemporaryDirectory(prefix="splitknit-") as folder:
         comments = [f"{key} {value}" for key, value in facts.items()]
         plain = [text.encode("ascii", "replace").decode("ascii") for text in comments]
         write_ply(Path(folder) / name, vertices, normals, intensity, faces, plain)
-        return _opened(name, kind, open_below(Path(folder), name))  # open: it outlives its name
-
-
-def _opened(name: str, kind: str, stream: BinaryIO) -> _Export:
-    pieces = Pieces(stream)
-    return _Export(name, KINDS[kind], pieces.size, pieces)
+        return Reply.of_file(open_below(Path(folder), name), KINDS[kind], saved)  # open: it outlives its name
 
 
 def _origin(entry: CatalogueEntry, step: int, unit: str) -> dict[str, Any]:
@@ -95,33 +79,27 @@ def _origin(entry: CatalogueEntry, step: int, unit: str) -> dict[str, Any]:
     return facts
 
 
-def _normals(entry: CatalogueEntry, surface: ShownSurface) -> FloatArray:
+def _normals(entry: CatalogueEntry, surface: ResultSurface) -> FloatArray:
     arrays: FloatArray = fields_of(entry.folder, ("normals",), unscaled=True)["normals"]
     require(arrays.shape == (*surface.size, 3), "the result's normals have another shape than its heights.")
-    rows, columns = (
-        slice(corner, corner + side) for corner, side in zip(surface.corner, surface.mask.shape, strict=True)
-    )
-    normals = arrays[rows, columns].astype(np.float32)
+    normals = arrays[surface.box].astype(np.float32)
     require(not (np.abs(normals) > 1.01).any(), "the result's normals are not of unit length.")
-    turn = surface.turn.astype(np.float32)
-    normals[..., :2] = normals[..., :2] @ turn.T
+    normals[..., :2] = normals[..., :2] @ surface.turn.astype(np.float32).T
     return normals
 
 
-def _albedo(entry: CatalogueEntry, surface: ShownSurface) -> NDArray[np.uint8]:
+def _albedo(entry: CatalogueEntry, surface: ResultSurface) -> NDArray[np.uint8]:
     """Grey value of each pixel of the box; white where the result has no picture of it."""
-    rows, columns = surface.mask.shape
-    white = np.full((rows, columns), 255, dtype=np.uint8)
+    white = np.full(surface.mask.shape, 255, dtype=np.uint8)
     try:
         pixels: NDArray[Any] = decode_image(read_below(entry.folder, "albedo.png"), "albedo.png")
     except BadInput:
         return white
     if (pixels.shape[0], pixels.shape[1]) != surface.size or pixels.dtype != np.uint8:
         return white
-    top, left = surface.corner
-    return np.asarray(pixels[top : top + rows, left : left + columns, 0], dtype=np.uint8)
+    return np.asarray(pixels[..., 0][surface.box], dtype=np.uint8)
 
 
-def _plain(name: str) -> str:
+def _ascii(name: str) -> str:
     kept = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "-_") else "-" for letter in name)
     return kept.strip("-")[-60:] or "finger"

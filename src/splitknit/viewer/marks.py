@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.io.prints import PrintFile, read_print_png
 from splitknit.viewer.catalogue import open_below, read_below
-from splitknit.viewer.measure import sample
-from splitknit.viewer.surface import ShownSurface
+from splitknit.viewer.surface import ResultSurface, sample
+
+if TYPE_CHECKING:
+    from splitknit.io.minutiae_record import FingerView
+    from splitknit.matching.minutiae_record import Minutiae
 
 
 @lru_cache(maxsize=8)
@@ -69,7 +72,7 @@ class Marks:
         ]
 
 
-def marks_of(folder: Path, surface: ShownSurface) -> Marks:
+def marks_of(folder: Path, surface: ResultSurface) -> Marks:
     """Return the minutiae of a result's print: those of its ``minutiae.iso``, or those found in it now.
 
     Raises
@@ -80,49 +83,37 @@ def marks_of(folder: Path, surface: ShownSurface) -> Marks:
     file = print_of(folder)
     rows, columns = file.image.shape
     ppi = file.resolution_ppi or 500.0
-    x_px, y_px, direction, kind, quality = _recorded(folder, (rows, columns)) or _found(file.image, ppi)
+    found, x_px, y_px = _recorded(folder, (rows, columns)) or _found(file.image, ppi)
+    direction = np.asarray(found.direction_rad, dtype=np.float64)
     mm = 25.4 / ppi
     # the print is mirrored: its right is the finger's left
     left_mm, up_mm = (x_px - (columns - 1) / 2) * mm, ((rows - 1) / 2 - y_px) * mm
     place = _on_surface(surface, -left_mm, up_mm)
     tail = _on_surface(surface, -(left_mm + _TAIL_MM * np.cos(direction)), up_mm + _TAIL_MM * np.sin(direction))
-    return Marks(x_px, y_px, direction, tuple(_KINDS[int(each)] for each in kind), quality, place, tail)
+    kind = tuple(_KINDS[int(each)] for each in found.type)
+    return Marks(x_px, y_px, direction, kind, np.asarray(found.quality, dtype=np.int64), place, tail)
 
 
-_Columns = tuple[_Values, _Values, _Values, NDArray[np.int64], NDArray[np.int64]]
-"""Column and row in the print, direction (rad), type, quality."""
-
-
-def _recorded(folder: Path, size: tuple[int, int]) -> _Columns | None:
-    """Minutiae of the record that was written with the print, if there is one of this print."""
+def _recorded(folder: Path, size: tuple[int, int]) -> tuple[FingerView, _Values, _Values] | None:
+    """Minutiae of the record that was written with the print, if there is one of this print; columns and rows in it."""
     from splitknit.io.minutiae_files import decode_minutiae_record
 
     if not (folder / "minutiae.iso").is_file():
         return None
     view = decode_minutiae_record(read_below(folder, "minutiae.iso", 10_000_000), "minutiae.iso").views[0]
-    if view.size != size:
-        return None
-    return _columns(view.x_px, view.y_px, view.direction_rad, view.type, view.quality)
+    return (view, view.x_px.astype(np.float64), view.y_px.astype(np.float64)) if view.size == size else None
 
 
-def _found(image: NDArray[np.uint8], ppi: float) -> _Columns:
+def _found(image: NDArray[np.uint8], ppi: float) -> tuple[Minutiae, _Values, _Values]:
     from splitknit.matching.minutiae import extract  # large, and not everywhere
 
     found = extract(image, ppi)
     stored = image.shape[1] / max(1, found.size[1])
-    x, y = ((np.asarray(axis) + 0.5) * stored - 0.5 for axis in (found.x_px, found.y_px))
-    return _columns(x, y, found.direction_rad, found.type, found.quality)
+    x, y = ((np.asarray(axis, dtype=np.float64) + 0.5) * stored - 0.5 for axis in (found.x_px, found.y_px))
+    return found, x, y
 
 
-def _columns(*fields: NDArray[Any]) -> _Columns:
-    x, y, direction = (np.asarray(field, dtype=np.float64) for field in fields[:3])
-    kind, quality = (np.asarray(field, dtype=np.int64) for field in fields[3:])
-    return x, y, direction, kind, quality
-
-
-def _on_surface(
-    surface: ShownSurface, right_mm: NDArray[np.float64], up_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _on_surface(surface: ResultSurface, right_mm: _Values, up_mm: _Values) -> _Values:
     """(N, 3) points of the surface at places given from the middle of the upright frame, NaN beside the finger."""
     rows, columns = surface.upright_size
     column = (columns - 1) / 2 + np.asarray(right_mm) / surface.pitch_mm

@@ -16,16 +16,15 @@ from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_
 from splitknit.matching.template import make_template
 from splitknit.viewer.catalogue import CatalogueEntry
 from splitknit.viewer.marks import Marks
-from splitknit.viewer.measure import Reading, locate, sample
-from splitknit.viewer.surface import ShownSurface, fields_of
+from splitknit.viewer.surface import Reading, ResultSurface, fields_of, sample
 
 _NEAR_MM = 0.8
 _TURNED_RAD = np.deg2rad(30.0)
 _PICTURE_PX = 1000
 _FIT_MM = 0.08
 """Distance of the places that are compared: a fifth of a ridge."""
-_FEWEST = 300
-_MOST_STEPS, _STILL = 30, 2e-5
+_MIN_PLACES = 300
+_MAX_STEPS, _STILL = 30, 2e-5
 _Values = NDArray[np.float64]
 
 
@@ -57,7 +56,7 @@ class Alignment:
         """(N, 3) points of the second finger in the first one's frame."""
         return np.asarray(points_mm @ self.rotation.T + self.shift_mm)
 
-    def read(self, surface: ShownSurface) -> Reading:
+    def read(self, surface: ResultSurface) -> Reading:
         """Heights and relief of the second finger along the camera's axis of the first."""
 
         def along_axis(x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
@@ -65,7 +64,7 @@ class Alignment:
             start, axis = self.rotation.T @ there, self.rotation[2]
             step = (np.nanmean(surface.height_mm[::16, ::16]) - start[2]) / axis[2]
             for _ in range(1 if axis[2] == 1.0 else 6):
-                place = locate(surface, start[0] + step * axis[0], start[1] + step * axis[1])
+                place = surface.locate(start[0] + step * axis[0], start[1] + step * axis[1])
                 step = (sample(surface.height_mm, place) - start[2]) / axis[2]
             return step, sample(surface.ridge_mm, place)
 
@@ -83,7 +82,7 @@ class Alignment:
         }
 
 
-def align_results(first: CatalogueEntry, a: ShownSurface, second: CatalogueEntry, b: ShownSurface) -> Alignment:
+def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntry, b: ResultSurface) -> Alignment:
     """Lay the second result on the first.
 
     Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
@@ -96,7 +95,8 @@ def align_results(first: CatalogueEntry, a: ShownSurface, second: CatalogueEntry
         If a result lacks what a ridge template needs, or only one has a scale.
     """
     require(a.scale_known == b.scale_known, "one is in mm and one in pixels; give both a scale (--px-per-mm).")
-    if _same_photographs(first, second) and a.size == b.size:
+    photographs = first.report.get("inputs_sha256")
+    if photographs and photographs == second.report.get("inputs_sha256") and a.size == b.size:
         rotation = np.eye(3)
         rotation[:2, :2] = a.turn @ b.turn.T
         return _raised(Alignment("photographs", rotation), a, b)
@@ -112,19 +112,15 @@ def align_results(first: CatalogueEntry, a: ShownSurface, second: CatalogueEntry
     return _fitted(found, a, b)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceDifference:
-    """How much higher the second finger is than the first, along the camera's axis."""
+def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tuple[NDArray[np.uint8], dict[str, float]]:
+    """How much higher the second finger is than the first, along the camera's axis; in pixels without a scale.
 
-    picture: NDArray[np.uint8]
-    """(h, w) over the first one's input: 0 = unknown, 1 to 255 = -`range_um` to `range_um`."""
-    range_um: float
-    figures: dict[str, float]
-    """``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um`` and ``area_mm2``."""
-
-
-def difference(a: ShownSurface, b: ShownSurface, alignment: Alignment) -> SurfaceDifference:
-    """Second minus first; in pixels where their scale is unknown.
+    Returns
+    -------
+    picture : (h, w) uint8
+        Over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``.
+    figures : dict
+        ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``.
 
     Raises
     ------
@@ -143,23 +139,25 @@ def difference(a: ShownSurface, b: ShownSurface, alignment: Alignment) -> Surfac
     apart, reliefs, known = apart[both], reliefs[both], known[both]
     largest = max(float(np.percentile(np.abs(apart), 98)), 0.1)
     power = 10.0 ** np.floor(np.log10(largest))
-    most = float(power * np.ceil(largest / power * 2) / 2)
+    limit = float(power * np.ceil(largest / power * 2) / 2)
     picture = np.zeros(height * width, dtype=np.uint8)
-    picture[known] = np.rint(128 + 127 * np.clip(apart / most, -1, 1))
+    picture[known] = np.rint(128 + 127 * np.clip(apart / limit, -1, 1))
     figures = {
         "rms_um": float(np.sqrt(np.mean(apart**2))),
         "within_um": float(np.percentile(np.abs(apart), 95)),
         "relief_rms_um": float(np.sqrt(np.mean(reliefs**2))),
         "area_mm2": float(len(known) * (a.size[0] / height) * (a.size[1] / width) * a.pitch_mm**2),
+        "range_um": limit,
     }
-    return SurfaceDifference(picture.reshape(height, width), most, figures)
+    return picture.reshape(height, width), figures
 
 
 def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, int]]:
     """Pairs of minutiae that lie within 0.8 mm of each other and point the same way within 30 deg, nearest first."""
     moved, tails = alignment.moved(b.place_mm), alignment.moved(b.tail_mm)
     gaps = np.linalg.norm(a.place_mm[:, None, :2] - moved[None, :, :2], axis=2)
-    turns = (_angles(a.tail_mm - a.place_mm)[:, None] - _angles(tails - moved)[None, :] + np.pi) % (2 * np.pi) - np.pi
+    here, there = (np.arctan2(step[:, 1], step[:, 0]) for step in (a.tail_mm - a.place_mm, tails - moved))
+    turns = (here[:, None] - there[None, :] + np.pi) % (2 * np.pi) - np.pi
     fits = (gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD)
     pairs, used_a, used_b = [], set(), set()
     rows, columns = np.nonzero(fits)
@@ -172,16 +170,7 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     return pairs
 
 
-def _angles(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.arctan2(steps[:, 1], steps[:, 0]))
-
-
-def _same_photographs(first: CatalogueEntry, second: CatalogueEntry) -> bool:
-    mine, other = (entry.report.get("inputs_sha256") for entry in (first, second))
-    return bool(mine) and mine == other
-
-
-def _raised(found: Alignment, a: ShownSurface, b: ShownSurface) -> Alignment:
+def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     """Both at the same height on average, over a coarse grid of the first."""
     step = max(1, round(max(a.mask.shape) / 60))
     inside = a.mask[::step, ::step]
@@ -191,13 +180,13 @@ def _raised(found: Alignment, a: ShownSurface, b: ShownSurface) -> Alignment:
     return replace(found, shift_mm=found.shift_mm + np.array([0.0, 0.0, rise]))
 
 
-def _fitted(found: Alignment, a: ShownSurface, b: ShownSurface) -> Alignment:
+def _fitted(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
     """Move the second finger, rigidly, so that heights and relief agree best.
 
     Gauss-Newton steps on the distances along the normals (Y. Chen and G. Medioni, "Object modelling by registration of
     multiple range images", Image and Vision Computing 10(3), 1992) and on the relief's differences (B. Lucas and
     T. Kanade, IJCAI 1981), each divided by its spread, large ones weighted down. What lies beside the other finger, or
-    where the ridges are more than a quarter of a period apart, cannot be mended by this: `found` must be near.
+    where the ridges are more than a quarter of a period apart, stays wrong: `found` must be close.
     """
     step = max(1, round(_FIT_MM / a.pitch_mm))
     x, y, z, ridge = (values[::step, ::step].astype(np.float64) for values in (a.x_mm, a.y_mm, a.height_mm, a.ridge_mm))
@@ -208,23 +197,24 @@ def _fitted(found: Alignment, a: ShownSurface, b: ShownSurface) -> Alignment:
     flat = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=0))
     along_normal = np.stack([-slope[0], -slope[1], np.ones(len(x))]) * flat
     along_relief = -np.stack([relief[0], relief[1], np.zeros(len(x))])
-    for _ in range(_MOST_STEPS):
+    for _ in range(_MAX_STEPS):
         height, other = found.read(b)(x, y)
         both = np.isfinite(height - z)
-        if both.sum() < _FEWEST:
+        if both.sum() < _MIN_PLACES:
             return found
         place = np.stack([x, y, z])[:, both]
         middle = place.mean(axis=1)
-        rows, misses = [], []
-        for way, apart in (
+        jacobian, residuals = [], []
+        for direction, residual in (
             (along_normal[:, both], ((height - z) * flat)[both]),
             (along_relief[:, both], (other - ridge)[both]),
         ):
-            spread = 3.0 * float(np.median(np.abs(apart - np.median(apart)))) + 1e-9
-            weight = 1.0 / (spread * (1.0 + (apart / spread) ** 2))
-            rows.append(np.vstack([np.cross((place - middle[:, None]).T, way.T).T, way]) * weight)
-            misses.append(-apart * weight)
-        move = np.linalg.lstsq(np.hstack(rows).T, np.concatenate(misses), rcond=None)[0]
+            spread = 3.0 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-9
+            weight = 1.0 / (spread * (1.0 + (residual / spread) ** 2))
+            lever = np.cross((place - middle[:, None]).T, direction.T).T
+            jacobian.append(np.vstack([lever, direction]) * weight)
+            residuals.append(-residual * weight)
+        move = np.linalg.lstsq(np.hstack(jacobian).T, np.concatenate(residuals), rcond=None)[0]
         rotation = _turned(*move[:3])
         found = replace(
             found, rotation=rotation @ found.rotation, shift_mm=rotation @ (found.shift_mm - middle) + middle + move[3:]
@@ -261,9 +251,9 @@ class _Band:
         return float(sample(self._columns, there)[0]), float(sample(self._rows, there)[0])
 
 
-def _upright(surface: ShownSurface, column: float, row: float) -> NDArray[np.float64]:
+def _upright(surface: ResultSurface, column: float, row: float) -> NDArray[np.float64]:
     """(x, y) of a place of the input."""
     place = np.array([[column - surface.corner[1]], [row - surface.corner[0]]])
-    seen = np.array([sample(surface.x_mm, place)[0], sample(surface.y_mm, place)[0]])
+    measured = np.array([sample(surface.x_mm, place)[0], sample(surface.y_mm, place)[0]])
     plan = surface.plan(np.array([column]), np.array([row]))[:, 0]
-    return np.where(np.isfinite(seen), seen, plan)
+    return np.where(np.isfinite(measured), measured, plan)

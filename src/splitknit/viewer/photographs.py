@@ -28,7 +28,7 @@ _WIDEST = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class _ShownPhoto:
+class LitPhoto:
     """One photograph."""
 
     name: str
@@ -42,20 +42,21 @@ class _ShownPhoto:
 
 
 @dataclass(frozen=True, slots=True)
-class _ShownPhotographs:
+class PhotoFolder:
     """The photographs of a folder, and what a person should know of them."""
 
-    photos: tuple[_ShownPhoto, ...]
+    photos: tuple[LitPhoto, ...]
     plain: bool
     """A folder of photographs, no capture."""
     facts: tuple[tuple[str, str], ...] = ()
+    """Name and value, empty where it is not known."""
     notes: tuple[str, ...] = ()
     command: str = ""
     """What reconstructs them."""
 
 
 @lru_cache(maxsize=16)
-def photographs_of(folder: Path) -> _ShownPhotographs:
+def photographs_of(folder: Path) -> PhotoFolder:
     """Return the photographs of a capture, or of any folder that holds some, band by band.
 
     Raises
@@ -69,15 +70,9 @@ def photographs_of(folder: Path) -> _ShownPhotographs:
         return _plain(folder, where, out)
     plan = read_plan(folder / "capture.json")
     photos = tuple(
-        _ShownPhoto(
-            name,
-            band,
-            number,
-            plan.encoding,
-            _unit(sum(vector_at_origin(plan.rig.leds[k]) for k in shots.leds[number])),
-        )
+        LitPhoto(name, band, number, plan.encoding, _unit(sum(vector_at_origin(plan.rig.leds[k]) for k in leds)))
         for band, shots in plan.bands.items()
-        for number, name in enumerate(shots.names)
+        for number, (name, leds) in enumerate(zip(shots.names, shots.leds, strict=True))
     )
     camera, about = plan.rig.camera, plan.subject
     facts = (
@@ -86,16 +81,13 @@ def photographs_of(folder: Path) -> _ShownPhotographs:
         ("Scale", f"{camera.px_per_mm:.4g} px/mm" if camera.scale_known else "unknown"),
         ("Stored", "sRGB" if plan.encoding == "srgb" else plan.encoding),
         ("Material", plan.material),
-        *(
-            (name.capitalize(), str(about[key]))
-            for name, key in (("finger", "finger"), ("person", "id"))
-            if about.get(key)
-        ),
+        ("Finger", str(about.get("finger") or "")),
+        ("Person", str(about.get("id") or "")),
     )
-    return _ShownPhotographs(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
+    return PhotoFolder(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
 
 
-def _plain(folder: Path, where: str, out: str) -> _ShownPhotographs:
+def _plain(folder: Path, where: str, out: str) -> PhotoFolder:
     table, notes = folder / "lights.txt", []
     lights: Sequence[Any] = ()
     try:
@@ -118,7 +110,7 @@ def _plain(folder: Path, where: str, out: str) -> _ShownPhotographs:
     notes += [f"Not used: {', '.join(skipped[:8])}{' and more' if len(skipped) > 8 else ''}."] if skipped else []
     curve, _ = encoding_of(files[:1], lambda: False)
     photos = tuple(
-        _ShownPhoto(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
+        LitPhoto(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
         for number, file in enumerate(files)
     )
     facts = (
@@ -128,9 +120,7 @@ def _plain(folder: Path, where: str, out: str) -> _ShownPhotographs:
         ("Mask", masks[0].name if masks else "none"),
     )
     named = "" if table.is_file() else "--lights FILE "
-    return _ShownPhotographs(
-        photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}"
-    )
+    return PhotoFolder(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
 
 
 def _unit(vector: Any) -> tuple[float, float, float] | None:
@@ -160,7 +150,7 @@ def photo_jpeg(entry: CatalogueEntry, number: int, width: int) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _jpeg(folder: Path, photo: _ShownPhoto, sha256: str, plain: bool, width: int) -> bytes:
+def _jpeg(folder: Path, photo: LitPhoto, sha256: str, plain: bool, width: int) -> bytes:
     data = read_below(folder, photo.name)
     same = not sha256 or hashlib.sha256(data).hexdigest() == sha256
     require(same, f"{photo.name} is not the file that this result was made from: its hash is another.")

@@ -32,8 +32,8 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from splitknit.errors import BadInput, require
-from splitknit.viewer.catalogue import Catalogue, make_catalogue
-from splitknit.viewer.service import Response, Service, describe_photographs
+from splitknit.viewer.catalogue import Catalogue, Reply, make_catalogue
+from splitknit.viewer.service import Service
 
 POLICY = "; ".join(
     (
@@ -60,25 +60,8 @@ HEADERS = {
 """Sent with every answer."""
 
 
-def _new_token() -> str:
-    """Return 192 random bits, as they may stand in an address."""
-    return secrets.token_urlsafe(24)
-
-
 def _refusal(method: str, path: str, headers: Message, token: str, port: int) -> tuple[int, str] | None:
-    """Return the status and the reason for which a request is refused, or None if it is let in.
-
-    Parameters
-    ----------
-    method : str
-    path : str
-        As sent, still encoded.
-    headers : Message
-    token : str
-        The first part of every address.
-    port : int
-        On which we listen.
-    """
+    """Return the status and the reason for which a request is refused, or None if it is let in; `path` as sent."""
     if _is_malformed(headers):
         return 400, "the request cannot be read: it has a body, or a header that is damaged or there twice"
     hosts = {f"127.0.0.1:{port}", f"localhost:{port}"} | ({"127.0.0.1", "localhost"} if port == 80 else set())
@@ -110,7 +93,7 @@ _DATABASE = b"SQLite format 3\0"
 def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Path | None = None) -> Service:
     """Return a service for a result, two results, a folder of results, photographs, a gallery, or an empty page.
 
-    What was named itself is read at once: what is damaged is said before a page opens.
+    Results that are named are read at once: damage is reported before a page opens.
 
     Raises
     ------
@@ -118,23 +101,16 @@ def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Pat
         If there is nothing to show, or it cannot be read.
     """
     if paths and _is_database(paths[0]):
-        return _gallery(paths, key_file)
+        from splitknit.gallery.key import key_of  # a result needs none of it
+        from splitknit.viewer.people import People
+
+        require(len(paths) == 1, "a gallery is shown alone; name nothing else.")
+        return Service(Catalogue(paths[0].name, (), ()), People(paths[0], key_of(key_file)))
     require(key_file is None, f"'{paths[0] if paths else ''}' is no gallery; --key-file is for galleries.")
     service = Service(make_catalogue(paths, capture))
     for entry in map(service.catalogue.entry, service.catalogue.chosen):
-        if entry.result:
-            service.surface(entry)
-        else:
-            describe_photographs(entry)
+        service.check(entry)
     return service
-
-
-def _gallery(paths: Sequence[Path], key_file: Path | None) -> Service:
-    from splitknit.gallery.key import key_of  # a result needs none of it
-    from splitknit.viewer.people import People
-
-    require(len(paths) == 1, "a gallery is shown alone; name nothing else.")
-    return Service(Catalogue(paths[0].name, (), ()), People(paths[0], key_of(key_file)))
 
 
 def _is_database(path: Path) -> bool:
@@ -154,21 +130,12 @@ def start(service: Service, port: int) -> ViewerServer:
         If the port is in use or may not be used.
     """
     try:
-        return ViewerServer(service, _new_token(), port)
+        return ViewerServer(service, secrets.token_urlsafe(24), port)  # 192 random bits
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInput(
             f"port {port} cannot be used ({reason}); choose another with --port, or leave it out for any free one."
         ) from error
-
-
-def serve(server: ViewerServer) -> None:
-    """Answer until Ctrl-C (or a polite kill)."""
-    try:
-        with contextlib.suppress(KeyboardInterrupt):
-            server.serve_forever(poll_interval=0.2)
-    finally:
-        server.server_close()
 
 
 def show(save: Callable[[Path], object], block: bool | None = None) -> str:
@@ -198,9 +165,9 @@ def show(save: Callable[[Path], object], block: bool | None = None) -> str:
             words = "Shown in the browser" if shown else "Open this address"
             sys.stdout.write(f"{server.url}\n{words}; Ctrl-C ends it.\n")
             sys.stdout.flush()
-            serve(server)
+            server.run()
         else:
-            threading.Thread(target=serve, args=(server,), daemon=True).start()
+            threading.Thread(target=server.run, daemon=True).start()
             atexit.register(stack.pop_all().close)
         return server.url
 
@@ -239,7 +206,7 @@ _HEAD_S = 20.0
 _ANSWER_S = 60.0
 """Until a piece of an answer must be taken."""
 _PACKED_FROM = 1000
-"""Bytes of an answer that is worth compressing."""
+"""Bytes from which an answer is compressed."""
 _PACKED_KINDS = ("text/", "application/", "image/svg")
 _FULL = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 1\r\nConnection: close\r\n\r\n"
 
@@ -261,12 +228,19 @@ class ViewerServer(ThreadingHTTPServer):
         self._free = threading.BoundedSemaphore(_MAX_CONNECTIONS)
         super().__init__(("127.0.0.1", port), _Handler)
 
+    def run(self) -> None:
+        """Answer until Ctrl-C or SIGTERM."""
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                self.serve_forever(poll_interval=0.2)
+        finally:
+            self.server_close()
+
     def server_bind(self) -> None:
         """Bind without asking the network for this host's name."""
-        alone = getattr(
-            socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR
-        )  # of Windows, where the other shares the port
-        self.socket.setsockopt(socket.SOL_SOCKET, alone, 1)
+        # on Windows SO_REUSEADDR would share the port
+        exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR)
+        self.socket.setsockopt(socket.SOL_SOCKET, exclusive, 1)
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = "127.0.0.1", int(self.server_address[1])
@@ -372,12 +346,12 @@ class _Handler(BaseHTTPRequestHandler):
         self._say(code, "the request cannot be read")
 
     def _say(self, status: int, words: str) -> None:
-        """Send a refusal and close: what else the request holds is not read."""
+        """Send a refusal and close; the rest of the request is not read."""
         body = (words + "\n").encode("utf-8")
         self.close_connection = True
-        self._send(status, Response("text/plain; charset=utf-8", len(body), body, {"Connection": "close"}))
+        self._send(status, Reply("text/plain; charset=utf-8", len(body), body, {"Connection": "close"}))
 
-    def _send(self, status: int, answer: Response) -> None:
+    def _send(self, status: int, answer: Reply) -> None:
         headers = {"Cache-Control": "no-store", **HEADERS, **answer.headers}
         size, chunks = answer.size, answer.chunks
         if isinstance(chunks, bytes):

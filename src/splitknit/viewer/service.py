@@ -9,31 +9,22 @@ import contextlib
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.viewer.catalogue import Catalogue, CatalogueEntry, Pieces, open_below, read_below
-from splitknit.viewer.marks import print_of
-from splitknit.viewer.surface import (
-    TILE,
-    ShownSurface,
-    filled_tiles,
-    first_view,
-    read_shown_surface,
-    strides,
-    tile_bytes,
-)
+from splitknit.viewer.catalogue import Catalogue, CatalogueEntry, Reply, open_below, read_below
+from splitknit.viewer.exports import export
+from splitknit.viewer.marks import Marks, marks_of, print_of
+from splitknit.viewer.surface import TILE, Reading, ResultSurface, pick, read_surface, section
 
 if TYPE_CHECKING:
-    from splitknit.viewer.marks import Marks
-    from splitknit.viewer.measure import Section
-    from splitknit.viewer.pair import Alignment, SurfaceDifference
+    from splitknit.viewer.pair import Alignment
 
 STATIC = Path(__file__).parent / "static"
 _TYPES = {
@@ -53,29 +44,14 @@ _NOT_FOUND = "there is nothing at this address."
 Query = Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Response:
-    """What is sent back."""
-
-    kind: str
-    size: int
-    chunks: bytes | Iterable[bytes]
-    headers: Mapping[str, str] = field(default_factory=dict)
-
-    def close(self) -> None:
-        """Give back what was opened; whoever has an answer does this, sent or not."""
-        if isinstance(self.chunks, Pieces):
-            self.chunks.close()
-
-
 class Service:
-    """Answers about one catalogue; may be asked by several threads at once."""
+    """Answers about one catalogue; several threads may call it at once."""
 
     def __init__(self, catalogue: Catalogue, gallery: Any = None) -> None:
         """`gallery` is a :class:`splitknit.viewer.people.People`, or None."""
         self.catalogue = catalogue
         self.gallery = gallery
-        self._surfaces: OrderedDict[str, ShownSurface] = OrderedDict()
+        self._surfaces: OrderedDict[str, ResultSurface] = OrderedDict()
         self._locks: dict[str, threading.Lock] = {}
         self._lock = threading.Lock()
         self._large = threading.Lock()  # held by what needs several times the memory of a surface
@@ -84,7 +60,7 @@ class Service:
         self._differed = lru_cache(maxsize=4)(self._differ)
         self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
-    def answer(self, path: str, query: Query) -> Response:
+    def answer(self, path: str, query: Query) -> Reply:
         """Answer a request.
 
         Parameters
@@ -112,8 +88,8 @@ class Service:
                 return self._result(self.catalogue.entry(key), rest, query)
         raise BadInput(_NOT_FOUND)
 
-    def surface(self, entry: CatalogueEntry) -> ShownSurface:
-        """Return a result's heights, read once as long as few others are asked for."""
+    def surface(self, entry: CatalogueEntry) -> ResultSurface:
+        """Return a result's heights; the last results are kept in memory."""
         with self._lock:
             lock = self._locks.setdefault(entry.key, threading.Lock())
         with lock:
@@ -121,26 +97,33 @@ class Service:
                 if entry.key in self._surfaces:
                     self._surfaces.move_to_end(entry.key)
                     return self._surfaces[entry.key]
-            surface = read_shown_surface(entry.folder)
+            surface = read_surface(entry.folder)
             with self._lock:
                 self._surfaces[entry.key] = surface
                 while len(self._surfaces) > 2 and sum(kept.nbytes for kept in self._surfaces.values()) > _KEPT_BYTES:
                     self._surfaces.popitem(last=False)
             return surface
 
-    def _result(self, entry: CatalogueEntry, rest: list[str], query: Query) -> Response:  # noqa: PLR0911
+    def check(self, entry: CatalogueEntry) -> None:
+        """Read a result's heights, or what photographs there are. Raises BadInput if that cannot be done."""
+        if entry.result:
+            self.surface(entry)
+        else:
+            _describe_photographs(entry)
+
+    def _result(self, entry: CatalogueEntry, rest: list[str], query: Query) -> Reply:  # noqa: PLR0911
         match rest:
             case []:
-                return _json(_describe(entry, self.surface(entry)) if entry.result else describe_photographs(entry))
+                return _json(_describe(entry, self.surface(entry)) if entry.result else _describe_photographs(entry))
             case ["first"]:
-                return _bytes(first_view(self.surface(entry)), "application/octet-stream")
+                return _bytes(self.surface(entry).first_view(), "application/octet-stream")
             case ["tile", stride, row, column]:
                 numbers = (_whole(stride), _whole(row), _whole(column))
-                return _bytes(tile_bytes(self.surface(entry), *numbers), "application/octet-stream")
+                return _bytes(self.surface(entry).tile(*numbers), "application/octet-stream")
             case ["pick"]:
                 return _json(self._pick(entry, query))
             case ["section"]:
-                return _json(self._section(entry, query))
+                return _json(_cut(self.surface(entry), query))
             case ["minutiae"]:
                 return _json(self._minutiae(entry))
             case ["picture", name] if name in _PICTURES:
@@ -153,15 +136,11 @@ class Service:
                 width = _whole(query.get("width", "1200"))
                 return _bytes(photo_jpeg(entry, _whole(number), width), "image/jpeg")
             case ["export", kind]:
-                from splitknit.viewer.exports import export
-
                 with self._large:
-                    made = export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
-                saved = {"Content-Disposition": f'attachment; filename="{made.name}"'}
-                return Response(made.kind, made.size, made.chunks, saved)
+                    return export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
         raise BadInput(_NOT_FOUND)
 
-    def _page(self, name: str) -> Response:
+    def _page(self, name: str) -> Reply:
         content = (STATIC / name).read_bytes()
         return _bytes(content, _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
 
@@ -174,21 +153,10 @@ class Service:
         }
 
     def _pick(self, entry: CatalogueEntry, query: Query) -> dict[str, Any]:
-        from splitknit.viewer.measure import pick
-
         ray = np.array([_number(query, name) for name in ("ox", "oy", "oz", "dx", "dy", "dz")])
         exaggeration = _number(query, "relief", 1.0)
         require(0 <= exaggeration <= 100, "an exaggeration must lie between 0 and 100.")
         return {"point_mm": pick(self.surface(entry), ray[:3], ray[3:], exaggeration)}
-
-    def _section(self, entry: CatalogueEntry, query: Query) -> dict[str, Any]:
-        from splitknit.viewer.measure import section
-
-        ends = _ends(query)
-        try:
-            return _cut(section(self.surface(entry), *ends))
-        except BadInput as error:
-            return {"why_not": str(error)}
 
     def _minutiae(self, entry: CatalogueEntry) -> dict[str, Any]:
         try:
@@ -197,10 +165,10 @@ class Service:
             return {"minutiae": None, "why_not": str(error)}
 
     def _read_marks(self, key: str) -> Marks:
-        from splitknit.viewer.marks import marks_of
+        return marks_of(self.catalogue.entry(key).folder, self._surface_of(key))
 
-        entry = self.catalogue.entry(key)
-        return marks_of(entry.folder, self.surface(entry))
+    def _surface_of(self, key: str) -> ResultSurface:
+        return self.surface(self.catalogue.entry(key))
 
     def _align(self, first: str, second: str) -> Alignment:
         from splitknit.viewer.pair import align_results
@@ -209,22 +177,22 @@ class Service:
         with self._large:
             return align_results(one, self.surface(one), two, self.surface(two))
 
-    def _differ(self, first: str, second: str) -> SurfaceDifference:
+    def _differ(self, first: str, second: str) -> tuple[NDArray[np.uint8], dict[str, float]]:
         from splitknit.viewer.pair import difference
 
-        one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
+        one, two = map(self._surface_of, (first, second))
         found = self._aligned(first, second)
         with self._large:
             return difference(one, two, found)
 
-    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Response:
+    def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Reply:
         match rest:
             case []:
                 return _json(self._both(first, second))
             case ["difference"]:
                 from splitknit.io.images import encode_image
 
-                return _bytes(encode_image(self._differed(first, second).picture, ".png"), "image/png")
+                return _bytes(encode_image(self._differed(first, second)[0], ".png"), "image/png")
             case ["section"]:
                 return _json(self._section_of_both(first, second, query))
         raise BadInput(_NOT_FOUND)
@@ -240,33 +208,22 @@ class Service:
             return {"alignment": None, "why_not": str(error)}
         if found.how == "none":
             return {"alignment": None, "why_not": "they have too few ridges in common"}
-        try:
-            pairs = matched_marks(self._marks(first), self._marks(second), found)
-        except BadInput:
-            pairs = []
-        apart = None
+        pairs, apart = [], None
         with contextlib.suppress(BadInput):
-            differ = self._differed(first, second)
-            apart = {**differ.figures, "range_um": differ.range_um}
+            pairs = matched_marks(self._marks(first), self._marks(second), found)
+        with contextlib.suppress(BadInput):
+            _, apart = self._differed(first, second)
         return {"alignment": found.document(), "pairs": pairs, "difference": apart}
 
     def _section_of_both(self, first: str, second: str, query: Query) -> dict[str, Any]:
         """Both cut at the same places of the first one's frame."""
-        from splitknit.viewer.measure import section
         from splitknit.viewer.pair import Alignment
 
-        one, two = (self.surface(self.catalogue.entry(key)) for key in (first, second))
+        one, two = map(self._surface_of, (first, second))
         found = Alignment("none")
         with contextlib.suppress(BadInput):
             found = self._aligned(first, second)
-        ends = _ends(query)
-        cuts = []
-        for read in (None, found.read(two)):
-            try:
-                cuts.append(_cut(section(one, *ends, read)))
-            except BadInput as error:
-                cuts.append({"why_not": str(error)})
-        return {"cuts": cuts}
+        return {"cuts": [_cut(one, query, read) for read in (None, found.read(two))]}
 
 
 @lru_cache(maxsize=512)
@@ -285,7 +242,7 @@ def _thumb(folder: Path) -> bytes:
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
 
 
-def _json(document: Any) -> Response:
+def _json(document: Any) -> Reply:
     try:
         text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     except ValueError as error:
@@ -295,16 +252,16 @@ def _json(document: Any) -> Response:
     return _bytes(text.encode("utf-8"), "application/json; charset=utf-8")
 
 
-def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Response:
-    return Response(kind, len(content), content, headers or {})
+def _bytes(content: bytes, kind: str, headers: Mapping[str, str] | None = None) -> Reply:
+    return Reply(kind, len(content), content, headers or {})
 
 
-def _file(folder: Path, name: str, kind: str) -> Response:
-    pieces = Pieces(open_below(folder, name))
-    if pieces.size > _MAX_PICTURE_BYTES:
-        pieces.close()
-        raise BadInput(f"{name} is too large: {pieces.size} bytes, at most {_MAX_PICTURE_BYTES} are sent.")
-    return Response(kind, pieces.size, pieces)
+def _file(folder: Path, name: str, kind: str) -> Reply:
+    reply = Reply.of_file(open_below(folder, name), kind)
+    if reply.size > _MAX_PICTURE_BYTES:
+        reply.close()
+        raise BadInput(f"{name} is too large: {reply.size} bytes, at most {_MAX_PICTURE_BYTES} are sent.")
+    return reply
 
 
 def _whole(text: str) -> int:
@@ -321,12 +278,12 @@ def _number(query: Query, name: str, default: float | None = None) -> float:
     return value
 
 
-def _ends(query: Query) -> tuple[tuple[float, float], tuple[float, float]]:
+def _cut(surface: ResultSurface, query: Query, read: Reading | None = None) -> dict[str, Any]:
     x0, y0, x1, y1 = (_number(query, name) for name in ("x0", "y0", "x1", "y1"))
-    return (x0, y0), (x1, y1)
-
-
-def _cut(cut: Section) -> dict[str, Any]:
+    try:
+        cut = section(surface, (x0, y0), (x1, y1), read)
+    except BadInput as error:
+        return {"why_not": str(error)}
     step = max(1, len(cut.along_mm) // 4000)
     names = ("along_mm", "x_mm", "y_mm", "height_mm", "relief_um")
     return {**{name: _list(getattr(cut, name)[::step]) for name in names}, "figures": cut.figures}
@@ -364,9 +321,8 @@ def _listed(entry: CatalogueEntry) -> dict[str, Any]:
     }
 
 
-def _describe(entry: CatalogueEntry, surface: ShownSurface) -> dict[str, Any]:
+def _describe(entry: CatalogueEntry, surface: ResultSurface) -> dict[str, Any]:
     """All that the page needs of a result before it requests pieces of it."""
-    levels = strides(surface)
     return {
         **_listed(entry),
         "pitch_mm": surface.pitch_mm,
@@ -379,8 +335,8 @@ def _describe(entry: CatalogueEntry, surface: ShownSurface) -> dict[str, Any]:
         "input_size": surface.size,
         "turn": surface.turn.tolist(),
         "tile": TILE,
-        "strides": levels,
-        "tiles": {str(stride): filled_tiles(surface, stride) for stride in levels},
+        "strides": surface.strides,
+        "tiles": {str(stride): surface.filled_tiles(stride) for stride in surface.strides},
         "pictures": [name for name in ("normals.png", "albedo.png") if (entry.folder / name).is_file()],
         "print": _print(entry),
         "photos": _photos(entry),
@@ -389,7 +345,7 @@ def _describe(entry: CatalogueEntry, surface: ShownSurface) -> dict[str, Any]:
     }
 
 
-def _relief_range_um(surface: ShownSurface) -> float:
+def _relief_range_um(surface: ResultSurface) -> float:
     """Relief that nearly all of the skin keeps within: the ends of the colour scale, um or 0.1 pixel."""
     step = max(1, round(0.1 / surface.pitch_mm)) if surface.scale_known else 4
     relief = np.abs(surface.ridge_mm[::step, ::step][surface.mask[::step, ::step]])
@@ -406,7 +362,7 @@ def _print(entry: CatalogueEntry) -> dict[str, Any] | None:
     return {"rows": file.image.shape[0], "columns": file.image.shape[1], "ppi": file.resolution_ppi or 500.0}
 
 
-def describe_photographs(entry: CatalogueEntry) -> dict[str, Any]:
+def _describe_photographs(entry: CatalogueEntry) -> dict[str, Any]:
     """All that the page needs of a folder of photographs. Raises BadInput if it cannot be read."""
     from splitknit.viewer.photographs import photographs_of
 
@@ -414,7 +370,7 @@ def describe_photographs(entry: CatalogueEntry) -> dict[str, Any]:
     return {
         **_listed(entry),
         "photos": _photos(entry),
-        "facts": [(name, _shown(value)) for name, value in found.facts],
+        "facts": [(name, _shown(value)) for name, value in found.facts if value],
         "notes": [_shown(note) for note in found.notes],
         "command": _shown(found.command),
         "plain": found.plain,
@@ -433,7 +389,7 @@ def _photos(entry: CatalogueEntry) -> list[dict[str, Any]]:
     return [{"name": _shown(p.name), "band": p.band, "number": p.number, "light": p.light} for p in found]
 
 
-def _facts(entry: CatalogueEntry, surface: ShownSurface) -> list[tuple[str, str]]:
+def _facts(entry: CatalogueEntry, surface: ResultSurface) -> list[tuple[str, str]]:
     report = entry.report
     about, software = _mapping(report.get("capture")), _mapping(report.get("software"))
     count = f"{surface.count:,}".replace(",", "\N{NO-BREAK SPACE}")

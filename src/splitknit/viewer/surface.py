@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,10 +24,17 @@ from splitknit.model import BoolArray, FloatArray
 
 _LONGEST_MM, _LONGEST_PX = 1000.0, 40_000.0
 _RAYS = ("x_mm", "y_mm")
+TILE = 96
+_FIRST_VIEW = 70_000
+"""Points of the first view."""
+_FINE = 1024
+"""Values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame."""
+_HEAD = struct.Struct("<8id")
+_Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownSurface:
+class ResultSurface:
     """The finger's box of a result."""
 
     height_mm: FloatArray
@@ -44,9 +52,9 @@ class ShownSurface:
     size: tuple[int, int]
     """Rows and columns of the input."""
     pitch_mm: float
-    turn: NDArray[np.float64]
+    turn: _Values
     """(2, 2): from (x, y) of the rig's frame to the upright one."""
-    input_from_upright: NDArray[np.float64]
+    input_from_upright: _Values
     """(3, 3) on (column, row, 1)."""
     upright_size: tuple[int, int]
     low_mm: tuple[float, float, float]
@@ -74,25 +82,94 @@ class ShownSurface:
         return sum(array.nbytes for array in arrays)
 
     @property
+    def box(self) -> tuple[slice, slice]:
+        """Rows and columns of the box in the input."""
+        (top, left), (height, width) = self.corner, self.mask.shape
+        return slice(top, top + height), slice(left, left + width)
+
+    @property
     def count(self) -> int:
         """Number of heights."""
         return int(self.mask.sum())
 
-    def plan(self, column: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+    def plan(self, column: _Values, row: _Values) -> _Values:
         """(2, N) x and y, mm, of places of the input's grid if the camera's rays were parallel."""
         x = (column - (self.size[1] - 1) / 2) * self.pitch_mm
         y = ((self.size[0] - 1) / 2 - row) * self.pitch_mm
         return np.asarray(self.turn @ np.stack([x, y]))
 
-    def grid_of_plan(self, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def grid_of_plan(self, x_mm: _Values, y_mm: _Values) -> _Values:
         """(2, N) column and row in the box; the inverse of :meth:`plan`."""
         x, y = self.turn.T @ np.stack([x_mm, y_mm])
         column = x / self.pitch_mm + (self.size[1] - 1) / 2 - self.corner[1]
         row = (self.size[0] - 1) / 2 - y / self.pitch_mm - self.corner[0]
         return np.stack([column, row])
 
+    def locate(self, x_mm: _Values, y_mm: _Values) -> _Values:
+        """(2, N) column and row in the box where the surface has these x and y; iterated where the rays spread."""
+        place = self.grid_of_plan(x_mm, y_mm)
+        for _ in range(4):
+            measured = np.stack([sample(self.x_mm, place), sample(self.y_mm, place)])
+            error = np.nan_to_num(np.stack([x_mm, y_mm]) - measured)
+            if float(np.abs(error).max(initial=0.0)) < 1e-6:
+                break
+            back = self.grid_of_plan(error[0], error[1]) - self.grid_of_plan(np.zeros(1), np.zeros(1))
+            place = place + back
+        return place
 
-def read_shown_surface(folder: Path) -> ShownSurface:
+    def read(self, x_mm: _Values, y_mm: _Values) -> tuple[_Values, _Values]:
+        """Heights (N,) and relief (N,), mm, at x and y (N,)."""
+        place = self.locate(x_mm, y_mm)
+        return sample(self.height_mm, place), sample(self.ridge_mm, place)
+
+    @property
+    def strides(self) -> list[int]:
+        """Strides of all levels of tiles, powers of two, the coarsest first: that of the first view."""
+        stride = 1
+        while self.count / stride**2 > _FIRST_VIEW:
+            stride *= 2
+        return [stride >> k for k in range(stride.bit_length())]
+
+    def filled_tiles(self, stride: int) -> list[tuple[int, int]]:
+        """Row and column of each tile of a level that holds a piece of the surface."""
+        mask = self.mask[::stride, ::stride]
+        blocks = np.pad(mask, [(0, -side % TILE) for side in mask.shape])
+        blocks = blocks.reshape(blocks.shape[0] // TILE, TILE, -1, TILE)
+        return [(int(row), int(column)) for row, column in np.argwhere(blocks.any(axis=(1, 3)))]
+
+    def tile(self, stride: int, row: int, column: int) -> bytes:
+        """Return one tile.
+
+        Raises
+        ------
+        BadInput
+            If there is no such stride or tile.
+        """
+        require(stride in self.strides, f"there is no level of stride {stride}.")
+        height, width = self.mask.shape
+        high, wide = math.ceil(height / stride), math.ceil(width / stride)
+        require(0 <= row * TILE < high and 0 <= column * TILE < wide, f"there is no tile {row}, {column}.")
+        # one value before the tile, and TILE, one shared with the next tile, one behind it
+        rows = np.arange(row * TILE - 1, min(row * TILE + TILE + 2, high + 1)) * stride
+        columns = np.arange(column * TILE - 1, min(column * TILE + TILE + 2, wide + 1)) * stride
+        inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None, :]
+        place = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
+        known = self.mask[place] & inside
+        quantum = max(self.pitch_mm * stride / _FINE, 2.0**-20)  # 32 bits hold _LONGEST_PX
+        first = (int(rows[0]) + self.corner[0], int(columns[0]) + self.corner[1])
+        fields = (self.x_mm, self.y_mm, self.height_mm, self.ridge_mm)
+        planes = [known.tobytes(), *(_packed(field[place], known, quantum) for field in fields)]
+        total = _HEAD.size + sum(map(len, planes))
+        head = _HEAD.pack(total, stride, row, column, len(rows), len(columns), *first, quantum)
+        return head + b"".join(planes)
+
+    def first_view(self) -> bytes:
+        """Tiles of the coarsest level, one after the other."""
+        stride = self.strides[0]
+        return b"".join(self.tile(stride, row, column) for row, column in self.filled_tiles(stride))
+
+
+def read_surface(folder: Path) -> ResultSurface:
     """Read the heights of a result folder; where their scale is unknown, all lengths are in pixels.
 
     Raises
@@ -117,9 +194,9 @@ def read_shown_surface(folder: Path) -> ShownSurface:
         height = np.where(inside, arrays["height_mm"][box], np.float32(np.nan))
         ridge = np.where(inside, np.nan_to_num(arrays["ridge_mm"][box]), np.float32(0.0))
     corner = (box[0].start, box[1].start)
-    low, high = zip(*(_range(values, inside) for values in (x, y, height)), strict=True)
+    low, high = zip(*((float(v.min()), float(v.max())) for v in (x[inside], y[inside], height[inside])), strict=True)
     relief = max(float(ridge.max()), -float(ridge.min()))
-    surface = ShownSurface(
+    surface = ResultSurface(
         height, ridge, x, y, inside, corner, (shape[0], shape[1]), pitch_mm, turn, matrix, arrays["upright_size"],
         low, high, relief, arrays["scale_known"],
     )  # fmt: skip
@@ -136,12 +213,7 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
     return read_fields(path, names, optional, unscaled=unscaled)
 
 
-def _range(values: FloatArray, mask: BoolArray) -> tuple[float, float]:
-    known = values[mask]
-    return float(known.min()), float(known.max())
-
-
-def _turn(input_from_upright: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn(input_from_upright: _Values) -> _Values:
     """See :func:`splitknit.io.pictures.upright_turn`."""
     turn = np.linalg.inv(input_from_upright[:2, :2])
     flip = np.diag([1.0, -1.0])
@@ -153,7 +225,7 @@ def _places(
     size: tuple[int, int],
     box: tuple[slice, slice],
     pitch_mm: float,
-    turn: NDArray[np.float64],
+    turn: _Values,
 ) -> tuple[FloatArray, FloatArray]:
     """Upright x and y (h, w) of the pixels."""
     rows, columns = (np.arange(side.start, side.stop, dtype=np.float64) for side in box)
@@ -166,70 +238,6 @@ def _places(
     return across, along
 
 
-TILE = 96
-_FIRST_VIEW = 70_000
-"""Points of the first view."""
-_FINE = 1024
-"""Values are sent as multiples of this part of their distance: 13 nm at the finest level of a full frame."""
-_HEAD = struct.Struct("<8id")
-
-
-def _root_stride(surface: ShownSurface) -> int:
-    """Stride of the first view, a power of two."""
-    stride = 1
-    while surface.count / stride**2 > _FIRST_VIEW:
-        stride *= 2
-    return stride
-
-
-def strides(surface: ShownSurface) -> list[int]:
-    """Strides of all levels, the coarsest first."""
-    stride = _root_stride(surface)
-    return [stride >> k for k in range(stride.bit_length())]
-
-
-def filled_tiles(surface: ShownSurface, stride: int) -> list[tuple[int, int]]:
-    """Row and column of each tile of a level that holds a piece of the surface."""
-    mask = surface.mask[::stride, ::stride]
-    pad = [(0, -side % TILE) for side in mask.shape]
-    blocks = np.pad(mask, pad)
-    blocks = blocks.reshape(blocks.shape[0] // TILE, TILE, -1, TILE)
-    return [(int(row), int(column)) for row, column in np.argwhere(blocks.any(axis=(1, 3)))]
-
-
-def tile_bytes(surface: ShownSurface, stride: int, row: int, column: int) -> bytes:
-    """Return one tile.
-
-    Raises
-    ------
-    BadInput
-        If there is no such stride or tile.
-    """
-    require(stride in strides(surface), f"there is no level of stride {stride}.")
-    height, width = surface.mask.shape
-    high, wide = math.ceil(height / stride), math.ceil(width / stride)
-    require(0 <= row * TILE < high and 0 <= column * TILE < wide, f"there is no tile {row}, {column}.")
-    # one value before the tile, and TILE, one shared with the next tile, one behind it
-    rows = np.arange(row * TILE - 1, min(row * TILE + TILE + 2, high + 1)) * stride
-    columns = np.arange(column * TILE - 1, min(column * TILE + TILE + 2, wide + 1)) * stride
-    inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None, :]
-    place = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
-    known = surface.mask[place] & inside
-    quantum = max(surface.pitch_mm * stride / _FINE, 2.0**-20)  # 32 bits hold _LONGEST_PX
-    first = (int(rows[0]) + surface.corner[0], int(columns[0]) + surface.corner[1])
-    fields = (surface.x_mm, surface.y_mm, surface.height_mm, surface.ridge_mm)
-    planes = [known.tobytes(), *(_packed(field[place], known, quantum) for field in fields)]
-    total = _HEAD.size + sum(map(len, planes))
-    head = _HEAD.pack(total, stride, row, column, len(rows), len(columns), *first, quantum)
-    return head + b"".join(planes)
-
-
-def first_view(surface: ShownSurface) -> bytes:
-    """Tiles of the coarsest level, one after the other."""
-    stride = _root_stride(surface)
-    return b"".join(tile_bytes(surface, stride, row, column) for row, column in filled_tiles(surface, stride))
-
-
 def _packed(values: FloatArray, known: BoolArray, quantum: float) -> bytes:
     """Whole numbers of quanta as what gzip packs well: differences along columns and rows, zigzag, byte by byte."""
     # what is unknown repeats the value before it
@@ -239,3 +247,183 @@ def _packed(values: FloatArray, known: BoolArray, quantum: float) -> bytes:
     step = np.diff(np.diff(whole, axis=0, prepend=0), axis=1, prepend=0)
     zigzag = ((step << 1) ^ (step >> 31)).astype("<i4")
     return zigzag.reshape(-1, 1).view(np.uint8).T.tobytes()
+
+
+# Where a ray meets a surface, and what lies between two points of it: from the result's own values.
+
+_RIDGE_SIGMA_MM = 0.32
+_MAX_SAMPLES = 20_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A cut through the surface between two points, and its figures."""
+
+    along_mm: _Values
+    """(N,) distance in the finger plane from the first point."""
+    x_mm: _Values
+    y_mm: _Values
+    height_mm: _Values
+    """(N,), NaN where there is no surface."""
+    relief_um: _Values
+    """(N,), NaN likewise."""
+    figures: dict[str, float | int | None]
+
+
+def pick(
+    surface: ResultSurface, origin_mm: _Values, direction: _Values, exaggeration: float = 1.0
+) -> tuple[float, float, float] | None:
+    """Return the first point of the surface on a ray, or None where the ray misses it.
+
+    Parameters
+    ----------
+    surface : ResultSurface
+    origin_mm : (3,)
+    direction : (3,), of any length
+    exaggeration : float
+        Factor of the relief in the picture that was pointed at; the point returned is on the true surface.
+
+    Raises
+    ------
+    BadInput
+        If the ray is no ray.
+    """
+    ray = np.concatenate([origin_mm, direction])
+    length = float(np.linalg.norm(direction))
+    require(bool(np.isfinite(ray).all()) and length > 1e-9, "a ray needs a finite origin and a direction.")
+    unit = direction / length
+    span = _inside_box(surface, origin_mm, unit, abs(exaggeration - 1.0))
+    if span is None:
+        return None
+    count = int(np.clip((span[1] - span[0]) / (0.5 * surface.pitch_mm), 16, _MAX_SAMPLES))
+    t = np.linspace(span[0], span[1], count)
+    points = origin_mm[:, None] + unit[:, None] * t
+    place = surface.locate(points[0], points[1])
+    above = points[2] - _shown(surface, place, exaggeration)
+    known = np.isfinite(above)
+    crossed = np.flatnonzero(known[:-1] & known[1:] & (np.sign(above[:-1]) != np.sign(above[1:])))
+    if crossed.size == 0:
+        return None
+    k = int(crossed[0])
+    fraction = float(above[k] / (above[k] - above[k + 1]))
+    x, y = (float(points[axis, k] + fraction * (points[axis, k + 1] - points[axis, k])) for axis in (0, 1))
+    z = float(sample(surface.height_mm, surface.locate(np.array([x]), np.array([y])))[0])
+    return (x, y, z) if np.isfinite(z) else None
+
+
+Reading = Callable[[_Values, _Values], tuple[_Values, _Values]]
+"""As :meth:`ResultSurface.read`."""
+
+
+def section(
+    surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float], read: Reading | None = None
+) -> Section:
+    """Cut the surface between two points given by x and y; `read` gives the values of another one in its frame.
+
+    Raises
+    ------
+    BadInput
+        If the points are not finite, far away, equal, or neither lies on the surface.
+    """
+    ends = np.array([start_mm, end_mm], dtype=np.float64)
+    sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= surface.longest_mm
+    require(sound, "the two points must be finite and on the finger.")
+    flat_mm = float(np.hypot(*(ends[1] - ends[0])))
+    require(flat_mm >= surface.pitch_mm, "the two points are the same; choose two that are apart.")
+    count = int(min(_MAX_SAMPLES, max(2.0, np.ceil(flat_mm / surface.pitch_mm)))) + 1
+    fraction = np.linspace(0.0, 1.0, count)
+    x, y = (ends[0, axis] + fraction * (ends[1, axis] - ends[0, axis]) for axis in (0, 1))
+    height, ridge = (read or surface.read)(x, y)
+    relief = np.where(np.isfinite(height), surface.um * ridge, np.nan)
+    require(bool(np.isfinite(height).any()), "no surface lies between the two points; choose points on the finger.")
+    along = fraction * flat_mm
+    return Section(along, x, y, height, relief, _figures(along, height, relief, surface.scale_known))
+
+
+def _figures(along: _Values, height: _Values, relief: _Values, scale_known: bool) -> dict[str, float | int | None]:
+    known = np.isfinite(height)
+    whole = bool(known[0] and known[-1])
+    steps = np.hypot(np.diff(along), np.diff(height))
+    both = known[:-1] & known[1:]
+    r = relief[known]
+    ridges, period = _ridges(along, relief) if scale_known else (None, None)
+    rise = float(height[-1] - height[0]) if whole else None
+    return {
+        "flat_mm": float(along[-1]),
+        "straight_mm": None if rise is None else float(np.hypot(along[-1], rise)),
+        "along_surface_mm": float(steps.sum()) if bool(both.all()) else None,
+        "height_difference_mm": rise,
+        "relief_um": float(np.subtract(*np.percentile(r, (95, 5)))),
+        "relief_rms_um": float(r.std()),
+        "ridges": ridges,
+        "ridge_period_mm": period,
+        "missing_share": float(1.0 - known.mean()),
+    }
+
+
+def _ridges(along: _Values, relief: _Values) -> tuple[int, float | None]:
+    """Count ridges by the crossings of the mean of their surroundings; their mean distance."""
+    known = np.isfinite(relief)
+    step = along[1] - along[0]
+    weight = _blur(known.astype(np.float64), _RIDGE_SIGMA_MM / step)
+    band = np.where(known, relief, 0.0)
+    band = np.where(known, band - _blur(band, _RIDGE_SIGMA_MM / step) / np.maximum(weight, 1e-3), 0.0)
+    level = 0.35 * float(band[known].std())
+    if level <= 0:
+        return 0, None
+    state = np.where(band > level, 1, np.where(band < -level, -1, 0))
+    known = np.flatnonzero(state)
+    rising = known[1:][(state[known[1:]] == 1) & (state[known[:-1]] == -1)]
+    places = along[rising]
+    if len(places) < 2:
+        return len(places), None
+    return len(places), float((places[-1] - places[0]) / (len(places) - 1))
+
+
+def _blur(values: _Values, sigma: float) -> _Values:
+    blurred: Any = cv2.GaussianBlur(values[None], (0, 0), max(sigma, 0.3), borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred[0], dtype=np.float64)
+
+
+def sample(field: FloatArray, place: _Values) -> _Values:
+    """Bilinear values (N,) of `field` (h, w) at columns and rows (2, N); NaN beyond its border."""
+    column, row = (np.ascontiguousarray(axis[None], dtype=np.float32) for axis in place)
+    pieces = [
+        cv2.remap(
+            field, column[:, k : k + 16_384], row[:, k : k + 16_384], cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),),
+        )[0]
+        for k in range(0, column.shape[1], 16_384)
+    ]  # fmt: skip
+    return np.concatenate(pieces).astype(np.float64)
+
+
+def _shown(surface: ResultSurface, place: _Values, exaggeration: float) -> _Values:
+    """Height (N,) in a picture whose relief is exaggerated, less so on steep flanks (as the page's shader does)."""
+    height = sample(surface.height_mm, place)
+    if exaggeration == 1.0:
+        return height
+    step = np.array([[1.0], [0.0]])
+    slopes = [
+        (sample(surface.height_mm, place + d) - sample(surface.height_mm, place - d)) / (2 * surface.pitch_mm)
+        for d in (step, step[::-1])
+    ]
+    facing = 1.0 / (1.0 + np.nan_to_num(slopes[0]) ** 2 + np.nan_to_num(slopes[1]) ** 2)
+    fade = np.clip(2.0 * facing, 0.0, 1.0)
+    return np.asarray(height + (exaggeration - 1.0) * fade * sample(surface.ridge_mm, place))
+
+
+def _inside_box(surface: ResultSurface, origin: _Values, unit: _Values, extra: float) -> tuple[float, float] | None:
+    """Where a ray enters and leaves the box around the surface."""
+    margin = surface.pitch_mm + extra * surface.highest_relief_mm
+    near, far = -np.inf, np.inf
+    for axis in range(3):
+        low, high = surface.low_mm[axis] - margin, surface.high_mm[axis] + margin
+        if abs(unit[axis]) < 1e-12:
+            if not low <= origin[axis] <= high:
+                return None
+            continue
+        a, b = (low - origin[axis]) / unit[axis], (high - origin[axis]) / unit[axis]
+        near, far = max(near, min(a, b)), min(far, max(a, b))
+    near = max(near, 0.0)
+    return (near, far) if far > near else None

@@ -1,5 +1,5 @@
 // A result folder that was dropped onto the page, read here: nothing of it is sent anywhere. It answers what the server
-// answers about its own results, by the same definitions (viewer/surface.py, viewer/measure.py).
+// answers about its own results, by the same definitions (viewer/surface.py).
 const TILE = 96;
 const FIRST_VIEW = 70_000;
 const MAX_BYTES = 600_000_000;
