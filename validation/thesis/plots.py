@@ -11,16 +11,14 @@ from tables import Row
 from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
 from splitknit.evaluation.rates import roc
 from splitknit.evaluation.scores import Scores
-from splitknit.report.charts import Axis, Curve, line_chart, percent_marks
+from splitknit.report.charts import Axis, Curve, line_chart, percent_marks, standalone
 from splitknit.report.evaluation import roc_chart
 
 
 def save(chart: str, file: Path) -> None:
     """Write a chart as a file of its own."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    opening, rest = str(chart).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1).split(">", 1)
-    text = f'{opening}><rect width="100%" height="100%" fill="#ffffff"/>{rest}'
-    file.write_text(text + "\n", encoding="utf-8")
+    file.write_bytes(standalone(chart))
 
 
 def roc_figure(curves: Sequence[tuple[str, Scores]], settings: BootstrapSettings, banded: int = 2) -> str:

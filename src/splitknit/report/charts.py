@@ -372,7 +372,7 @@ def _frame(x: float, y: float, width: float, height: float, stroke: str) -> str:
     return f'<rect x="{x}" y="{y}" width="{width}" height="{height}" fill="none" stroke-width="2" {stroke}/>'
 
 
-def standalone(chart: Markup) -> bytes:
+def standalone(chart: str) -> bytes:
     """The chart as an SVG file, on white."""
     text = str(chart)  # plain text first: the markup's own replace() would escape what is put in
     text = text.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
