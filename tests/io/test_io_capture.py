@@ -271,6 +271,7 @@ def test_documents_that_are_refused(change: Change, words: str, folder: Path) ->
         (b'{"version": -Infinity}', "contains -Infinity"),
         (b'{"version": 1, "version": 1}', "twice"),
         (b'{"version": ' + b"9" * 5000 + b"}", "not valid JSON"),
+        (b"[" * 600 + b"]" * 600, "must be an object, but it is a list of 1"),
         (b"[" * 100_000, "nested too deeply"),
         (b'{"version": 1e999}', "contains 1e999, which is beyond all numbers"),
         (b'{"version": -1E999}', "contains -1E999, which is beyond all numbers"),

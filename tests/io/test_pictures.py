@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from handmade import finger
-from splitknit.io.pictures import Frame, colour, on_paper, to_frame, upright_frame
+from splitknit.io.pictures import PictureFrame, colour, on_paper, to_frame, upright_frame
 from splitknit.report.figures import SmallFields, _top_view, oblique_view, small_fields
 
 
@@ -53,7 +53,7 @@ def test_paper_shows_outside() -> None:
 
 def _fields(height: NDArray[np.float32], weight: NDArray[np.float32]) -> SmallFields:
     normals = np.broadcast_to(np.float32([0, 0, 1]), (*height.shape, 3))
-    return SmallFields(Frame(np.eye(3), height.shape, 0.1), weight, height, height * 0, height, normals)
+    return SmallFields(PictureFrame(np.eye(3), height.shape, 0.1), weight, height, height * 0, height, normals)
 
 
 def _bump() -> SmallFields:

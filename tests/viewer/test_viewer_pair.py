@@ -12,7 +12,7 @@ from perfect_results import write_perfect
 from splitknit.finger.orientation import find_upright
 from splitknit.imaging.geometry import rotation_about
 from splitknit.model import default_rig
-from splitknit.simulator.finger.finger import Pose, draw_finger, finger_surface
+from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.viewer.catalogue import make_catalogue
 from splitknit.viewer.marks import Marks
 from splitknit.viewer.pair import Alignment, _fitted, _turned, align_results, difference, matched_marks
@@ -25,7 +25,7 @@ def fingers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pair")
     camera = default_rig(0.15).camera
     for seed, name, turn_deg in ((721, "a", 0.0), (721, "turned", 7.0), (722, "other", 0.0)):
-        seen = finger_surface(draw_finger(seed, "right_loop"), Pose(insertion_mm=27.0), camera)
+        seen = finger_surface(draw_finger(seed, "right_loop"), FingerPose(insertion_mm=27.0), camera)
         upright = find_upright(seen.mask)
         middle = ((upright.size[1] - 1) / 2, (upright.size[0] - 1) / 2)
         matrix = upright.input_from_upright @ rotation_about(middle, np.deg2rad(turn_deg))

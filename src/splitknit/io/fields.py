@@ -71,10 +71,9 @@ def _shown(value: Any) -> str:
     if isinstance(value, dict):
         return f"an object of {len(value)}"
     if isinstance(value, list):
-        words = [_shown(item) for item in value[:17]]
-        text = f"[{', '.join(words)}]"
-        plain = not any(isinstance(item, (dict, list)) for item in value)
-        return text if plain and len(words) <= 16 and len(text) <= 60 else f"a list of {len(value)}"
+        plain = len(value) <= 16 and not any(isinstance(item, (dict, list)) for item in value)
+        text = f"[{', '.join(map(_shown, value))}]" if plain else ""
+        return text if plain and len(text) <= 60 else f"a list of {len(value)}"
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**20:
         return "a huge integer"
     text = "null" if value is None else json.dumps(value)

@@ -27,6 +27,7 @@ from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
+from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
 from splitknit.prints.ridges import surface_print
 from splitknit.report import charts, figures, template
