@@ -105,7 +105,7 @@ def enroll_population(
         kept = "nothing was enrolled" if target is None else "the others are enrolled"
         raise Refused(
             f"{len(unread)} of {len(places)} captures cannot be read, {kept} (first: {unread[0]['reason'].rstrip('.')})"
-            "; mend or remove them, and run the same again.",
+            "; repair or remove them, and run the same again.",
             facts,
         )
     return facts

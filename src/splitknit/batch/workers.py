@@ -21,7 +21,7 @@ from splitknit.steps import one_heap
 Job = TypeVar("Job")
 Done = TypeVar("Done")
 _GRACE_S = 1.0
-"""For workers that are told to end, to remove what they have half written."""
+"""Time for workers that are ended to remove what they have half written."""
 
 
 def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str) -> Iterator[tuple[Job, Done]]:
@@ -74,7 +74,7 @@ def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kep
 
 
 def _whole(work: Callable[[Job], Done], job: Job) -> Done:
-    """Do a job in a worker; end the worker when it is told to, after its temporary files are gone."""
+    """Do a job in a worker; at SIGTERM end the worker, after its temporary files are gone."""
     try:
         return work(job)
     except SystemExit:

@@ -7,7 +7,7 @@ two. How far apart they are is the only sign of a bad table, and it is reported 
 
 References
 ----------
-The thesis, section 4.3.2, with step 5 mended: the ray runs through the nail and the tip, not through the centre.
+The thesis, section 4.3.2, with step 5 corrected: the ray runs through the nail and the tip, not through the centre.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Cameras of other makers behind one small protocol: UVC by OpenCV, GenICam by harvesters (imported here alone).
 
 A stream gives frames one after the other; :class:`StreamCamera` makes a :class:`splitknit.devices.Camera` of it, whose
-frames were exposed after the call and as locked. How that is known differs, and each frame says it:
+frames were exposed after the call and as locked. How that is known differs, and each frame is marked with it:
 
 - *triggered*: the exposure begins when it is asked for, so after the LED was switched (GenICam's software trigger);
-- *tagged*: the frame tells its exposure time, gain and when it began, as the Raspberry Pi's do;
-- *blind*: it tells nothing (UVC). Then as many frames are thrown away as can wait in buffers.
+- *tagged*: the frame carries its exposure time, gain and start, as the Raspberry Pi's do;
+- *blind*: the frame carries none of these (UVC). Then as many frames are discarded as can wait in buffers.
 
 None of this has been run on hardware: tests drive simulated streams and substitutes of the two libraries.
 """
@@ -132,10 +132,10 @@ class StreamCamera(Closing):
                     at_s=last.arrived_s if not known else max(last.arrived_s, since_s),
                     discarded=discarded,
                 )
-        told = "nothing" if last is None else f"{last.exposure_s} s at gain {last.gain}"
+        reported = "nothing" if last is None else f"{last.exposure_s} s at gain {last.gain}"
         raise BadInput(
             f"the camera did not take its settings: {exposure_s:g} s at gain {gain:g} were asked for, but after "
-            f"{_MAX_FRAMES} frames it reports {told}; plug it in again, and close other programs that use it."
+            f"{_MAX_FRAMES} frames it reports {reported}; plug it in again, and close other programs that use it."
         )
 
     def preview(self) -> Frame:

@@ -168,7 +168,7 @@ def _run_relief(options: argparse.Namespace) -> Outcome:
 
 
 def _run_shape(options: argparse.Namespace) -> Outcome:
-    """Simulate and reconstruct the fingers, and train the network that mends the shape."""
+    """Simulate and reconstruct the fingers, and train the network that refines the shape."""
     from splitknit.training import shape
     from splitknit.training.shape_data import ShapeData
 

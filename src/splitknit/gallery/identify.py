@@ -259,12 +259,12 @@ def _by_shards(
         return [], {}
     hits = shards.search(probe, settings.search.shortlist, settings.search.probe)
     score = dict(zip(hits.rows.tolist(), hits.similarity.tolist(), strict=True))
-    ready, worth = prepared(probe, settings.ridge), {}
+    ready, ranks = prepared(probe, settings.ridge), {}
     for row, variant in zip(hits.rows.tolist(), hits.variant.tolist(), strict=True):
         for payload in gallery.templates([row]).values():  # none if it was removed since the shards were made
             other = prepared(_unpacked(gallery, row, payload), settings.ridge)
-            worth[row] = glance(ready, other, settings.search.probe, variant)
-    return sorted(worth, key=lambda row: (-worth[row], row))[: settings.search.candidates], score
+            ranks[row] = glance(ready, other, settings.search.probe, variant)
+    return sorted(ranks, key=lambda row: (-ranks[row], row))[: settings.search.candidates], score
 
 
 def _by_minutiae(

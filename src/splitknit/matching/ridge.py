@@ -179,17 +179,17 @@ def peaks(rotated: _RotatedViews, directions: Spectra, ridges: Spectra) -> list[
     directions : (3, 1, rows, columns // 2 + 1) of B, not turned, from :func:`_block_directions`
     ridges : (rows, columns // 2 + 1) of B, not turned, from :func:`_ridge_view`
     """
-    worth = np.concatenate(
+    scores = np.concatenate(
         [_agreement(rotated.directions.conj() * directions), _agreement(rotated.directions * directions)]
     )
     upright = np.arange(-_UPRIGHT_STEPS, _UPRIGHT_STEPS + 1)
     best = np.concatenate(
         [
-            np.argsort(-worth, kind="stable")[:_ROTATIONS],
-            upright[np.argsort(-worth[upright], kind="stable")[:_UPRIGHT_ROTATIONS]] % (2 * _HALF),
+            np.argsort(-scores, kind="stable")[:_ROTATIONS],
+            upright[np.argsort(-scores[upright], kind="stable")[:_UPRIGHT_ROTATIONS]] % (2 * _HALF),
         ]
     )
-    aside = np.where(np.roll(worth, -1)[best] >= np.roll(worth, 1)[best], 1, -1)
+    aside = np.where(np.roll(scores, -1)[best] >= np.roll(scores, 1)[best], 1, -1)
     numbers = sorted({*(2 * best).tolist(), *((2 * best + aside) % (4 * _HALF)).tolist()})
     both = ridges.conj(), ridges
     found = [_peak(*rotated.ridges(number), both, number) for number in numbers]
@@ -388,9 +388,9 @@ def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
             (peak.right_mm / pitch, peak.down_mm / pitch),
         )
         found = compare_patches(b.first, a.value, a.template.valid, start)
-        worth = found.mean * np.sqrt(len(found.used))
-        if best is None or worth > best[0]:
-            best = (float(worth), start, found)
+        score = found.mean * np.sqrt(len(found.used))
+        if best is None or score > best[0]:
+            best = (float(score), start, found)
     assert best is not None
     affine = better_affine(b.first, best[2], best[1])
     for _ in range(_REFINEMENTS - 1):

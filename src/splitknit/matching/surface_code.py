@@ -361,9 +361,9 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
         equal = scipy.fft.irfft2((a.planes(turn, size).conj() * planes).sum(axis=0), size)[chosen]
         agreement = equal / common
         # how far above what is usual, in units of what chance gives at this overlap
-        worth = np.where(enough, (agreement - np.median(agreement[enough])) * np.sqrt(common), -np.inf)
-        row, column = np.unravel_index(int(np.argmax(worth)), worth.shape)
-        found.append((-float(worth[row, column]), turn, int(shifts[0][row]), int(shifts[1][column])))
+        scores = np.where(enough, (agreement - np.median(agreement[enough])) * np.sqrt(common), -np.inf)
+        row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        found.append((-float(scores[row, column]), turn, int(shifts[0][row]), int(shifts[1][column])))
     found.sort()
     return [(turn, pitch * row, pitch * column) for _, turn, row, column in found[:_CANDIDATES]]
 

@@ -239,7 +239,7 @@ def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
 
 MAX_SENTENCES = 3
 MIN_WORTH = 0.7
-"""A figure that is worth less is mentioned."""
+"""A figure of a lower rating is mentioned."""
 FULL_WORTH = 0.95
 """Of the ridges' height: from here on, soft edges are the finger's own."""
 
@@ -273,15 +273,15 @@ def _quality_facts(found: PrintQuality, nfiq2: dict[str, int | None] | None, *, 
 def advice(found: PrintQuality) -> tuple[str, ...]:
     """What is wrong with a print and what to do, at most three sentences, the worst first; empty if nothing is.
 
-    Every figure that is worth less than 0.7 is mentioned; of figures with one remedy only the worst.
+    Every figure rated below 0.7 is mentioned; of figures with one remedy only the worst.
     """
     sentences: dict[str, None] = {}
     causes: set[str] = set()
-    for name, worth in sorted(found.worth.items(), key=lambda item: item[1]):
+    for name, rating in sorted(found.worth.items(), key=lambda item: item[1]):
         cause = _CAUSES[name]
         if cause == "soft" and found.worth.get("ridge_height_um", 0.0) >= FULL_WORTH:
             continue  # defocus lowers ridges as well; soft but high ones grew that way
-        if worth < MIN_WORTH and cause not in causes and len(sentences) < MAX_SENTENCES:
+        if rating < MIN_WORTH and cause not in causes and len(sentences) < MAX_SENTENCES:
             causes.add(cause)
             sentences[_sentence(cause, name, found)] = None
     return tuple(sentences)

@@ -168,17 +168,17 @@ def _at_nodes(image: FloatArray, found: RidgeField) -> FloatArray:
 
 
 _MIN_PART = 0.01
-"""What the worst figure is worth: no single one makes the score 0."""
+"""Rating of the worst figure: no single one makes the score 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """How one figure enters the score: worth nothing at `useless`, all from `good` on, straight in between."""
+    """How one figure is rated: 0.01 at `useless`, 1 from `good` on, linear in between."""
 
     useless: float
-    """Figure that is worth nothing; above `good` where less is better."""
+    """Figure of the lowest rating; above `good` where less is better."""
     good: float
-    """Figure from which on nothing is lost."""
+    """Figure of the highest rating."""
     weight: float
     """Exponent in the score; 0 leaves the figure out."""
 
@@ -187,7 +187,7 @@ class _Part:
         require(usable and self.useless != self.good, "useless and good of a quality must be two different numbers.")
         require(self.weight >= 0, f"a quality's weight must not be negative, but it is {self.weight}.")
 
-    def worth(self, figure: float) -> float:
+    def rating(self, figure: float) -> float:
         """0.01 to 1, the better the higher."""
         return float(np.clip((figure - self.useless) / (self.good - self.useless), _MIN_PART, 1.0))
 
@@ -239,7 +239,7 @@ class PrintQuality:
     """0 to 100, the higher the better."""
     figures: QualityFigures
     worth: dict[str, float]
-    """What each figure is worth, 0.01 to 1, by its name."""
+    """Rating of each figure, 0.01 to 1, by its name."""
 
 
 def print_quality(
@@ -278,20 +278,20 @@ def print_quality(
     """
     settings = settings or PrintQualitySettings()
     figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)
-    score, worth = score_of(figures, settings)
-    return PrintQuality(score, figures, worth)
+    score, ratings = score_of(figures, settings)
+    return PrintQuality(score, figures, ratings)
 
 
 def score_of(figures: QualityFigures, settings: PrintQualitySettings | None = None) -> tuple[float, dict[str, float]]:
-    """Score of figures, 0 to 100, and what each is worth.
+    """Score of figures, 0 to 100, and the rating of each.
 
-    100 times the product of the figures' worths, each to the power of its weight: it never falls when a figure gets
-    better, and one bad figure cannot be made up for by many good ones. 0 where there are no ridges. Figures that are
+    100 times the product of the ratings, each to the power of its weight: it never falls when a figure gets better, and
+    many good figures do not make up for a bad one. 0 where there are no ridges. Figures that are
     None are left out.
     """
     parts = (settings or PrintQualitySettings()).parts()
     measured = {name: value for name, value in asdict(figures).items() if name in parts and value is not None}
-    worth = {name: parts[name].worth(value) for name, value in measured.items()}
+    ratings = {name: parts[name].rating(value) for name, value in measured.items()}
     if figures.ridge_area_mm2 <= 0.0:
-        return 0.0, worth
-    return 100.0 * float(np.prod([value ** parts[name].weight for name, value in worth.items()])), worth
+        return 0.0, ratings
+    return 100.0 * float(np.prod([value ** parts[name].weight for name, value in ratings.items()])), ratings

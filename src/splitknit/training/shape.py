@@ -1,4 +1,4 @@
-"""Training of the shape network, which finds the slopes that the shape lacks in the `metric` method.
+"""Training of the shape network, which estimates the residual slopes of the shape in the `metric` method.
 
 Where a finger turns away, ridges that are not resolved and specular reflection at grazing angles bend the shape that
 all bands agree on (:mod:`splitknit.skin.learned`); the network learns on simulated fingers which slopes are missing.
@@ -59,7 +59,7 @@ NETWORK = NetworkKind(
 FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("slope", "wide")
 SLOPES = slice(32, 34)
-"""The slopes along x and y (up) that the shape lacks, in the network's unit."""
+"""The residual slopes along x and y (up), in the network's unit."""
 WEIGHT = 34
 """Number of the weight in a sample, in [0, 1]."""
 CHANNELS = 35

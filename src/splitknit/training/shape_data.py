@@ -1,8 +1,8 @@
 """Training data of the shape network: simulated fingers through a whole reconstruction.
 
 A finger is photographed by the simulator and reconstructed as any other, except for the relief network: in its place
-stands the true relief, a little too low or too high as an estimated one is. What the shape network would see in the
-last round is kept, and the slopes that the shape lacks there against the truth.
+stands the true relief, a little too low or too high as an estimated one is. A sample is the input of the shape network
+in the last round, and the residual slopes of the shape against the truth there.
 """
 
 from __future__ import annotations
