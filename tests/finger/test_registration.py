@@ -11,7 +11,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.finger.registration import RegistrationSettings, register_shots, without_glare
 from splitknit.finger.registration_flow import details_of, finger_family, places_of, still
-from splitknit.finger.steady import Seen, _register_band
+from splitknit.finger.steady import RegisteredBand, _register_band
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)
@@ -159,7 +159,7 @@ def test_another_band_is_brought_onto_the_first(scene, motion, found, centre):
     other = ridged(depth_mm=0.01, tone=0.0, first_light=np.pi / 7, seed=1)
     place = {k: (0.05 * k, 0.3 - 0.1 * k) for k in range(7)}
     stack = np.stack([moved(image, place[k], 0.0, centre) for k, image in enumerate(other.stack)])
-    seen = Seen(motion, scene.lights, found.flow, np.arange(7))
+    seen = RegisteredBand(motion, scene.lights, found.flow, np.arange(7))
     band = _register_band(seen, stack, other.lights, scene.mask, PX, QUICK)
     mean = band.flow.at(*core(scene)).mean(axis=2)
     np.testing.assert_allclose(mean, np.array(list(place.values())), atol=0.05)
@@ -267,7 +267,7 @@ def test_details_vary_with_the_shift_without_steps():
     for shift in shifts:
         moved = np.zeros((5, 2, level.columns.size), np.float32)
         moved[:, 0] = shift
-        seen.append(level.seen(moved)[0, 0][inner])
+        seen.append(level.sampled(moved)[0, 0][inner])
     change = np.diff(seen, axis=0)
     moves = np.sqrt((change**2).mean(axis=1))
     assert moves.max() < 3.5 * moves.mean()  # six times with steps

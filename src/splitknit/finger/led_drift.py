@@ -275,12 +275,12 @@ def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
     scores = np.zeros((int(samples.block.max()) + 1, len(gain)))
     np.add.at(scores, samples.block, state.score)
     spread = solver @ (scores.T @ scores) @ solver.T
-    seen = shown @ np.log(gain)
+    observed = shown @ np.log(gain)
     covariance = shown @ spread @ shown.T + _MODEL_ERROR**2 * np.eye(len(shown))
-    suspect, value, error, explained = _single(shown, seen, covariance)
+    suspect, value, error, explained = _single(shown, observed, covariance)
     drifted = abs(np.expm1(value)) > 0.01 * _LIMIT_PERCENT and abs(value) > 3 * error
     return LedDrift(
-        gain=np.exp(shown.T @ seen),
+        gain=np.exp(shown.T @ observed),
         error=np.sqrt(np.maximum(np.diag(shown.T @ covariance @ shown), 0.0)),
         observable=shown,
         information=fractions,

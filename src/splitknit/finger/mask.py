@@ -445,8 +445,8 @@ def _fine_outline(
     around = _Around.of(guess, margin)
     evidence, _ = _skin_evidence(smooth, around, margin, local=True, samples=samples)
     near = (around.away <= 0.7 * margin) & (around.depth <= margin)
-    found = np.where(near, evidence > 1.0, guess)
-    cleaned = remove_spurs(largest_component(fill_holes(found)), _SPUR_FRACTION)
+    skin = np.where(near, evidence > 1.0, guess)
+    cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
     require(bool(cleaned.any()), NO_FINGER)
     # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed

@@ -94,15 +94,15 @@ def find_crease(mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
     scale = min(1.0, _WORKING_PX_PER_MM / px_per_mm, 700 / max(upright.size))
     small, inside = _upright_copy(grey, mask, upright, scale)
-    found = _transverse_valleys(small, inside, px_per_mm * scale)
+    valleys = _transverse_valleys(small, inside, px_per_mm * scale)
     width_mm = upright.width_px / px_per_mm
     tip_row = upright.tip_row
-    placed = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in found)
+    at_full_scale = tuple(v.moved(1.0 / scale, tip_row, px_per_mm) for v in valleys)
     length_mm = (upright.size[0] - tip_row) / px_per_mm
-    chosen, verdict = _judge(placed, width_mm, length_mm)
+    chosen, verdict = _judge(at_full_scale, width_mm, length_mm)
     if chosen is None:
-        return Crease(False, float("nan"), float("nan"), None, placed, verdict)
-    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), placed, verdict)
+        return Crease(False, float("nan"), float("nan"), None, at_full_scale, verdict)
+    return Crease(True, chosen.distance_mm, chosen.row, _ends(chosen, upright), at_full_scale, verdict)
 
 
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:

@@ -175,32 +175,32 @@ class Problem:
         first = flow.at(x, y)
         free = [k for k in range(len(first)) if k != self.reference]
         basis = family.basis(x, y)
-        found = np.zeros((len(free), basis.shape[2]))
+        parameters = np.zeros((len(free), basis.shape[2]))
         most, least = 1.0 / self.level.px_per_mm, max(SETTLED_MM, SETTLED_PX / self.level.px_per_mm)
         for _ in range(self.settings.iterations):
             shifts = first.copy()
-            shifts[free] += np.einsum("km,ncm->kcn", found, basis)
-            seen = self.level.seen(shifts[self.shots].astype(np.float32))
-            step = np.clip(self._step(seen, basis, free, family.rigid, found), -most, most)
-            found += step
+            shifts[free] += np.einsum("km,ncm->kcn", parameters, basis)
+            sampled = self.level.sampled(shifts[self.shots].astype(np.float32))
+            step = np.clip(self._step(sampled, basis, free, family.rigid, parameters), -most, most)
+            parameters += step
             if float(np.abs(step).max()) < least:
                 break
         nodes = flow.nodes_mm.copy()
-        moved = np.einsum("km,ncm->kcn", found, family.basis(*places_of(flow)))
+        moved = np.einsum("km,ncm->kcn", parameters, family.basis(*places_of(flow)))
         nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
         return Flow(nodes)
 
     def unexplained(self, flow: Flow) -> NDArray[np.float64]:
         """(L,) rms of what no surface explains over the rms of each image's details."""
-        images = self.level.seen(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
-        left = beyond_surface(images, self.axes)
-        error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (left, images))
+        images = self.level.sampled(flow.at(*self.level.places())[self.shots].astype(np.float32))[:, 0]
+        residual = beyond_surface(images, self.axes)
+        error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
         return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
 
-    def _step(self, seen: FloatArray, basis: Array, free: list[int], rigid: int, found: Array) -> Array:
-        """(F, M) change of the parameters of the free shots, which so far are `found`: the normal equations."""
-        left = beyond_surface(seen[:, 0], self.axes)
-        root = np.sqrt(robust_weight(self.level, np.sqrt((left * left).sum(axis=0) * self.level.weight)))
+    def _step(self, sampled: FloatArray, basis: Array, free: list[int], rigid: int, parameters: Array) -> Array:
+        """(F, M) change of the parameters of the free shots, which so far are `parameters`: the normal equations."""
+        residual = beyond_surface(sampled[:, 0], self.axes)
+        root = np.sqrt(robust_weight(self.level, np.sqrt((residual * residual).sum(axis=0) * self.level.weight)))
         width, number, total = basis.shape[2], len(free), root.size
         right, down = (np.ascontiguousarray(basis[:, c].T, dtype=np.float32) for c in range(2))
         matrix, force = np.zeros((number, width, number, width)), np.zeros((number, width))
@@ -209,9 +209,9 @@ class Problem:
             if shot == self.reference:
                 continue
             k = free.index(int(shot))
-            columns = (seen[image, 1] * right + seen[image, 2] * down) * root
+            columns = (sampled[image, 1] * right + sampled[image, 2] * down) * root
             matrix[k, :, k] += gram(columns)
-            force[k] += np.einsum("mn,n->m", columns, left[image] * root)
+            force[k] += np.einsum("mn,n->m", columns, residual[image] * root)
             shown[:, k] += columns * self.axes[image][:, None]
         for part in shown:
             matrix -= gram(part.reshape(number * width, total)).reshape(matrix.shape)
@@ -222,7 +222,7 @@ class Problem:
             weight = self.settings.stiffness * float(np.diag(flat)[np.tile(soft, number)].mean())
             penalty = weight * self._penalty(free)
             flat = flat + np.kron(penalty, np.diag(soft.astype(np.float64)))
-            force = force + np.einsum("kl,li->ki", penalty, found * soft)
+            force = force + np.einsum("kl,li->ki", penalty, parameters * soft)
         return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))
 
     def _penalty(self, free: list[int]) -> Array:

@@ -194,20 +194,20 @@ class Level:
         """x and y (N,) of the pixels in mm from the first pixel."""
         return self.columns.astype(np.float64) / self.px_per_mm, self.rows.astype(np.float64) / self.px_per_mm
 
-    def seen(self, shifts_mm: FloatArray) -> FloatArray:
+    def sampled(self, shifts_mm: FloatArray) -> FloatArray:
         """(L, 3, N) details and derivatives of image l at the pixels shifted by `shifts_mm[l]`, of (L, 2, N)."""
         count = self.columns.size
-        found = np.empty((len(self.images), 3, count), dtype=np.float32)
+        values = np.empty((len(self.images), 3, count), dtype=np.float32)
         size = np.float32(self.px_per_mm)
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
             columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
             across, down = (_in_lines(places) for places in near)
             taken = cv2.remap(image, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            found[k] = taken.reshape(-1, 3)[:count].T
+            values[k] = taken.reshape(-1, 3)[:count].T
             # details vary with the shift without steps: what lies between follows from the slopes
-            found[k, 0] += (found[k, 1] * (columns - near[0]) + found[k, 2] * (rows - near[1])) / size
-        return found
+            values[k, 0] += (values[k, 1] * (columns - near[0]) + values[k, 2] * (rows - near[1])) / size
+        return values
 
 
 def details_of(

@@ -81,20 +81,20 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> RidgePeriod:
         if min(size) < _BLOCK:
             break
         small = fields if level == 0 else cv2.resize(fields, size, interpolation=cv2.INTER_AREA)
-        periods, seen = _periods(np.asarray(small, dtype=np.float32))
+        periods, blocks = _periods(np.asarray(small, dtype=np.float32))
         area = float(len(periods) * factor**2)
-        if len(periods) >= max(_MIN_BLOCKS, _MIN_FRACTION * seen) and area > best[0]:
+        if len(periods) >= max(_MIN_BLOCKS, _MIN_FRACTION * blocks) and area > best[0]:
             best = area, periods * factor
-    found = best[1]
+    periods = best[1]
     require(
-        len(found) > 0,
+        len(periods) > 0,
         "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus; give "
         "--px-per-mm.",
     )
-    middle = float(np.median(found))
-    spread = 1.4826 * float(np.median(np.abs(found - middle)))
-    apart = max(1.0, len(found) * (_STEP / _BLOCK) ** 2)
-    return RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(found))
+    middle = float(np.median(periods))
+    spread = 1.4826 * float(np.median(np.abs(periods - middle)))
+    apart = max(1.0, len(periods) * (_STEP / _BLOCK) ** 2)
+    return RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods))
 
 
 def scale_of_ridges(
@@ -126,7 +126,7 @@ def _periods(fields: FloatArray) -> tuple[NDArray[np.float64], int]:
     frequency = np.hypot(u, v)
     around = (frequency > 0.5 / _LONGEST) & (frequency < 0.45)
     sought = (frequency >= 1.0 / _LONGEST) & (frequency <= 1.0 / _SHORTEST)
-    found, seen = [], 0
+    periods, blocks = [], 0
     for top in range(0, fields.shape[0] - _BLOCK + 1, _STEP):
         for left in range(0, fields.shape[1] - _BLOCK + 1, _STEP):
             block = fields[top : top + _BLOCK, left : left + _BLOCK]
@@ -135,7 +135,7 @@ def _periods(fields: FloatArray) -> tuple[NDArray[np.float64], int]:
             tilt = block[..., :2].mean(axis=(0, 1)).astype(np.float64)
             if 1.0 / np.sqrt(1.0 + tilt @ tilt) < _FACING:
                 continue
-            seen += 1
+            blocks += 1
             waves = np.fft.fft2((block[..., :2] - tilt) * window[..., None], axes=(0, 1))
             power = (np.abs(waves) ** 2).sum(axis=2)
             row, column = np.unravel_index(int(np.argmax(np.where(sought, power, 0.0))), power.shape)
@@ -148,5 +148,5 @@ def _periods(fields: FloatArray) -> tuple[NDArray[np.float64], int]:
             if not 1.0 / _LONGEST <= mean <= 1.0 / _SHORTEST:  # the flank of a wave that is sought in another size
                 continue
             along = np.array([u[row, column], -v[row, column]]) / frequency[row, column]
-            found.append(np.sqrt(1.0 + float(along @ tilt) ** 2) / mean)
-    return np.array(found), seen
+            periods.append(np.sqrt(1.0 + float(along @ tilt) ** 2) / mean)
+    return np.array(periods), blocks

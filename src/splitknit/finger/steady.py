@@ -55,7 +55,7 @@ from splitknit.model import Band, BoolArray, Capture, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class RegisteredBand:
     """A band whose shots are registered: what the others are compared with."""
 
     stack: FloatArray
@@ -79,50 +79,50 @@ class BandRegistration:
 
 
 def _register_band(  # noqa: PLR0917
-    seen: Seen,
+    first: RegisteredBand,
     stack: FloatArray,
     lights: NDArray[np.float64],
     mask: BoolArray,
     px_per_mm: float,
     settings: RegistrationSettings | None = None,
 ) -> BandRegistration:
-    """Find where the skin that `seen` shows lies in every image of another band.
+    """Find where the skin of the band `first` lies in every image of another band.
 
-    `seen`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
-    (L, 3) towards the light, or (L, 3, h, w) if those of `seen` are such; `mask`: (H, W) bool; `settings`:
+    `first`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
+    (L, 3) towards the light, or (L, 3, h, w) if those of `first` are such; `mask`: (H, W) bool; `settings`:
     RegistrationSettings, optional. Raises BadInput if the two bands' images differ in size, or lights and images in
     number.
     """
     settings = settings or RegistrationSettings()
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
-    require(seen.stack.shape[1:] == stack.shape[1:], "the images of both bands must have one size.")
+    require(first.stack.shape[1:] == stack.shape[1:], "the images of both bands must have one size.")
     lights = np.asarray(lights, dtype=np.float64)
     check_light_vectors(lights, len(stack))
-    check_light_vectors(seen.lights, len(seen.stack))
+    check_light_vectors(first.lights, len(first.stack))
     around, skin = dilate(mask, SURROUND_MM * px_per_mm), erode(mask, RIM_MM * px_per_mm)
     flow = unmoved = still(len(stack), (mask.shape[0], mask.shape[1]), px_per_mm)
     for step, sigma in enumerate((*COARSE_MM, *FINE_MM)):
         region = skin if step >= len(COARSE_MM) and skin.any() else around
         band = (sigma, BAND_RATIO * sigma)
         level, known = (
-            details_of(images, region, px_per_mm, band, WORKING_PX_PER_MM) for images in (stack, seen.stack)
+            details_of(images, region, px_per_mm, band, WORKING_PX_PER_MM) for images in (stack, first.stack)
         )
-        expected = _expected(seen, level, known, lights, mask.shape, px_per_mm)
+        expected = _expected(first, level, known, lights, mask.shape, px_per_mm)
         flow = _followed(level, expected, flow, finger_family(mask, px_per_mm, turns=step > 0), settings.iterations)
-    found = (level.seen(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
-    likeness, before = (_likeness(level.weight, expected, images) for images in found)
+    aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
+    likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
     return BandRegistration(flow, likeness, before)
 
 
 def _expected(  # noqa: PLR0917
-    seen: Seen, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
+    first: RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
 ) -> FloatArray:
     """(L, N) details under `lights` of the surface that the `known` details of the first band give."""
     taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
-    shifts = seen.flow.at(*level.places())[seen.shots].astype(np.float32)
-    details = taken.seen(shifts)[:, 0]
-    before, now = (lights_on(part, level, shape, px_per_mm) for part in (seen.lights, lights))
+    shifts = first.flow.at(*level.places())[first.shots].astype(np.float32)
+    details = taken.sampled(shifts)[:, 0]
+    before, now = (lights_on(part, level, shape, px_per_mm) for part in (first.lights, lights))
     before = np.moveaxis(before.astype(np.float64), 2, 0)  # (N or 1, K, 3)
     normal = before.transpose(0, 2, 1) @ before
     normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
@@ -135,29 +135,29 @@ def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, it
     """Move every shot, by itself, towards the details that are expected of it, whatever their strength."""
     x, y = level.places()
     first, basis = flow.at(x, y), family.basis(x, y)
-    found = np.zeros((len(first), basis.shape[2]))
+    parameters = np.zeros((len(first), basis.shape[2]))
     most, least = 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
     for k in range(len(first)):
         alone = replace(level, images=level.images[k : k + 1])
         for _ in range(iterations):
-            shifts = first[k] + np.einsum("m,ncm->cn", found[k], basis)
+            shifts = first[k] + np.einsum("m,ncm->cn", parameters[k], basis)
             step = np.clip(
-                _step(level, expected[k], alone.seen(shifts[None].astype(np.float32))[0], basis), -most, most
+                _step(level, expected[k], alone.sampled(shifts[None].astype(np.float32))[0], basis), -most, most
             )
-            found[k] += step
+            parameters[k] += step
             if float(np.abs(step).max()) < least:
                 break
-    moved = np.einsum("km,ncm->kcn", found, family.basis(*places_of(flow)))
+    moved = np.einsum("km,ncm->kcn", parameters, family.basis(*places_of(flow)))
     return Flow(flow.nodes_mm + moved.reshape(flow.nodes_mm.shape))
 
 
-def _step(level: Level, expected: FloatArray, seen: FloatArray, basis: Array) -> Array:
-    """(M,) change of one shot's parameters; `seen` (3, N) are its details and their derivatives."""
-    gain = _gain(level.weight, expected, seen[0])
-    left = seen[0] - np.float32(gain) * expected
-    root = np.sqrt(robust_weight(level, np.sqrt(left * left * level.weight)))
-    shifts = seen[1] * basis[:, 0].T + seen[2] * basis[:, 1].T
-    normal = gram(np.asarray(np.concatenate([shifts, -expected[None], left[None]]) * root, dtype=np.float32))
+def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array) -> Array:
+    """(M,) change of one shot's parameters; `sampled` (3, N) are its details and their derivatives."""
+    gain = _gain(level.weight, expected, sampled[0])
+    residual = sampled[0] - np.float32(gain) * expected
+    root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
+    shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
+    normal = gram(np.asarray(np.concatenate([shifts, -expected[None], residual[None]]) * root, dtype=np.float32))
     force, normal = normal[:-1, -1], normal[:-1, :-1]
     normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
@@ -270,7 +270,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
             continue
         stack = linear_stack(band, capture.encoding, "grey", window, binning)
         vectors = _lights_over(capture, band, window, BLOCK_MM)
-        other = _register_band(Seen(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
+        other = _register_band(RegisteredBand(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
         reported = _motion_facts(flows[name], mask, px)
         reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}

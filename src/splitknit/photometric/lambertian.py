@@ -137,9 +137,9 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
         f"without image {alone} the lights lie in one plane, so that no normals follow from the others; add a light.",
     )
     where = inside.ravel()
-    seen = images.reshape(count, -1)[:, where]
-    whole = linear_map(inverse @ vectors.T, seen)
-    residuals = seen - shading(whole, vectors.astype(np.float32))
+    measured = images.reshape(count, -1)[:, where]
+    whole = linear_map(inverse @ vectors.T, measured)
+    residuals = measured - shading(whole, vectors.astype(np.float32))
     for k in range(count):
         step = (inverse @ vectors[k] / (1.0 - leverage[k])).astype(np.float32)
         unit, length = unit_normals(whole - step[:, None] * residuals[k])

@@ -67,10 +67,10 @@ class MicrofacetGlare:
     def __call__(self, roughness: float) -> FloatArray:
         """(L, ...) float32 for a roughness (GGX alpha)."""
         a2 = np.float32(roughness**2)
-        seen = _one_way(self._view, a2) / (4 * self._view)
+        masking = _one_way(self._view, a2) / (4 * self._view)
         falloff = self._half_squared * (a2 - 1) + 1
         spread = a2 / (np.float32(np.pi) * falloff * falloff)
-        return np.asarray(spread * seen * _one_way(self._incoming, a2) * self._mirrored, dtype=np.float32)
+        return np.asarray(spread * masking * _one_way(self._incoming, a2) * self._mirrored, dtype=np.float32)
 
 
 def _one_way(cosine: FloatArray, a2: np.float32) -> FloatArray:

@@ -66,11 +66,11 @@ def fine_lighting(rig: Rig, low: Grid, height_mm: FloatArray, factor: int, grid:
             one[:, size[0] :] = one[:, size[0] - 1 : size[0]]
         return large.reshape(*fields.shape[:-2], *grid.shape)
 
-    seen, entering = enlarge(trust), enlarge(light.entering)
-    np.maximum(seen, np.float32(1e-3), out=seen)
-    seen *= grid.mask
+    fine_trust, entering = enlarge(trust), enlarge(light.entering)
+    np.maximum(fine_trust, np.float32(1e-3), out=fine_trust)
+    fine_trust *= grid.mask
     np.maximum(entering, np.float32(0.2), out=entering)
-    return Lighting(enlarge(light.vectors), entering, seen)
+    return Lighting(enlarge(light.vectors), entering, fine_trust)
 
 
 def slant_of(surface_mm: FloatArray, pitch_mm: float) -> FloatArray:
