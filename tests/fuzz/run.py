@@ -64,7 +64,6 @@ NO_READERS = {
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.networks.load_torch": "imports a package",
     "simulator.light.skin.load_walks": "reads a table of the package",
-    "report.charts.open_svg": "writes the first line of a picture",
 }
 """Functions named as readers that need no target, and why."""
 Task = tuple[Target, int, int]

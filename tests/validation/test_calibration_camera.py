@@ -17,7 +17,7 @@ def test_one_rig_at_a_seventh_of_the_size():
     try:
         spec.loader.exec_module(module)
         photos = module.photographs(3, 0.14, count=8)
-        fit = module.calibrate_camera(photos.corners, module.BOARD, photos.rig.camera.image_size)
+        fit = module.fit_camera(photos.corners, module.BOARD, photos.rig.camera.image_size)
         errors = module.errors_of(photos, fit)
         table = module.summary([{"a": errors}, {"a": {name: 2 * value for name, value in errors.items()}}])
     finally:
