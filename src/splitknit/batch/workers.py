@@ -97,11 +97,17 @@ def _interrupts_for_us_alone() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+def _end_once(*_: object) -> None:
+    """End this worker; a second SIGTERM, of a pool that lost another worker, must not cut the cleaning short."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
+
+
 def _begin() -> None:
     """In a new worker: one thread for OpenCV, one heap, and an end when the run that started it is no more."""
     import cv2
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    signal.signal(signal.SIGTERM, _end_once)
     cv2.setNumThreads(1)
     one_heap()
     parent = multiprocessing.parent_process()
