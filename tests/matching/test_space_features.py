@@ -187,7 +187,7 @@ def _worst_angle(a: _Framed, left: tuple[int, ...], b: _Framed, right: tuple[int
 
 
 def test_agreement_as_a_slow_loop_finds_it() -> None:
-    a, b = _Framed(finger(8)), _Framed(again(finger(8), 2))
+    a, b = PreparedTetrahedra(finger(8)), PreparedTetrahedra(again(finger(8), 2))
     settings = AgreementSettings()
     rotation, shift = np.eye(3), np.array([0.2, -0.1, 0.1])
     found = _agreeing(a, b, rotation, shift, settings)

@@ -8,6 +8,7 @@ over the product of both sides' numbers.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations, permutations
@@ -71,7 +72,7 @@ class _Agreement:
 
 
 @dataclass(frozen=True, eq=False)
-class _Framed:
+class _Framed(ABC):
     """Minutiae in a frame of their own, so that nothing depends on how the finger lay.
 
     The origin is their mean; x, y and z are the axes of their spread, the largest first, z out of the side that bulges.
@@ -80,9 +81,9 @@ class _Framed:
     minutiae: SpaceMinutiae
     settings: Any = field(default=None)
 
+    @abstractmethod
     def correspondences(self, other: Any) -> tuple[Index, Index]:
         """(K, n) of a few minutiae of both sides that look similar, wherever they lie."""
-        raise NotImplementedError
 
     @cached_property
     def places(self) -> tuple[Array, Array]:
