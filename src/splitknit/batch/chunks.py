@@ -130,9 +130,9 @@ def read_origin(path: Location) -> dict[str, Any]:
     BadInput
         If the file is damaged.
     """
-    pq = load("pyarrow.parquet", "batch")
-    with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
-        return dict(parse_json(pq.read_schema(stream).metadata[_KEY], str(path)))
+    schema = _schema(path)
+    with refusing(_damaged(path)):
+        return dict(parse_json(schema.metadata[_KEY], str(path)))
 
 
 def read_names(path: Location) -> list[str]:
@@ -143,9 +143,13 @@ def read_names(path: Location) -> list[str]:
     BadInput
         If the file is damaged.
     """
+    return list(_schema(path).names)
+
+
+def _schema(path: Location) -> Any:
     pq = load("pyarrow.parquet", "batch")
     with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
-        return list(pq.read_schema(stream).names)
+        return pq.read_schema(stream)
 
 
 def chunk_files(folder: Location) -> list[Location]:

@@ -35,7 +35,7 @@ from splitknit.gallery.manage import FACTS_FILE as ABOUT_FILE
 from splitknit.gallery.manage import TABLE_FILE, index_gallery
 from splitknit.gallery.records import FACTS_FILE
 from splitknit.gallery.shards import files_of_shards
-from splitknit.io.atomic import MANIFEST, atomic_file, manifest_of
+from splitknit.io.atomic import MANIFEST, manifest_of, write_file
 from splitknit.io.csv_table import plain_text
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text
@@ -255,8 +255,8 @@ def _table(file: Path, names: Collection[str], *, files: bool = False) -> Iterat
 
 
 def _rewrite(file: Path, text: str) -> None:
-    with wiping(file), atomic_file(file) as stream:
-        stream.write(text.encode("utf-8"))
+    with wiping(file):
+        write_file(file, text.encode("utf-8"))
 
 
 def _export(folder: Path, files: Sequence[str], names: Collection[str]) -> Iterator[_Held]:

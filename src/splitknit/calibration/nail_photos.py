@@ -15,7 +15,7 @@ from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, write_t
 from splitknit.calibration.shadow import NailView, find_nail
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.imaging.band import linear_image
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, read_json
 from splitknit.io.images import DEFAULTS, decode_image, write_image
 from splitknit.io.photos import decode_photo, encoding_of
@@ -74,8 +74,7 @@ def tips_of_photos(
     if show is not None:
         write_image(show, _nail_overview(tiles, camera.image_size))
     if table is not None:
-        with atomic_file(table) as stream:
-            stream.write(write_tips(tips).encode("ascii"))
+        write_file(table, write_tips(tips).encode("ascii"))
     if not tips:
         raise BadInput(f"{folder}: all shadows leave the picture; use a shorter nail or move it to the middle.")
     return tips, hashes, lost

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from splitknit.errors import BadInput, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import json_text
 
@@ -201,8 +201,7 @@ def check_subject_id(text: str) -> str:
 
 def _write(file: Path, plan: _EnrolmentPlan) -> None:
     document = {"format": _FORMAT, "version": _VERSION, **asdict(plan)}
-    with atomic_file(file) as stream:
-        stream.write(json_text(document).encode("ascii"))
+    write_file(file, json_text(document).encode("ascii"))
 
 
 def _read(file: Path) -> _EnrolmentPlan:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
-from splitknit.io.atomic import atomic_file, atomic_folder
+from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
 from splitknit.io.minutiae3d import Minutiae3D, angles_of, write_minutiae3d
@@ -150,8 +150,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         facts["timings_s"] = {name: round(value, 3) for name, value in timings.items()}
         facts["provenance"] = origin
         facts["files"] = sorted([path.name for path in target.iterdir()] + ["report.json"])
-        with atomic_file(target / "report.json") as stream:
-            stream.write(json_text(facts).encode("ascii"))
+        write_file(target / "report.json", json_text(facts).encode("ascii"))
     progress("done", 1.0)
     return {**facts, "out": str(job.out)}
 

@@ -22,7 +22,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box
-from splitknit.io.atomic import atomic_file, atomic_folder
+from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
 from splitknit.io.provenance import provenance
@@ -67,10 +67,8 @@ class Report:
     def write(self, folder: Path, files: Sequence[str]) -> dict[str, Any]:
         """Write ``report.html`` and ``report.json``, which lists `files`, and return the facts."""
         facts = {**self.facts, "files": list(files)}
-        with atomic_file(folder / "report.html") as stream:
-            stream.write(self.html.encode("utf-8"))
-        with atomic_file(folder / "report.json") as stream:
-            stream.write((json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
+        write_file(folder / "report.html", self.html.encode("utf-8"))
+        write_file(folder / "report.json", (json.dumps(facts, indent=1, allow_nan=False) + "\n").encode("utf-8"))
         return facts
 
 

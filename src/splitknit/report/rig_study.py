@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.csv_table import csv_text
 from splitknit.report import template
 from splitknit.report.charts import Cell, Dot, heat_map, scatter, standalone
@@ -75,8 +75,7 @@ def write_all(
     content["results.csv"] = (_table(rigs), "all rigs, one line each")
     content["index.html"] = (_page(rigs, summary, study, pictures), "the page to open")
     for name, (data, _) in content.items():
-        with atomic_file(out / name) as stream:
-            stream.write(data)
+        write_file(out / name, data)
     return {name: what for name, (_, what) in sorted(content.items())}
 
 

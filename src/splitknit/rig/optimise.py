@@ -16,7 +16,7 @@ from scipy import stats
 from splitknit import __version__
 from splitknit.batch.workers import run_jobs
 from splitknit.errors import BadInput, require
-from splitknit.io.atomic import atomic_file
+from splitknit.io.atomic import write_file
 from splitknit.io.fields import read_json
 from splitknit.io.provenance import canonical_json, plain_json, settings_hash
 from splitknit.model import Progress, no_progress
@@ -286,5 +286,4 @@ class _SweepFolder:
         )
 
     def _write(self, path: Path, document: Any) -> None:
-        with atomic_file(path) as stream:
-            stream.write((json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
+        write_file(path, (json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
