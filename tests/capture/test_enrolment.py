@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from splitknit.capture.enrolment import FINGERS, EnrolledFinger, _EnrolmentPlan, check_subject_id, open_enrolment
+from splitknit.capture.enrolment import FINGERS, PlannedCapture, _EnrolmentPlan, check_subject_id, open_enrolment
 from splitknit.errors import BadInput
 
 
@@ -39,7 +39,7 @@ def test_what_is_finished_is_skipped_and_the_rest_is_in_order(tmp_path):
         "S02/session_1/right_index",
         "S02/session_1/left_thumb",
     ]
-    finish(enrolment, EnrolledFinger("S01", 1, "left_thumb"))
+    finish(enrolment, PlannedCapture("S01", 1, "left_thumb"))
     again = open_enrolment(tmp_path / "e")
     assert again.plan == enrolment.plan
     assert [place.folder for place in again.waiting()] == [first[0], *first[2:]]

@@ -15,7 +15,7 @@ from test_contract_pi import PINS, mock_pins
 from test_streams import SimulatedStream
 
 from splitknit.capture import pi
-from splitknit.capture.enrolment import EnrolledFinger
+from splitknit.capture.enrolment import PlannedCapture
 from splitknit.capture.exposure import Focus, FocusWatch
 from splitknit.cli import capture as capture_verb
 from splitknit.cli.main import main
@@ -136,11 +136,11 @@ def test_an_enrolment_asks_for_every_finger(rig_of_pi, tmp_path, capsys, monkeyp
 
 def test_the_terminal_says_why_a_finger_is_asked_for_again(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
-    assert capture_verb._ask(EnrolledFinger("S01", 2, "left_ring"), "the finger moved") == "go"
+    assert capture_verb._ask(PlannedCapture("S01", 2, "left_ring"), "the finger moved") == "go"
     err = capsys.readouterr().err
     assert "Not yet: the finger moved" in err
     assert "S01, session 2, left ring" in err
-    assert capture_verb._ask(EnrolledFinger("S01", 2, "left_ring"), None) == "stop"  # nobody answers any more
+    assert capture_verb._ask(PlannedCapture("S01", 2, "left_ring"), None) == "stop"  # nobody answers any more
 
 
 def test_the_focus_bar_shows_the_best_and_ends_at_enter(monkeypatch, capsys):

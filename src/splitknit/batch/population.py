@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.batch.objects import Location, files_below, stored_bytes
-from splitknit.capture.enrolment import PLAN_FILE, EnrolledFinger, open_enrolment
+from splitknit.capture.enrolment import PLAN_FILE, PlannedCapture, open_enrolment
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.protocol import Comparisons, comparisons
 from splitknit.io.fields import MAX_JSON_BYTES, Fields, read_json
@@ -87,7 +87,7 @@ def _population(folder: Location, plan_folder: Path, has: Callable[[str], bool])
         for finger in plan.fingers
         for session in range(1, plan.sessions + 1)
     ):
-        place = EnrolledFinger(subject, session, finger)
+        place = PlannedCapture(subject, session, finger)
         if has(f"{place.folder}/capture.json"):
             captures.append(
                 CaptureRef(place.folder, subject, f"{subject}/{finger}", str(session), number, number // plan.sessions)

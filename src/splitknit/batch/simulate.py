@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.batch.workers import run_jobs
-from splitknit.capture.enrolment import PLAN_FILE, EnrolledFinger, Enrolment, open_enrolment, plan_enrolment
+from splitknit.capture.enrolment import PLAN_FILE, Enrolment, PlannedCapture, open_enrolment, plan_enrolment
 from splitknit.errors import refusing, require
 from splitknit.io.atomic import atomic_folder, hold, sweep, write_file
 from splitknit.io.capture import write_capture
@@ -33,7 +33,7 @@ POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.js
 _FORMAT, _VERSION = "splitknit-population", 1
 
 
-_Job = tuple[EnrolledFinger, ...]
+_Job = tuple[PlannedCapture, ...]
 """The waiting captures of one finger: its print is drawn once for all of them."""
 
 
@@ -139,9 +139,9 @@ def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, fol
     return len(job)
 
 
-def _jobs_of(waiting: Sequence[EnrolledFinger]) -> list[_Job]:
+def _jobs_of(waiting: Sequence[PlannedCapture]) -> list[_Job]:
     """The waiting captures by finger, subject by subject."""
-    by_finger: dict[tuple[str, str], list[EnrolledFinger]] = {}
+    by_finger: dict[tuple[str, str], list[PlannedCapture]] = {}
     for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
         by_finger.setdefault((place.subject, place.finger), []).append(place)
     return [tuple(places) for places in by_finger.values()]
@@ -151,7 +151,7 @@ def _simulated(
     enrolment: Enrolment,
     settings: PopulationSettings,
     real: RealPrints,
-    waiting: Sequence[EnrolledFinger],
+    waiting: Sequence[PlannedCapture],
     workers: int,
 ) -> Iterator[tuple[int, str]]:
     """Do all jobs; yield how many captures are done, and which finger was the last."""

@@ -58,7 +58,7 @@ class _EnrolmentPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class EnrolledFinger:
+class PlannedCapture:
     """One capture of the plan."""
 
     subject: str
@@ -83,24 +83,24 @@ class Enrolment:
     folder: Path
     plan: _EnrolmentPlan
 
-    def places(self) -> Iterator[EnrolledFinger]:
+    def places(self) -> Iterator[PlannedCapture]:
         """Yield all captures in their order: session by session, subject by subject, finger by finger."""
         for session in range(1, self.plan.sessions + 1):
             for subject in self.plan.subject_ids():
                 for finger in self.plan.fingers:
-                    yield EnrolledFinger(subject, session, finger)
+                    yield PlannedCapture(subject, session, finger)
 
-    def path(self, place: EnrolledFinger) -> Path:
+    def path(self, place: PlannedCapture) -> Path:
         """Capture folder of a place."""
         return self.folder / place.folder
 
-    def finished(self, place: EnrolledFinger) -> bool:
+    def finished(self, place: PlannedCapture) -> bool:
         """Whether it is captured."""
         return (self.path(place) / "capture.json").is_file()
 
     def waiting(
         self, *, subject: str | None = None, session: int | None = None, finger: str | None = None
-    ) -> list[EnrolledFinger]:
+    ) -> list[PlannedCapture]:
         """What is not captured yet, in its order; of one subject, session or finger where named.
 
         Raises
@@ -131,7 +131,7 @@ class Enrolment:
             and not self.finished(place)
         ]
 
-    def seeds(self, place: EnrolledFinger, seed: int) -> tuple[int, int]:
+    def seeds(self, place: PlannedCapture, seed: int) -> tuple[int, int]:
         """Seed and impression of a simulated finger: every finger has its own, every session is another impression."""
         person = int(place.subject.removeprefix("S"))
         key = [seed, 0xE7, person, FINGERS.index(place.finger)]

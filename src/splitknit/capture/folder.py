@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.capture.enrolment import EnrolledFinger, Enrolment
+from splitknit.capture.enrolment import Enrolment, PlannedCapture
 from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused
@@ -24,7 +24,7 @@ from splitknit.io.targets import check_capture
 from splitknit.model import Progress, Rig, no_progress
 
 MARKER = "session.json"
-Ask = Callable[[EnrolledFinger, str | None], str]
+Ask = Callable[[PlannedCapture, str | None], str]
 """Asks for a finger, with the reason where it is asked for again; answers ``go``, ``skip`` or ``stop``."""
 
 
@@ -124,8 +124,8 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
 
 def capture_enrolment(
     enrolment: Enrolment,
-    places: list[EnrolledFinger],
-    open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
+    places: list[PlannedCapture],
+    open_devices: Callable[[PlannedCapture], AbstractContextManager[Opened]],
     options: CaptureOptions,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def capture_enrolment(
     notes: list[str] = []
     for k, place in enumerate(places):
 
-        def report(stage: str, fraction: float, k: int = k, place: EnrolledFinger = place) -> None:
+        def report(stage: str, fraction: float, k: int = k, place: PlannedCapture = place) -> None:
             progress(f"{place.subject} {place.finger}", (k + fraction) / len(places))
 
         answer, facts = _one_finger(enrolment, place, open_devices, options, report)
@@ -176,8 +176,8 @@ def capture_enrolment(
 
 def _one_finger(
     enrolment: Enrolment,
-    place: EnrolledFinger,
-    open_devices: Callable[[EnrolledFinger], AbstractContextManager[Opened]],
+    place: PlannedCapture,
+    open_devices: Callable[[PlannedCapture], AbstractContextManager[Opened]],
     options: CaptureOptions,
     progress: Progress,
 ) -> tuple[str, dict[str, Any] | None]:

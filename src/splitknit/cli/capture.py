@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, scale
 
 if TYPE_CHECKING:
-    from splitknit.capture.enrolment import EnrolledFinger
+    from splitknit.capture.enrolment import PlannedCapture
     from splitknit.capture.exposure import Focus, FocusWatch
     from splitknit.capture.folder import CaptureOptions, Opened
     from splitknit.model import Rig
@@ -173,7 +173,7 @@ def _run_enrolment(
         if options.device == "pi" and places:
             devices = stack.enter_context(opened_pi(rig, settings))
 
-        def open_devices(place: EnrolledFinger) -> AbstractContextManager[Opened]:
+        def open_devices(place: PlannedCapture) -> AbstractContextManager[Opened]:
             if options.device == "pi":
                 return nullcontext(devices)
             seed, impression = enrolment.seeds(place, options.seed or 0)
@@ -190,7 +190,7 @@ def _run_enrolment(
     return facts, lines
 
 
-def _ask(place: EnrolledFinger, why: str | None) -> str:
+def _ask(place: PlannedCapture, why: str | None) -> str:
     """Ask for a finger on the terminal."""
     if why is not None:
         print(f"\nNot yet: {why}", file=sys.stderr)
