@@ -354,6 +354,11 @@ class Band:
     """`colours[k]` are the colours of the LEDs `leds[k]`, see :class:`Led`; nothing where all are white."""
     crosstalk: NDArray[np.float64] | None = None
     """Of the camera that took the images, see :class:`Camera`; used where LEDs are coloured."""
+    polarisation: str = ""
+    """``parallel`` or ``crossed``: the film before the camera beside those before the LEDs; empty without films."""
+    crossed: Band | None = None
+    """The crossed series of a parallel one, image by image. The band's light is then the mean of both, which is that
+    without films."""
 
     def __repr__(self) -> str:
         count, rows, columns, channels = self.pixels.shape
@@ -363,8 +368,28 @@ class Band:
     @property
     def lights(self) -> tuple[tuple[int, ...], ...]:
         """LEDs of every image of :func:`splitknit.imaging.band.linear_stack`: `leds` but for coloured ones, each of
-        whose colours has an image of its own."""
-        return _lights(self.leds, self.colours)
+        whose colours has an image of its own, and with those of a `crossed` series."""
+        own = _lights(self.leds, self.colours)
+        if self.crossed is None:
+            return own
+        return tuple(tuple(dict.fromkeys(a + b)) for a, b in zip(own, self.crossed.lights, strict=True))
+
+    @property
+    def spectral(self) -> str:
+        """``white`` or ``nir``: the band of its LEDs."""
+        return spectral_band(self.name)
+
+    def sampled(self, every: int) -> Band:
+        """The band in every so many pixels of its rows and columns."""
+        step = np.s_[:, ::every, ::every]
+        ambient = None if self.ambient is None else self.ambient[step[1:]]
+        crossed = None if self.crossed is None else self.crossed.sampled(every)
+        return replace(self, pixels=self.pixels[step], ambient=ambient, crossed=crossed)
+
+
+def spectral_band(name: str) -> str:
+    """Band of the LEDs that light the images of the band `name` of a capture: ``white`` of ``white_crossed``."""
+    return name.partition("_")[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -373,7 +398,7 @@ class Capture:
 
     rig: Rig
     bands: Mapping[str, Band]
-    """``white`` always; ``nir`` where it was captured."""
+    """``white`` always; ``nir`` where it was captured; ``white_crossed`` where `white` is a parallel series."""
     encoding: str = "linear"
     """``linear`` or ``srgb``."""
     material: str = "skin"

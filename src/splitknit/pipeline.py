@@ -27,6 +27,7 @@ from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
 from splitknit.imaging.geometry import gradients_from_normals, smoothed
+from splitknit.imaging.polarised import without_films
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.knit import add, crossover
@@ -517,6 +518,7 @@ def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, 
     """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
     lit, notes = prepared_capture(capture, settings)
     steady, finger = find_steady_finger(lit, settings)
+    steady = without_films(steady)
     facts, doubts = _doubt_of_lights(steady, finger)
     return steady, replace(finger, facts={**finger.facts, **facts}, warnings=(*notes, *finger.warnings, *doubts))
 
@@ -526,10 +528,9 @@ def _doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], 
     band = capture.bands["white"]
     if band.colours:
         return {}, ()
-    step = np.s_[:, :: (every := max(1, max(capture.shape) // FRAME_SIDE)), ::every]
-    some = replace(band, pixels=band.pixels[step], ambient=None if band.ambient is None else band.ambient[step[1:]])
-    stack = linear_stack(some, capture.encoding, "grey")
-    fit = fit_lights(stack, capture.rig.select(band.lights).light_vectors(), finger.wider[step[1:]])
+    every = max(1, max(capture.shape) // FRAME_SIDE)
+    stack = linear_stack(band.sampled(every), capture.encoding, "grey")
+    fit = fit_lights(stack, capture.rig.select(band.lights).light_vectors(), finger.wider[::every, ::every])
     facts = {
         "light_residual": round(fit.residual, 4),
         "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],

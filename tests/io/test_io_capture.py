@@ -215,7 +215,7 @@ Change = Callable[[Any], Any]
         (lambda d: d.update(truth="no.npz"), r"no\.npz, the truth that .* does not exist"),
         (lambda d: d.update(bands=[]), "bands must be an object"),
         (lambda d: d["bands"].pop("white"), r"bands\.white is missing"),
-        (lambda d: d["bands"].update(uv={}), "named white and nir"),
+        (lambda d: d["bands"].update(uv={}), "the bands are named"),
         (lambda d: d["bands"].update(nir=4), r"bands\.nir must be an object"),
         (lambda d: d["bands"]["white"].pop("leds"), r"bands\.white\.leds is missing"),
         (lambda d: d["bands"]["white"].update(images="white_0.png"), "images must be a list"),

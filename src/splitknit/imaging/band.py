@@ -268,7 +268,16 @@ def _ambient_light(band: Band, encoding: str, window: Window, binning: float) ->
 def _lit_light(  # noqa: PLR0917
     band: Band, k: int, encoding: str, window: Window, binning: float, ambient: FloatArray | None
 ) -> FloatArray:
-    """Linear light (h, w, C) of image k without the ambient light."""
+    """Linear light (h, w, C) of image k without the ambient light; of two polarised series their mean.
+
+    Light that clips in the parallel image is kept as it is stored, so that it still counts as clipped.
+    """
+    if band.crossed is not None:
+        parallel = _lit_light(replace(band, crossed=None), k, encoding, window, binning, ambient)
+        dark = _ambient_light(band.crossed, encoding, window, binning)
+        both = parallel + _lit_light(band.crossed, k, encoding, window, binning, dark)
+        let_go(band.crossed.pixels)
+        return np.where(parallel >= _clip_levels(band, encoding)[k], parallel, np.float32(0.5) * both)
     exposure, black = float(band.exposure[k]), float(band.black_level[k])
     light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
     if ambient is not None:

@@ -113,7 +113,7 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     for band in capture.bands.values():
         for index in sorted({k for group in band.leds for k in group}):
             require(
-                index < len(rig.leds) and rig.leds[index].band == band.name,
+                index < len(rig.leds) and rig.leds[index].band == band.spectral,
                 f"{name} does not fit the capture: LED {index}, which lit images of the band '{band.name}', is "
                 + (f"of the band '{rig.leds[index].band}' there." if index < len(rig.leds) else "not in it."),
             )
@@ -227,6 +227,7 @@ def _band(key: str, plan: BandPlan, pixels: PixelArray, ambient: PixelArray | No
         ambient_exposure=plan.ambient_exposure,
         ambient_black_level=plan.ambient_black_level,
         files=plan.names,
+        polarisation=plan.polarisation,
     )
 
 
@@ -250,7 +251,7 @@ def _check_parts(capture: Capture) -> None:
     size = capture.rig.camera.image_size
     require("white" in capture.bands, "a capture needs a band 'white'.")
     for key, band in capture.bands.items():
-        require(key in BANDS, f"a capture's bands are 'white' and 'nir', not '{key}'.")
+        require(key in BANDS, f"a capture's bands are 'white', 'white_crossed' and 'nir', not '{key}'.")
         shape, least = band.pixels.shape, 1 if band.colours else 3
         require(
             len(shape) == 4 and shape[1:3] == size and shape[3] in (1, 3) and shape[0] >= least,
@@ -285,6 +286,8 @@ def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]]) ->
         entries.append(entry(name, pixels, float(band.exposure[k]), float(band.black_level[k])))
     leds: list[JsonValue] = [group[0] if len(group) == 1 else list(group) for group in band.leds]
     result: dict[str, JsonValue] = {"images": entries, "leds": leds}
+    if band.polarisation:
+        result["polarisation"] = band.polarisation
     if band.ambient is not None:
         name = f"ambient_{band.name}{suffix}"
         result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)

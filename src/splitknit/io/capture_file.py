@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from splitknit.errors import check_lights, naming, require
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.rig import rig_from_json
-from splitknit.model import Rig
+from splitknit.model import Rig, spectral_band
 
 CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
-BANDS = ("white", "nir")
+BANDS = ("white", "white_crossed", "nir")
+POLARISATIONS = ("", "parallel", "crossed")
 ENCODINGS = ("linear", "srgb")
 MATERIALS = ("skin", "opaque")
 _MAX_IMAGES = 1000
@@ -34,6 +35,9 @@ class BandPlan:
     ambient: Path | None
     ambient_exposure: float
     ambient_black_level: float
+    polarisation: str
+    exposed: bool
+    """Whether the document states the exposures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +116,12 @@ def _choice(fields: Fields, key: str, choices: tuple[str, ...]) -> str:
 def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
     bands = fields.child("bands")
     for key in bands.keys():  # noqa: SIM118 - not a dict
-        require(key in BANDS, f"{fields.name}: bands has '{ascii(key)[1:-1]}'; the bands are named white and nir.")
+        known = ", ".join(BANDS)
+        require(key in BANDS, f"{fields.name}: bands has '{ascii(key)[1:-1]}'; the bands are named {known}.")
     require(bands.has("white"), f"{fields.name}: bands.white is missing; every capture has images under white light.")
-    plans = {key: _band(bands.child(key), folder, rig, key) for key in BANDS if bands.has(key)}
+    plans = {key: _band(bands.child(key), folder, rig, spectral_band(key)) for key in BANDS if bands.has(key)}
+    if "white_crossed" in plans:
+        _check_pair(plans["white"], plans["white_crossed"], fields.name, rig)
     seen: set[Path] = set()
     for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
         for name, file in zip(plan.names, plan.files, strict=True):
@@ -122,6 +129,29 @@ def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
             require(place not in seen, f"{fields.name}: {bands.path(key)}.images names {name!a} twice.")
             seen.add(place)
     return plans
+
+
+def _check_pair(parallel: BandPlan, crossed: BandPlan, name: str, rig: Rig) -> None:
+    """Refuse two polarised series that are not the same photographs through another film."""
+    require(
+        (parallel.polarisation, crossed.polarisation) == ("parallel", "crossed"),
+        f'{name}: beside bands.white_crossed, bands.white must say "polarisation": "parallel" and bands.white_crossed '
+        f'"crossed".',
+    )
+    require(
+        len(parallel.files) == len(crossed.files),
+        f"{name}: bands.white has {len(parallel.files)} images but bands.white_crossed {len(crossed.files)}; both "
+        "series need one image a light, in the same order.",
+    )
+    require(
+        parallel.exposed == crossed.exposed,
+        f"{name}: bands.white and bands.white_crossed must state exposure_s for every image, both or neither (then it "
+        "is the same).",
+    )
+    require(
+        not any(any(names) for plan in (parallel, crossed) for names in rig.colours_of(plan.leds)),
+        f"{name}: polarised series are lit by white LEDs, but the rig's are coloured.",
+    )
 
 
 def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
@@ -156,6 +186,8 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
         ambient_black_level=_ambient_value(
             fields, ambient, [entry.black_level for entry in entries], "black_level", 0.0
         ),
+        polarisation=_choice(fields, "polarisation", POLARISATIONS),
+        exposed=all(entry.exposure is not None for entry in entries),
     )
 
 

@@ -246,6 +246,7 @@ def left_out_pictures(
     from splitknit.finger.steady import find_steady_finger
     from splitknit.imaging.band import linear_stack
     from splitknit.imaging.coloured import balanced
+    from splitknit.imaging.polarised import without_films
     from splitknit.photometric.lambertian import left_out
     from splitknit.prints.print_map import plane_map, resample
     from splitknit.prints.ridges import PrintSettings, ink
@@ -254,7 +255,7 @@ def left_out_pictures(
     capture, _ = prepared_capture(capture, settings)
     if finger is None:
         capture, finger = find_steady_finger(capture, settings)
-    white, window = capture.bands["white"], finger.window
+    white, window = without_films(capture).bands["white"], finger.window
     stack = np.maximum(linear_stack(white, capture.encoding, "grey", window), np.float32(0.0))
     require(len(stack) >= 4, f"leaving out one image needs at least four of them, but the white band has {len(stack)}.")
     mask = finger.mask[window]
