@@ -513,9 +513,9 @@ def metric_polarised(
     diffuse = metric_skin((crossed, *images.bands[1:]), grid, skin, p, networks)
     relief, deviation = diffuse.relief_mm, diffuse.deviation_mm
     if networks is not None:
-        shape = diffuse.shape_mm
+        shape, network = diffuse.shape_mm, relief_network(networks.relief, (UPRIGHT, *TURNED))
         light = lighting(both.rig, grid, shape, normals_from_gradients(*height_gradients(shape, grid.pitch_mm)))
-        estimate = relief_by_network(features(both, grid, shape, light), grid, shape, networks.relief)
+        estimate = relief_by_network(features(both, grid, shape, light), grid, shape, network)
         first = variance_restored(estimate)
         steep = smooth_step((slant_of(shape, grid.pitch_mm) - np.float32(BOTH_DEG[0])) / np.float32(BOTH_DEG[1])) / 2
         relief, deviation = first.relief_mm + steep * (relief - first.relief_mm), first.deviation_mm
