@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, read_tips
 from splitknit.calibration.lights import Circle, combine
-from splitknit.calibration.lights_found import LightsAsked, LightSettings, find_leds, rig_of
+from splitknit.calibration.lights_found import (
+    CalibratedLed,
+    CalibratedLights,
+    LightsAsked,
+    LightSettings,
+    find_leds,
+    rig_of,
+)
 from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput, Refused, read_bytes, require
@@ -65,8 +72,8 @@ class _RigInputs:
     base: Rig | None
 
 
-def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> dict[str, Any]:
-    """Find the LEDs, write the rig file where one is named; return the facts.
+def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
+    """Find the LEDs, and write the rig file where one is named.
 
     Raises
     ------
@@ -160,7 +167,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     )
 
 
-def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> dict[str, Any]:
+def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> CalibratedLights:
     """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
     found, facts = {}, []
     for nir, band in enumerate(BANDS):
@@ -191,8 +198,8 @@ def _is_list(out: Path | None) -> bool:
     return out is not None and out.suffix.lower() == ".txt"
 
 
-def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write the rig, or a list of its lights, where a name is given; return the facts as plain JSON."""
+def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> CalibratedLights:
+    """Write the rig, or a list of its lights, where a name is given."""
     if out is not None and _is_list(out):
         bands = {led.band for led in rig.leds}
         require(
@@ -203,7 +210,18 @@ def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> dict[str, 
         write_light_list(rig.leds, out, [str(one.get("image", f"LED {one['led']}")) for one in facts["leds"]])
     elif out is not None:
         write_rig(rig, out)
-    return _plain({**facts, "written": out is not None, "out": None if out is None else str(out)})
+    plain = _plain({**facts, "written": out is not None, "out": None if out is None else str(out)})
+    leds = tuple(_led_of(one) for one in plain["leds"])
+    return CalibratedLights(plain["method"], leds, rig, (*plain.get("warnings", ()), *plain.get("notes", ())), plain)
+
+
+def _led_of(facts: Mapping[str, Any]) -> CalibratedLed:
+    x, y, z = facts["direction"]
+    place = facts["position_mm"]
+    return CalibratedLed(
+        facts["band"], facts["led"], (x, y, z), None if place is None else (place[0], place[1], place[2]),
+        facts["disagreement_deg"], facts["verdict"], facts["kept"], facts.get("interval_deg"), facts.get("interval_mm"),
+    )  # fmt: skip
 
 
 def _plain(value: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,7 +241,7 @@ def _pair(text: str, name: str, form: str) -> tuple[float, float]:
     return values[0], values[1]
 
 
-def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> dict[str, Any]:
+def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
     """Calibrate from a typed table of nail and shadow tips."""
     assert job.table is not None
     data = read_bytes(job.table, 16_000_000)
@@ -237,7 +255,7 @@ def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Prog
     return _of_tips(job, inputs, circle, tips, hashes)
 
 
-def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> dict[str, Any]:
+def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
     """Find nail and shadow tips in photographs, write the picture and the table of them, and go on as with a table.
 
     Picture and table are written also where the LEDs are refused after that, for they show why.
@@ -258,11 +276,11 @@ def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Pro
         "shadows_out_of_the_picture": lost,
     }
     try:
-        facts = _of_tips(job, inputs, circle, tips, hashes)
+        found = _of_tips(job, inputs, circle, tips, hashes)
     except Refused as error:
         seen = "" if show is None else f" ({show} shows what was found)"
         raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
-    return {**facts, **shown}
+    return replace(found, facts={**found.facts, **shown})
 
 
 def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
@@ -271,7 +289,7 @@ def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
 
 def _of_tips(
     job: LightsJob, inputs: _RigInputs, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str]
-) -> dict[str, Any]:
+) -> CalibratedLights:
     """Find the LEDs, refuse or write."""
     name = str(job.table or job.images)
     asked = LightsAsked(name, job.method, job.keep, calibrated=inputs.base is not None)
@@ -293,7 +311,7 @@ class _Photograph:
     path: Path
 
 
-def _of_sphere(job: LightsJob) -> dict[str, Any]:
+def _of_sphere(job: LightsJob) -> CalibratedLights:
     """Find the direction of the light of every image in a folder.
 
     Without ``--rig`` or ``--px-per-cm`` no scale is known, and none is needed: the directions go into a rig without
