@@ -103,10 +103,10 @@ class Refused(BadInput):
         self.facts = facts
 
 
-def require(condition: bool, message: str) -> None:
-    """Raise :class:`BadInput` with `message` unless `condition` holds."""
+def require(condition: bool, message: str, kind: type[BadInput] = BadInput) -> None:
+    """Raise :class:`BadInput`, or a `kind` of it, with `message` unless `condition` holds."""
     if not condition:
-        raise BadInput(message)
+        raise kind(message)
 
 
 @contextlib.contextmanager
