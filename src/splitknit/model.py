@@ -573,8 +573,8 @@ class Surface:
 
 UNKNOWN_SCALE = "scale unknown, heights in pixels: give --px-per-mm, or --ridge-period 0.45 where it is a finger."
 NO_SCALE = (
-    "its scale is unknown, and this needs millimetres: give --px-per-mm (here, or where it is reconstructed), or "
-    "--ridge-period 0.45 to take the scale from the ridges."
+    "its scale is unknown, and this needs millimetres: give `px_per_mm` (here, or where it is reconstructed), or "
+    "`ridge_period_mm` 0.45 to take the scale from the ridges."
 )
 
 

@@ -90,7 +90,7 @@ NO_NIR = (
     "reflection bend it."
 )
 NO_PLACE_FOR_MIRRORS = (
-    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take `preset` "
     "metric or snk."
 )
 OPAQUE = "none (opaque material)"

@@ -176,7 +176,7 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["a", "a/print.png", "--method", "thesis"], "needs a surface"),
         (["a", "again", "--set", "ridge.phase.whitening=2"], "whitening"),
         (["a", "again", "--set", "ridge.speed=1"], "speed"),
-        (["a", "again", "--fmr", "nan"], "fmr (--fmr) must lie between 0 and 1"),
+        (["a", "again", "--fmr", "nan"], "--fmr must lie between 0 and 1"),
         (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
     ],
 )

@@ -97,7 +97,7 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> Measur
     """
     require(
         job.folder is not None or len(job.plane) > 0 or job.disc is not None,
-        "give a FOLDER of photographs of a checkerboard, --plane or --disc: there is nothing to calibrate from.",
+        "give a FOLDER of photographs of a checkerboard, `plane` or `disc`: there is nothing to calibrate from.",
     )
     check_rig_file(job.out)
     base = read_rig(job.rig) if job.rig is not None else None
@@ -176,9 +176,9 @@ def _assembled(
                 warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
         camera = replace(camera, height_mm=height, px_per_mm=focal / height)
         pixel_um = job.sensor_pixel_um * _binning(job, size[1])
-        require(0.1 <= job.sensor_pixel_um <= 100, "--sensor-pixel-um must be from 0.1 to 100 micrometres.")
-        require(0.3 <= job.f_number <= 128, "--aperture must be an f-number from 0.3 to 128.")
-        require(0 < job.finger_depth_mm < height, "--finger-depth-mm must be positive and below the camera's height.")
+        require(0.1 <= job.sensor_pixel_um <= 100, "`sensor_pixel_um` must be from 0.1 to 100 micrometres.")
+        require(0.3 <= job.f_number <= 128, "`f_number` must be an f-number from 0.3 to 128.")
+        require(0 < job.finger_depth_mm < height, "`finger_depth_mm` must be positive and below the camera's height.")
         sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
     return MeasuredCamera(job, camera, fit, poses, pose, scale, sharpness, _binning(job, size[1]), tuple(warnings))
 
@@ -197,7 +197,7 @@ def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
 def _binning(job: CameraJob, columns: int) -> float:
     """Sensor pixels along a pixel of the image: the IMX219 bins below 1920 columns, and crops above."""
     if job.binning is not None:
-        require(1 <= job.binning <= 64, "--binning must be from 1 to 64.")
+        require(1 <= job.binning <= 64, "`binning` must be from 1 to 64.")
         return job.binning
     return 1.0 if columns >= _UNBINNED_COLUMNS else max(1.0, float(round(_SENSOR_COLUMNS / columns)))
 
@@ -347,7 +347,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
         squares = asked == (size[0] + 1, size[1] + 1)
         raise BadInput(
             f"{files[0]} shows a checkerboard of {size[0]} x {size[1]} inner corners, not of {board.columns} x "
-            f"{board.rows}; give --board {size[0]}x{size[1]}"
+            f"{board.rows}; give `board` {size[0]}x{size[1]}"
             + (" (corners where four squares meet, not squares)." if squares else ", or photograph the whole board.")
         )
 

@@ -106,17 +106,15 @@ def _checked_source(job: LightsJob) -> str:
     sources = [name for name, wanted in asked.items() if wanted]
     require(
         len(sources) == 1,
-        f"calibrate lights needs one of --table CSV, --images FOLDER, --sphere KIND with --images, and --geometry, but "
-        f"{'none was' if not sources else ' and '.join('--' + name for name in sources) + ' were'} given.",
+        f"calibrate lights needs one of `table`, `images`, `sphere` with `images`, and `geometry`, but "
+        f"{'none was' if not sources else ' and '.join(f'`{name}`' for name in sources) + ' were'} given.",
     )
-    require(
-        sources[0] != "sphere" or job.images is not None, "--sphere needs --images FOLDER, photographs of the ball."
-    )
+    require(sources[0] != "sphere" or job.images is not None, "`sphere` needs `images`, photographs of the ball.")
     if _is_list(job.out):
         check_file(job.out, "a list of lights", lambda data: data.startswith(LIST_TITLE.encode()))
     else:
         check_rig_file(job.out)
-    require(sources[0] != "geometry" or job.out is not None, "--geometry writes a rig file; name it with --out FILE.")
+    require(sources[0] != "geometry" or job.out is not None, "`geometry` writes a rig file; name it by `out`.")
     return sources[0]
 
 
@@ -125,19 +123,18 @@ def _rig_inputs(job: LightsJob) -> _RigInputs:
     if job.rig is not None:
         for name in ("px_per_cm", "image_size"):
             given = getattr(job, name) is None
-            require(given, f"--{name.replace('_', '-')} and --rig set the same thing; give one of them.")
+            require(given, f"`{name}` and `rig` set the same thing; give one of them.")
         base = read_rig(job.rig)
         return _RigInputs(base.camera, base)
     needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]
     require(
         not needed,
-        f"calibrate lights needs {' and '.join('--' + name.replace('_', '-') for name in needed)}, or --rig FILE "
-        f"with a camera.",
+        f"calibrate lights needs {' and '.join(f'`{name}`' for name in needed)}, or `rig` with a camera.",
     )
     assert job.px_per_cm is not None and job.image_size is not None and job.led_height_cm is not None
-    rows, columns = _pair(job.image_size, "--image-size", "rows,columns, such as 2200,3200")
+    rows, columns = _pair(job.image_size, "`image_size`", "rows,columns, such as 2200,3200")
     whole = rows == int(rows) and columns == int(columns) and min(rows, columns) >= 1 and rows * columns <= 2e8
-    require(whole, f"--image-size must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
+    require(whole, f"`image_size` must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
     height = job.led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
     return _RigInputs(Camera(job.px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), None)
 
@@ -147,7 +144,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     places = [led.position_mm for led in inputs.base.leds if led.position_mm is not None] if inputs.base else []
     radius, height = job.led_radius_cm, job.led_height_cm
     missing = [
-        f"--led-{what}-cm" for what, value in (("radius", radius), ("height", height)) if value is None and not places
+        f"`led_{what}_cm`" for what, value in (("radius", radius), ("height", height)) if value is None and not places
     ]
     require(
         not missing,
@@ -156,7 +153,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     )
     centre = (0.0, 0.0)
     if job.led_centre_px is not None:
-        x, y = _pair(job.led_centre_px, "--led-centre-px", "x,y in pixels, such as 1575,1174")
+        x, y = _pair(job.led_centre_px, "`led_centre_px`", "x,y in pixels, such as 1575,1174")
         point = plane_points(inputs.camera, np.array([[x, y]]))[0]
         centre = (float(point[0]), float(point[1]))
     array = np.array(places).reshape(-1, 3)
@@ -262,7 +259,7 @@ def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Pro
     """
     folder, nail = job.images, job.settings.nail
     assert folder is not None
-    require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave --nail-seen base away.")
+    require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
     # what is found in photographs is better than what is clicked
     better = replace(nail, nail_sd_mm=min(nail.nail_sd_mm, FOUND_SD_MM))
     job = replace(job, settings=replace(job.settings, nail=better))
@@ -325,8 +322,8 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
     near = job.led_height_cm is not None
     require(
         known or not near or job.out is None or _is_list(job.out),
-        "--led-height-cm gives places in mm, and a rig file with places needs the scale: give --px-per-cm and "
-        "--image-size, or --rig, or write a list of lights (--out lights.txt).",
+        "`led_height_cm` gives places in mm, and a rig file with places needs the scale: give `px_per_cm` and "
+        "`image_size`, or `rig`, or write a list of lights (`out` lights.txt).",
     )
     dummy = Camera(1.0, size) if near else camera_without_scale(size)
     inputs = _rig_inputs(job) if known else _RigInputs(dummy, None)

@@ -167,7 +167,7 @@ def _figures(
             wanted = settings.cluster
             require(
                 wanted == "auto" or wanted in methods,
-                f"--cluster {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
+                f"`cluster` {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
                 f"{one.name} does not have.",
             )
             by_method = {}
@@ -210,7 +210,7 @@ _MISSING = {
 def _fused_system(systems: Sequence[Scores], method: Literal["linear", "trained"], seed: int) -> Fused:
     """Fuse all systems. Raises BadInput if there is one system only, or as :func:`splitknit.evaluation.fusion.fuse`."""
     require(
-        len(systems) >= 2, "--fuse needs two systems at least; give several score files, or one with a column system."
+        len(systems) >= 2, "`fuse` needs two systems at least; give several score files, or one with a column system."
     )
     return fuse(systems, FusionSettings(method=method, seed=seed), name=f"fused, {method}")
 

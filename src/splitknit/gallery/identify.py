@@ -77,10 +77,10 @@ class Question:
     """Which finger it is, where that is known; others are not compared."""
 
     def __post_init__(self) -> None:
-        require(self.top >= 1, f"--top must be at least 1, but it is {self.top}.")
-        require(self.merge in MERGES, f"--merge is one of {', '.join(MERGES)}, but it is '{self.merge}'.")
-        require(self.search in SEARCHES, f"--search is one of {', '.join(SEARCHES)}, but it is '{self.search}'.")
-        require(0 < self.fmr < 1, f"--fmr must lie between 0 and 1, but it is {self.fmr:g}.")
+        require(self.top >= 1, f"`top` must be at least 1, but it is {self.top}.")
+        require(self.merge in MERGES, f"`merge` is one of {', '.join(MERGES)}, but it is '{self.merge}'.")
+        require(self.search in SEARCHES, f"`search` is one of {', '.join(SEARCHES)}, but it is '{self.search}'.")
+        require(0 < self.fmr < 1, f"`fmr` must lie between 0 and 1, but it is {self.fmr:g}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,13 +182,13 @@ def identify_file(
     mapped = None if shards is None else Shards(shards, key)
     require(
         mapped is None or (person is None and finger is None and question.search != "exhaustive"),
-        "--shards is for a search of the whole gallery by codes; leave out --person, --finger and --search.",
+        "`shards` is for a search of the whole gallery by codes; leave out `person`, `finger` and `search`.",
     )
     with Gallery.open(gallery, key) as opened:
         of_minutiae = opened.settings_sha256 == MINUTIAE_HASH
         opened.require_comparable(MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching))
         require(
-            mapped is None or not of_minutiae, f"'{gallery}' keeps minutiae, which have no codes; leave out --shards."
+            mapped is None or not of_minutiae, f"'{gallery}' keeps minutiae, which have no codes; leave out `shards`."
         )
         calibrated = of_minutiae or as_calibrated(settings.matching)
         if calibrated:

@@ -189,7 +189,7 @@ def match_files(
         Naming the file at fault, or if `fmr` is below what was measured.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
-    require(fmr is None or 0 < fmr < 1, f"fmr (--fmr) must lie between 0 and 1, but it is {fmr}.")
+    require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
         _check_template_file(template, a, b)
