@@ -41,7 +41,7 @@ RESULTS = (
     "splitknit.matching.methods.ComparedSide",
     "splitknit.matching.methods.MatchDecision",
     "splitknit.gallery.identify.Identification",
-    "splitknit.gallery.identify.Candidate",
+    "splitknit.gallery.identify.RankedCandidate",
     "splitknit.gallery.identify.Searched",
     "splitknit.evaluation.study.Evaluation",
     "splitknit.evaluation.facts.Result",

@@ -104,7 +104,7 @@ class Searched:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class RankedCandidate:
     """One who may have left the finger."""
 
     rank: int
@@ -140,7 +140,7 @@ class Identification:
     """``ridges`` or ``minutiae``: what the gallery keeps."""
     searched: Searched
     merge: str
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[RankedCandidate, ...]
     """Best first."""
     fmr_basis: FmrBasis | None
     decision: SearchDecision | None
@@ -377,9 +377,9 @@ def _merged(found: Sequence[_Found], merge: str) -> list[_Found]:
     return kept
 
 
-def _candidate(rank: int, one: _Found, searched: int, rated: str | None) -> Candidate:
+def _candidate(rank: int, one: _Found, searched: int, rated: str | None) -> RankedCandidate:
     similarity, code_similarity, row = one
     fmr = false_match_rate(similarity, rated) if rated else None
     expected = None if fmr is None else searched * fmr
     who = row.entry
-    return Candidate(rank, who.person, who.finger, who.session, similarity, code_similarity, fmr, expected)
+    return RankedCandidate(rank, who.person, who.finger, who.session, similarity, code_similarity, fmr, expected)
