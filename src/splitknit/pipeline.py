@@ -97,7 +97,7 @@ NO_SPECULAR = (
     "films that are not crossed): ridge heights are modelled, as without films."
 )
 NO_PLACE_FOR_MIRRORS = (
-    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take `preset` "
     "metric or snk."
 )
 OPAQUE = "none (opaque material)"

@@ -80,7 +80,7 @@ def test_every_format_and_resolution_gives_the_same_print(tmp_path: Path, scale:
 def test_unmarked_prints_are_measured_and_asked_about(tmp_path: Path, scale: float, named: int) -> None:
     file = tmp_path / "scan.png"
     file.write_bytes(saved(spiral_print(scale=scale), "PNG", None))
-    with pytest.raises(BadInput, match=rf"does not state its resolution; .* --input-ppi {named}\.") as refused:
+    with pytest.raises(BadInput, match=rf"does not state its resolution; .* `input_ppi` {named}\.") as refused:
         read_one_finger(file)
     assert "\n" not in str(refused.value)
     one = read_one_finger(file, 500 * scale)
@@ -91,10 +91,10 @@ def test_unmarked_prints_are_measured_and_asked_about(tmp_path: Path, scale: flo
 def test_resolutions_of_screens_are_asked_about(tmp_path: Path) -> None:
     file = tmp_path / "scan.jpg"
     file.write_bytes(saved(spiral_print(), "JPEG", 72))
-    with pytest.raises(BadInput, match=r"states 72 ppi, too few for ridges; .* --input-ppi 500"):
+    with pytest.raises(BadInput, match=r"states 72 ppi, too few for ridges; .* `input_ppi` 500"):
         read_one_finger(file)
     file.write_bytes(saved(np.full((200, 200), 255, np.uint8), "PNG", None))
-    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* --input-ppi 500"):
+    with pytest.raises(BadInput, match=r"no ridges to measure it by: .* `input_ppi` 500"):
         read_one_finger(file)
     file.write_bytes(saved(spiral_print(), "PNG", 9000))
     with pytest.raises(BadInput, match="more than 5080"):

@@ -89,7 +89,7 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> RidgePeriod:
     require(
         len(periods) > 0,
         "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus; give "
-        "--px-per-mm.",
+        "`px_per_mm`.",
     )
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
@@ -107,7 +107,7 @@ def scale_of_ridges(
     BadInput
         If `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
     """
-    require(px_per_mm is None, "--px-per-mm and --ridge-period both give the scale; choose one.")
+    require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check --ridge-period")
     found = ridge_period(normals, mask)
     known = float(np.hypot(found.error_px / found.period_px, PEOPLE))

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from splitknit import __version__
 from splitknit.batch.workers import run_jobs
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import read_json
-from splitknit.io.provenance import canonical_json, plain_json, settings_hash
+from splitknit.io.provenance import canonical_json, plain_json, provenance, settings_hash
 from splitknit.model import Progress, no_progress
 from splitknit.rig.candidates import RigCandidate, Study
 from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate_candidate, judge
@@ -238,7 +237,7 @@ class _SweepFolder:
         """
         self.out = out
         self.document = json.loads(
-            canonical_json({"format": FORMAT, "version": 1, "software": __version__, "study": study})
+            canonical_json({"format": FORMAT, "version": 1, "software": provenance()["version"], "study": study})
         )
         self.hash = settings_hash(self.document)
         require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to write into.")
