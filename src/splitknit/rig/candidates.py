@@ -422,7 +422,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def planned_exposure(leds: Sequence[Led], band: str, photons: PhotonSettings) -> PlannedExposure | None:
-    """PlannedExposure of facing patches of skin about the middle of the finger plane; None where no light falls on them."""
+    """Exposure of facing patches of skin about the middle of the finger plane; None where no light falls on them."""
     spots = np.array([[0.0, 5.0, -5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, -5.0], np.zeros(5)])
     lit = (float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds if led.band == band)
     rate = electrons_per_s(_ALBEDO / np.pi * W_PER_UNIT * max(lit), LAMPS[band], photons)
