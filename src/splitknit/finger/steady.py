@@ -55,7 +55,7 @@ from splitknit.model import Band, BoolArray, Capture, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegisteredBand:
+class _RegisteredBand:
     """A band whose shots are registered: what the others are compared with."""
 
     stack: FloatArray
@@ -68,7 +68,7 @@ class RegisteredBand:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BandRegistration:
+class _BandRegistration:
     """Where the skin lies in every shot of another band."""
 
     flow: Flow
@@ -79,13 +79,13 @@ class BandRegistration:
 
 
 def _register_band(  # noqa: PLR0917
-    first: RegisteredBand,
+    first: _RegisteredBand,
     stack: FloatArray,
     lights: NDArray[np.float64],
     mask: BoolArray,
     px_per_mm: float,
     settings: RegistrationSettings | None = None,
-) -> BandRegistration:
+) -> _BandRegistration:
     """Find where the skin of the band `first` lies in every image of another band.
 
     `first`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
@@ -112,11 +112,11 @@ def _register_band(  # noqa: PLR0917
         flow = _followed(level, expected, flow, finger_family(mask, px_per_mm, turns=step > 0), settings.iterations)
     aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
-    return BandRegistration(flow, likeness, before)
+    return _BandRegistration(flow, likeness, before)
 
 
 def _expected(  # noqa: PLR0917
-    first: RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
+    first: _RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
 ) -> FloatArray:
     """(L, N) details under `lights` of the surface that the `known` details of the first band give."""
     taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
@@ -220,7 +220,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
+class _Registered:
     """Motion of every band."""
 
     flows: dict[str, Flow]
@@ -242,7 +242,7 @@ def seen_motion_mm(finger: Finger) -> float:
     return max(found)
 
 
-def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Registered:
+def register(capture: Capture, finger: Finger, settings: FingerSettings) -> _Registered:
     """Registration of the white band, of the others to it, and the report's facts on them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
@@ -270,17 +270,17 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Regi
             continue
         stack = linear_stack(band, capture.encoding, "grey", window, binning)
         vectors = _lights_over(capture, band, window, BLOCK_MM)
-        other = _register_band(RegisteredBand(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
+        other = _register_band(_RegisteredBand(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
         flows[name] = replace(other.flow, origin_mm=first)
         reported = _motion_facts(flows[name], mask, px)
         reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
-    return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
+    return _Registered(flows, most, _rms(found.before), _rms(found.after), facts)
 
 
-def _worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettings) -> bool:
+def _worth_undoing(registered: _Registered, seen_mm: float, settings: FingerSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
@@ -296,7 +296,7 @@ _SWITCH = (
 )
 
 
-def _check(registered: Registered, settings: FingerSettings) -> None:
+def _check(registered: _Registered, settings: FingerSettings) -> None:
     """Refuse motion that cannot be undone."""
     motion = settings.motion
     require(
@@ -345,7 +345,7 @@ def _plain(values: NDArray[np.float64]) -> list[float]:
     return [round(float(v), 5) for v in values]
 
 
-def resampled(capture: Capture, finger: Finger, registered: Registered) -> Capture:
+def resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capture:
     """The capture with every image taken from where its skin is, once, in the values that are stored."""
     px_per_mm = capture.rig.camera.px_per_mm
     window = around(capture, finger)
