@@ -165,7 +165,8 @@ def test_the_light_without_films_is_the_mean_of_both_under_both_leds(polarised: 
 @pytest.mark.parametrize("clips", ["white", "white_crossed"])
 def test_what_clips_in_either_series_clips_in_the_mean(polarised: Capture, clips: str, ambient: int) -> None:
     pixels = polarised.bands[clips].pixels.copy()
-    pixels[1, 20, 15, 0] = 255  # one channel is enough: its light is not known
+    pixels[1, 20, 15, :2] = 255
+    pixels[2, 20, 15, :1] = 255  # of one channel: the others carry the shading
     room = np.full(pixels.shape[1:], ambient, np.uint8)
     band = replace(polarised.bands[clips], pixels=pixels, ambient=room if ambient else None)
     white = without_films(replace(polarised, bands={**polarised.bands, clips: band})).bands["white"]

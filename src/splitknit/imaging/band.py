@@ -270,7 +270,8 @@ def _lit_light(  # noqa: PLR0917
 ) -> FloatArray:
     """Linear light (h, w, C) of image k without the ambient light; of two polarised series their mean.
 
-    Where either image clips, the light is at the level at which the parallel one does, so that it counts as clipped.
+    Where either image clips in two of its channels, the light of all is that at which the parallel one does, so that it
+    counts as clipped; one clipped channel leaves the others their shading.
     """
     if band.crossed is not None:
         own, dark = replace(band, crossed=None), _ambient_light(band.crossed, encoding, window, binning)
@@ -278,7 +279,8 @@ def _lit_light(  # noqa: PLR0917
         for one, room in ((own, ambient), (band.crossed, dark)):
             light = _lit_light(one, k, encoding, window, binning, room)
             stored = light if room is None else light + room
-            clipped = clipped | (stored >= _clip_levels(one, encoding)[k]).any(axis=-1, keepdims=True)
+            full = (stored >= _clip_levels(one, encoding)[k]).sum(axis=-1, keepdims=True)
+            clipped = clipped | (full >= min(2, light.shape[-1]))
             lights.append(light)
         let_go(band.crossed.pixels)
         level = np.float32(_clip_levels(band, encoding)[k])
