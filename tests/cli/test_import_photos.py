@@ -227,7 +227,7 @@ def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys
     Image.fromarray(np.ones((20, 20), np.uint16)).save(tmp_path / "small.png")
     for change, words in (
         (lambda: shutil.copy(crossed / "through_4.png", crossed / "through_5.png"), "5 photographs, but"),
-        (lambda: (crossed / "through_5.png").unlink(), ""),
+        ((crossed / "through_5.png").unlink, ""),
         (lambda: shutil.copy(tmp_path / "small.png", crossed / "through_2.png"), "200 x 200 are expected"),
         (lambda: shutil.rmtree(crossed), "is not a folder"),
     ):

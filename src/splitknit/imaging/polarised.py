@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import Capture, FloatArray
 
+NOT_SPECULAR = (
+    "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or did the camera "
+    "change its exposure between the series?"
+)
 _FILMS_DEG = ((90, 45), (135, 0))
 """Of Sony's IMX250MZR and IMX250MYR: directions of the films on the pixels of a block of two rows and two columns."""
 
@@ -95,9 +99,7 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
     return parallel.astype(mosaic.dtype), crossed.astype(mosaic.dtype)
 
 
-def separate_polarised(
-    parallel: NDArray[np.floating], crossed: NDArray[np.floating]
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Specular and diffuse light of linear images through a parallel and a crossed analyser.
 
     What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of what the skin has
@@ -131,10 +133,10 @@ def separate_polarised(
         parallel.shape == crossed.shape,
         f"parallel and crossed images must have one shape, but they have {parallel.shape} and {crossed.shape}.",
     )
-    return np.maximum(parallel - crossed, 0), crossed
+    return np.maximum(parallel - crossed, np.float32(0.0)), crossed
 
 
-def specular_picture(specular: NDArray[np.floating], mask: NDArray[np.bool_], sigma_px: float) -> FloatArray:
+def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: float) -> FloatArray:
     """One specular image of all lights, of even brightness and contrast: the most legible picture of a finger.
 
     Parameters
@@ -167,3 +169,8 @@ def specular_picture(specular: NDArray[np.floating], mask: NDArray[np.bool_], si
     contrast = np.sqrt(smooth(detail * detail))
     least = np.float32(1e-3) * max(float(contrast[mask].max(initial=0.0)), 1e-9)
     return np.where(mask, detail / np.maximum(contrast, least), np.float32(np.nan))
+
+
+def picture_bytes(picture: FloatArray) -> NDArray[np.uint8]:
+    """A specular picture (H, W) in 8 bits: its local mean 102, a standard deviation 51, 0 where it is not known."""
+    return np.where(np.isfinite(picture), np.clip(np.nan_to_num(51 * picture + 102), 1, 255), 0).astype(np.uint8)

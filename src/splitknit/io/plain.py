@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, check_lights, naming, require
 from splitknit.imaging.band import block_means, decode_table, linear_image, shading_is_srgb
 from splitknit.imaging.light_field import few_lights
-from splitknit.imaging.polarised import split_mosaic
+from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
 from splitknit.io.content import check_content, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_light_list
@@ -419,7 +419,8 @@ def _assembled(  # noqa: PLR0917
         bands["white_crossed"] = replace(
             band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed"
         )
-        notes += _doubt_of_films(*bands.values())
+        parallel, other = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
+        notes += [NOT_SPECULAR] if other >= parallel else []
     for one in bands.values():
         check_content(one)
     capture = Capture(
@@ -432,16 +433,6 @@ def _assembled(  # noqa: PLR0917
         hashes=hashes,
     )
     return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
-
-
-def _doubt_of_films(parallel: Band, crossed: Band) -> list[str]:
-    """A note where crossed films let more light through: what the surface reflects passes parallel ones alone."""
-    thin = np.s_[:, ::8, ::8]
-    more = float(crossed.pixels[thin].mean(dtype=np.float64)) > float(parallel.pixels[thin].mean(dtype=np.float64))
-    return [
-        "the crossed photographs are brighter than the parallel ones: were their folders exchanged, or did the camera "
-        "change its exposure between the series?"
-    ] * more
 
 
 def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
