@@ -27,7 +27,7 @@ from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
 from splitknit.imaging.geometry import gradients_from_normals, smoothed
-from splitknit.imaging.polarised import without_films
+from splitknit.imaging.polarised import specular_of, without_films
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.knit import add, crossover
@@ -157,6 +157,7 @@ def reconstruct(
     capture, doubt = _with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
         capture, finger = locate_finger(capture, chosen.finding())
+        specular = specular_of(capture, finger.mask)
         mirrors = None
         if chosen.shape.source == "mirror":
             require(not chosen.visible_alone, NO_PLACE_FOR_MIRRORS)
@@ -182,8 +183,9 @@ def reconstruct(
         result = _finished(capture, finger, surface, chosen.top_mm)
     warnings = (*notes, *doubt, *finger.warnings, *no_nir, *surface.warnings, *_doubt_of_scale(capture, result))
     result = replace(
-        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds)
-    )
+        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds),
+        specular=specular,
+    )  # fmt: skip
     return result if capture.rig.camera.scale_known else _in_pixels(result)
 
 

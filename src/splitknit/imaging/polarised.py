@@ -10,12 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.band import CHUNK_ROWS, linear_stack
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import Capture, FloatArray
 
 NOT_SPECULAR = (
     "the crossed photographs are as bright as the parallel ones: were their folders exchanged, or did the camera "
     "change its exposure between the series?"
 )
+_EVEN_MM = 0.5
+"""Over which a specular picture is made even: a ridge's period."""
 _FILMS_DEG = ((90, 45), (135, 0))
 """Of Sony's IMX250MZR and IMX250MYR: directions of the films on the pixels of a block of two rows and two columns."""
 
@@ -169,6 +173,26 @@ def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: fl
     contrast = np.sqrt(smooth(detail * detail))
     least = np.float32(1e-3) * max(float(contrast[mask].max(initial=0.0)), 1e-9)
     return np.where(mask, detail / np.maximum(contrast, least), np.float32(np.nan))
+
+
+def specular_of(capture: Capture, mask: NDArray[np.bool_]) -> FloatArray | None:
+    """The :func:`specular_picture` (H, W) of a capture of :func:`without_films` inside `mask`; None without films."""
+    white = capture.bands["white"]
+    if white.crossed is None:
+        return None
+    rows, columns = bounding_box(mask)
+    specular = np.zeros((rows.stop - rows.start, columns.stop - columns.start), dtype=np.float32)
+    for top in range(rows.start, rows.stop, CHUNK_ROWS):  # of all images a few rows at a time
+        window = (slice(top, min(top + CHUNK_ROWS, rows.stop)), columns)
+        series = (
+            linear_stack(band, capture.encoding, "grey", window)
+            for band in (replace(white, crossed=None), white.crossed)
+        )
+        specular[top - rows.start : window[0].stop - rows.start] = separate_polarised(*series)[0].mean(axis=0)
+    picture = np.full(mask.shape, np.nan, dtype=np.float32)
+    sigma_px = _EVEN_MM * capture.rig.camera.px_per_mm
+    picture[rows, columns] = specular_picture(specular[None], mask[rows, columns], sigma_px)
+    return picture
 
 
 def picture_bytes(picture: FloatArray) -> NDArray[np.uint8]:
