@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.band import CHUNK_ROWS, linear_stack
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, wide_blur
 from splitknit.model import Capture, FloatArray
 
 NOT_SPECULAR = (
@@ -165,10 +165,9 @@ def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: fl
     weight = mask.astype(np.float32)
 
     def smooth(values: FloatArray) -> FloatArray:
-        blurred = cv2.GaussianBlur(values * weight, (0, 0), sigma_px) / np.maximum(around, np.float32(1e-3))
-        return np.asarray(blurred, dtype=np.float32)
+        return np.asarray(wide_blur(values * weight, sigma_px) / around, dtype=np.float32)
 
-    around = cv2.GaussianBlur(weight, (0, 0), sigma_px)
+    around = np.asarray(np.maximum(wide_blur(weight, sigma_px), np.float32(1e-3)), dtype=np.float32)
     detail = light - smooth(light)
     contrast = np.sqrt(smooth(detail * detail))
     least = np.float32(1e-3) * max(float(contrast[mask].max(initial=0.0)), 1e-9)
