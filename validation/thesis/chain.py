@@ -52,14 +52,7 @@ def commands(options: argparse.Namespace) -> list[list[str]]:
     simulate += [] if options.prints is None else ["--prints", str(options.prints)]
     if options.small:
         simulate += [text for name in ("subjects", "sessions", "fingers") for text in (f"--{name}", str(SMALL[name]))]
-    batch = [
-        "splitknit",
-        "batch",
-        population,
-        "--out",
-        store,
-        "--cases",
-        ",".join(case for case in options.cases if case != CASE),
-    ]
+    cases = ",".join(case for case in options.cases if case != CASE)
+    batch = ["splitknit", "batch", population, "--out", store, "--cases", cases]
     batch += ["--matchers", "thesis,ridge,minutiae", "--impostors", str(options.impostors)]
     return [simulate, [*batch, "--seed", str(options.seed), "--jobs", jobs]]

@@ -14,6 +14,8 @@
 population, the store, the options or the version changed since (or with --again); within a part finished captures and
 comparisons are kept in --scratch.
 
+A population with polarised captures has the case ``snk-crossed`` besides: ``snk`` on the crossed images (crossed.py).
+
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
 finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.
 """
