@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.imaging.polarised import separate_polarised, specular_picture, split_mosaic
+from splitknit.imaging.polarised import doubts_of_series, separate_polarised, specular_picture, split_mosaic
 
 FILMS = {90: (0, 0), 45: (0, 1), 135: (1, 0), 0: (1, 1)}
 """Row and column of each in its block."""
@@ -103,3 +103,17 @@ def test_the_specular_picture_is_even_where_the_light_is_not() -> None:
         assert picture[side].std() == pytest.approx(1.0, abs=0.15)
         assert np.corrcoef(picture[side].ravel(), ridges[side].ravel())[0, 1] > 0.97
     assert np.isnan(specular_picture(lit[None], np.zeros_like(mask), 9.0)).all()
+
+
+def test_series_that_do_not_belong_together_are_doubted() -> None:
+    rows, columns = np.mgrid[-1:1:30j, -1:1:30j]
+    sides = 2 * np.pi * np.arange(7) / 7
+    crossed = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides]).astype(np.float32)
+    noise = np.random.default_rng(0).normal(0, 0.02, crossed.shape).astype(np.float32)
+    parallel, mask = crossed + 0.3 + noise, np.hypot(rows, columns) < 0.9
+    beside = np.stack([1 + 0.4 * (columns * np.cos(a) + rows * np.sin(a)) for a in sides + np.pi / 7])
+    assert doubts_of_series(parallel, crossed, mask) == ()
+    assert doubts_of_series(parallel, beside.astype(np.float32), mask) == ()  # LEDs halfway to the next ones
+    assert "were their folders exchanged" in doubts_of_series(crossed, parallel, mask)[0]
+    (words,) = doubts_of_series(parallel, crossed[[1, 2, 3, 4, 5, 6, 0]], mask)
+    assert words.startswith("crossed image 0 is lit as parallel image 1 is, not as image 0")

@@ -20,6 +20,8 @@ NOT_SPECULAR = (
 )
 _EVEN_MM = 0.5
 """Over which a specular picture is made even: a ridge's period."""
+_AS_ALIKE = 0.1
+"""Of correlations: images whose LEDs lie halfway between two are as much like either."""
 _FILMS_DEG = ((90, 45), (135, 0))
 """Of Sony's IMX250MZR and IMX250MYR: directions of the films on the pixels of a block of two rows and two columns."""
 
@@ -138,6 +140,21 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
         f"parallel and crossed images must have one shape, but they have {parallel.shape} and {crossed.shape}.",
     )
     return np.maximum(parallel - crossed, np.float32(0.0)), crossed
+
+
+def doubts_of_series(parallel: FloatArray, crossed: FloatArray, mask: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Warnings where two series (L, H, W) are exchanged, or images of theirs were not lit from the same sides."""
+    series = [np.maximum(stack[:, mask], np.float32(1e-6)) for stack in (parallel, crossed)]
+    if series[1].mean() >= series[0].mean():
+        return (NOT_SPECULAR,)
+    shares = [light / light.mean(axis=0) for light in series]  # what shows from where each image was lit
+    alike = np.corrcoef(*shares)[: len(parallel), len(parallel) :]
+    wrong = np.flatnonzero(np.diag(alike) < alike.max(axis=0) - _AS_ALIKE)
+    return tuple(
+        f"crossed image {k} is lit as parallel image {int(alike[:, k].argmax())} is, not as image {k}: list both "
+        "series in the same order of lights."
+        for k in wrong[:1].tolist()
+    )
 
 
 def specular_picture(specular: FloatArray, mask: NDArray[np.bool_], sigma_px: float) -> FloatArray:
