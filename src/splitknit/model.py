@@ -459,6 +459,10 @@ class Reconstruction:
     normals_measured: FloatArray | None = None
     """(H, W, 3) as photometric stereo found them, before they were integrated: unit length, zero outside the mask. None
     where the method finds a surface without them (`metric` on skin)."""
+    specular: FloatArray | None = None
+    """(H, W) of a polarised capture: what the surface reflects under all lights, of even brightness and contrast, in
+    standard deviations from the local mean, NaN outside the mask; see
+    :func:`splitknit.imaging.polarised.specular_picture`."""
     scale_known: bool = True
     """False: nobody has measured the camera's scale, and all that is named `_mm` is in pixels, `pitch_mm` is 1."""
     settings: Mapping[str, Any] = field(default_factory=dict)

@@ -27,7 +27,7 @@ from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients, smoothed
-from splitknit.imaging.polarised import without_films
+from splitknit.imaging.polarised import doubts_of_series, specular_of, without_films
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.knit import add, crossover
@@ -163,6 +163,7 @@ def reconstruct(
     capture, doubt = _with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
         capture, finger = locate_finger(capture, chosen.finding())
+        specular = specular_of(capture, finger.mask)
         mirrors = None
         if chosen.shape.source == "mirror":
             require(not chosen.visible_alone, NO_PLACE_FOR_MIRRORS)
@@ -193,8 +194,9 @@ def reconstruct(
         result = _finished(capture, finger, surface, chosen.top_mm)
     warnings = (*notes, *doubt, *finger.warnings, *no_nir, *surface.warnings, *_doubt_of_scale(capture, result))
     result = replace(
-        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds)
-    )
+        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds),
+        specular=specular,
+    )  # fmt: skip
     return result if capture.rig.camera.scale_known else _in_pixels(result)
 
 
@@ -588,7 +590,12 @@ def _doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], 
         "light_residual": round(fit.residual, 4),
         "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],
     }
-    return facts, doubts_of_lights(fit, [Path(file).name for file in band.files])
+    doubts = doubts_of_lights(fit, [Path(file).name for file in band.files])
+    if band.crossed is not None:
+        series = replace(band, crossed=None), band.crossed
+        parallel, crossed = (linear_stack(one.sampled(every), capture.encoding) for one in series)
+        doubts = (*doubts, *doubts_of_series(parallel, crossed, finger.mask[::every, ::every]))
+    return facts, doubts
 
 
 def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple[str, ...]]:

@@ -74,6 +74,12 @@ def photographs(folder: Path) -> Iterator[Step]:
     (mine / "seventh").replace(mine / "white_6.png")
     yield Step(f"reconstruct {images} --out pixels", says="scale", makes="pixels/report.html")
     yield Step("print pixels --out wrong", 2, "--px-per-mm")  # no scale, no print
+    crossed = folder / "crossed"
+    crossed.mkdir()
+    for file in sorted(mine.glob("white_*.png"))[1:]:
+        shutil.copy(file, crossed)
+    yield Step(f"import {images} --crossed crossed --out wrong", 2, "crossed 6")  # one photograph is missing
+    yield Step("separate polarised photos --out wrong", 2, "polarised PARALLEL CROSSED")
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out photos", 2, "photos")  # nothing of the user's is replaced
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out surface", makes="surface/phalange.ply")
     (folder / "ball").mkdir()

@@ -264,7 +264,7 @@ def _drift(
     capture: Capture, band: Band, stack: FloatArray, lights: NDArray[np.float64], outline: BoolArray
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """Whether the LEDs still are as bright as the rig's radiometric calibration found them."""
-    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.name]
+    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.spectral]
     groups = band.lights
     names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in groups]
     try:

@@ -26,8 +26,8 @@ from splitknit.finger.regions import (
     reduction,
     remove_specks,
     remove_spurs,
-    wide_blur,
 )
+from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
+from splitknit.imaging.polarised import picture_bytes
 from splitknit.io.pictures import (
     ColourArray,
     PictureFrame,
@@ -175,7 +176,21 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
     )
 
 
-FIELD_PICTURES = (_normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
+def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
+    """Show what the surface reflects, of a polarised capture."""
+    if result.specular is None:
+        return None
+    values, weight = to_frame(result.specular, result.mask & np.isfinite(result.specular), small.frame)
+    return captioned(
+        "Specular image",
+        on_paper(picture_bytes(values)[..., None].repeat(3, axis=2), weight),
+        "What the surface itself reflects, under all lights: the parallel less the crossed images, of even brightness. "
+        "Bright flanks face half-way between camera and lights. Good: sharp, unbroken ridges, pores as dots.",
+        small.frame.pitch_mm,
+    )
+
+
+FIELD_PICTURES = (_specular_picture, _normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
 """Each draws a picture of a result and its small fields, or None where the result has no such field."""
 
 

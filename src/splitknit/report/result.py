@@ -22,6 +22,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.polarised import picture_bytes
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
@@ -417,6 +418,9 @@ def write_files(
         if (measured := result.normals_measured) is not None:
             jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
             files.append("normals_measured.png")
+        if result.specular is not None:
+            jobs.append(pool.submit(write_picture, target / "specular.png", picture_bytes(result.specular), origin))
+            files.append("specular.png")
         report = make_report(result, capture, truth)
         if report.prints is not None:
             write_print_png(target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin))

@@ -210,7 +210,7 @@ class _SweepFolder:
         other files, or a sweep with other settings.
         """
         self.out = out
-        facts = {"format": "splitknit-rig-sweep", "version": 1, "software": __version__, "study": study}
+        facts = {"format": "splitknit-rig-sweep", "version": 1, "software": provenance()["version"], "study": study}
         document = json.loads(canonical_json(facts))
         self.hash = settings_hash(document)
         require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to write into.")
