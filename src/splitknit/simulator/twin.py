@@ -35,7 +35,7 @@ from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
 from splitknit.simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
-from splitknit.simulator.light.films import with_crossed_leds
+from splitknit.simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
 from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics
@@ -261,7 +261,7 @@ def photograph(
     rig : LEDs of the bands ``white`` and ``nir``; each lights one image
     skin : optics of the finger
     seed : of background and noise
-    settings : only `render`, `background`, `sensor` and `sensor_scale` are used here
+    settings : only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here
 
     Returns
     -------
@@ -427,7 +427,7 @@ class FingerScene:
         ----------
         seed : of the person: finger, print and skin follow from it
         pattern : class of the print; None draws it
-        settings : of the twin; `sensor` is not used here
+        settings : of the twin; `sensor` and `films` are not used here
         impression : number of the capture of this finger: pose and dust change with it
         finger : laid down instead of the one that `seed` draws
 
@@ -436,7 +436,7 @@ class FingerScene:
         BadInput
             If no part of the finger is in the picture.
         """
-        settings = settings or TwinSettings()
+        settings = replace(settings or TwinSettings(), films=FilmSettings())
         laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         self.settings = settings
         self.rig: Rig = laid.rig
