@@ -18,18 +18,7 @@ from splitknit.io.capture import write_capture
 from splitknit.io.images import read_image
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_capture
-from splitknit.model import (
-    Camera,
-    Capture,
-    FloatArray,
-    Led,
-    PixelArray,
-    Progress,
-    Rig,
-    default_rig,
-    no_progress,
-    spectral_band,
-)
+from splitknit.model import Camera, Capture, FloatArray, Led, PixelArray, Progress, Rig, default_rig, no_progress
 from splitknit.settings import override
 from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
@@ -317,7 +306,7 @@ def _photograph_moving(
         lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
 
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
-        return _moving_band(name, lit[name], lit[spectral_band(name)], seed)
+        return _moving_band(name, lit[name], lit[name.removesuffix("_crossed")], seed)
 
     scene = next(iter(lit.values()))[0].scene
     return take_capture(scene, photograph_band, noise_seed, truth), truth
