@@ -116,6 +116,20 @@ def test_films_part_a_finger_into_a_parallel_and_a_crossed_series():
     assert found[0.4][0].sum() / found[0.4][1].sum() > 1.05 * found[0.0][0].sum() / found[0.0][1].sum()
 
 
+def test_regression_takes_noise_away_and_keeps_what_the_relief_explains():
+    rng = np.random.default_rng(1)
+    ridges = patch(np.broadcast_to(0.03 * np.cos(np.arange(80) * 0.7), (60, 80)))
+    shading = 1.0 + 0.3 * ridges.normals[..., 0] + 2.0 * ridges.height_mm
+    clean = np.repeat((0.1 * shading[None, ..., None]).astype(np.float32), 7, axis=0)
+    clean *= np.linspace(0.8, 1.2, 7, dtype=np.float32)[:, None, None, None]
+    noisy = clean * (1.0 + 0.04 * rng.standard_normal((1, 60, 80, 1))).astype(np.float32)  # common to all lights
+    light = finger.FingerLight({"white": noisy}, {"white": noisy}, {})
+    found = finger.without_walk_noise(light, ridges).diffuse["white"]
+    kept = finger.without_walk_noise(replace(light, diffuse={"white": clean}), ridges).diffuse["white"]
+    assert np.std(found / clean) < 0.25 * np.std(noisy / clean)
+    np.testing.assert_allclose(kept, clean, rtol=2e-3)
+
+
 @needs_numba
 def test_without_absorption_all_light_comes_out_again_as_from_a_matt_surface():
     # a slab of 12 mm: what leaves below is some 0.6 %, three mean free paths over 12 mm

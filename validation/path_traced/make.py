@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from walked_finger import FingerLight, FingerOptics, photograph_finger, walk_finger
+from walked_finger import FingerLight, FingerOptics, photograph_finger, walk_finger, without_walk_noise
 
 from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_folder
@@ -183,12 +183,12 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
     surface = surface if case.ridges else without_ridges(surface)
 
     def walk() -> FingerLight:
-        rays = max(round(0.8 * walks), 2)
+        rays = max(round(0.6 * walks), 2)
         return walk_finger(
             surface, rig, case.optics, walks=walks, rays=rays, threads=threads, seed=case.seed, entering=case.entering
         )
 
-    light = _walked(case, out, walk)
+    light = without_walk_noise(_walked(case, out, walk), surface)
     capture, truth, info = photograph_finger(
         surface, rig, case.optics, walks=walks, seed=case.seed, light=light, films=case.films, moved_mm=case.moved_mm
     )
@@ -201,17 +201,16 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
 
 
 def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
-    """The light of a case, kept in a file where others share it."""
+    """The light of a case, kept in a file that cases share."""
     kept, parts, bands = out / f".{case.as_walked or case.name}_light.npz", ("diffuse", "once"), ("white", "nir")
     if kept.exists():
         found = read_npz(kept)
         diffuse, once = ({name: found[f"{part}_{name}"] for name in bands} for part in parts)
         return FingerLight(diffuse, once, json.loads(str(found["channels"])))
     light = walk()
-    if any(other.as_walked == case.name for other in POLARISED):
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        arrays = {f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands}
-        write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **arrays})
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands}
+    write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **arrays})
     return light
 
 

@@ -56,6 +56,8 @@ SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
 light, and for unscattered light where walks begin; where it is seen, it is not smoothed."""
 MOST_PX = 3.0
 """Largest standard deviation of these Gaussians."""
+REGRESSION_MM = (0.3, 0.15)
+"""Windows of :func:`without_walk_noise`: of what all lights have in common, and of what each has of its own."""
 RAYS = 2
 """Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each half."""
 
@@ -440,6 +442,85 @@ def walk_finger(
             np.stack([one[min(c, len(one) - 1)] for c in range(3)], axis=-1) for one in (light, single)
         )
     return FingerLight(diffuse, once, channels)
+
+
+def without_walk_noise(light: FingerLight, surface: SimulatedSurface) -> FingerLight:
+    """The light with most of the walks' noise taken away by regression on the true surface.
+
+    Around every pixel each image is explained, by weighted least squares within a Gaussian window, by place, relief and
+    slopes, as they are and smoothed; the pixel then has what these explain. What all lights have in common is noisier
+    and has a wider window than what each has of its own.
+
+    References
+    ----------
+    Bitterli et al. 2016, Nonlinearly weighted first-order regression for denoising Monte Carlo renderings.
+    """
+    common, own = (_Regression(surface, width) for width in REGRESSION_MM)
+
+    def smooth(images: FloatArray, regressions: tuple[_Regression, _Regression]) -> FloatArray:
+        found = np.empty_like(images)
+        for c in range(images.shape[3]):
+            mean = images[..., c].mean(axis=0, dtype=np.float64)
+            level = regressions[0](mean)
+            for k, image in enumerate(images[..., c]):
+                found[k, ..., c] = np.maximum(level + regressions[1](image - mean), 0.0)
+        return found
+
+    diffuse = {name: smooth(images, (common, own)) for name, images in light.diffuse.items()}
+    once = {name: smooth(images, (own, own)) for name, images in light.once.items()}
+    return FingerLight(diffuse, once, light.channels)
+
+
+class _Regression:
+    """Local linear regression of images on the geometry of a surface."""
+
+    def __init__(self, surface: SimulatedSurface, width_mm: float) -> None:
+        """`width_mm`: standard deviation of the window."""
+        self.mask, self.sigma = surface.mask, width_mm / surface.camera.pitch_mm
+        pitch = surface.camera.pitch_mm
+        weight = self.mask.astype(np.float64)
+
+        def smooth(field: Array, by_mm: float) -> Array:
+            blur = [cv2.GaussianBlur(one, (0, 0), by_mm / pitch) for one in (field * weight, weight)]
+            return np.asarray(blur[0] / np.maximum(blur[1], 1e-3), dtype=np.float64)
+
+        relief = 10.0 * np.where(self.mask, surface.height_mm - surface.shape_mm, 0.0).astype(np.float64)
+        slopes = [surface.normals[..., axis].astype(np.float64) for axis in range(2)]
+        self.features = np.stack(
+            [
+                *_pixel_places(surface.camera), relief, smooth(relief, 0.06), smooth(relief, 0.13),
+                *slopes, *(smooth(slope, 0.06) for slope in slopes),
+            ]
+        )  # fmt: skip
+        self.weight = self._window(np.ones(self.mask.shape))
+        self.means = [self._mean(field) for field in self.features]
+        count = len(self.features)
+        spread = np.empty((self.weight.size, count, count))
+        for i, first in enumerate(self.features):
+            for j, second in enumerate(self.features[: i + 1]):
+                spread[:, i, j] = self._mean(first * second) - self.means[i] * self.means[j]
+                spread[:, j, i] = spread[:, i, j]
+        spread[:, range(count), range(count)] += 1e-5
+        here = self.features[:, self.mask].T - np.stack(self.means, axis=1)
+        self.factors = np.linalg.solve(spread, here[..., None])[..., 0]
+
+    def __call__(self, image: NDArray[Any]) -> Array:
+        """(H, W) what the geometry explains of an image."""
+        image = image.astype(np.float64)
+        mean = self._mean(image)
+        found = mean.copy()
+        for k, field in enumerate(self.features):
+            found += self.factors[:, k] * (self._mean(field * image) - self.means[k] * mean)
+        result = np.zeros(self.mask.shape)
+        result[self.mask] = found
+        return result
+
+    def _window(self, field: Array) -> Array:
+        inside = np.where(self.mask, field, 0.0)
+        return np.asarray(cv2.GaussianBlur(inside, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT)[self.mask])
+
+    def _mean(self, field: Array) -> Array:
+        return self._window(field) / self.weight
 
 
 def photograph_finger(
