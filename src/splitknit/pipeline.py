@@ -26,8 +26,9 @@ from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
+from splitknit.imaging.films import aligned
 from splitknit.imaging.geometry import gradients_from_normals, smoothed
-from splitknit.imaging.polarised import aligned, without_films
+from splitknit.imaging.polarised import without_films
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.knit import add, crossover

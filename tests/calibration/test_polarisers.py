@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splitknit.calibration.polarisers import measure_ball
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
-from splitknit.imaging.polarised import aligned, contrast, without_films
+from splitknit.imaging.films import aligned, contrast
+from splitknit.imaging.polarised import without_films
 from splitknit.io.capture import ReadSettings, read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
@@ -92,6 +94,18 @@ def test_two_positions_give_the_leak_alone(
     found = read_rig(tmp_path / "rig.json").films
     assert found is not None and found.extinction_ratio is None and found.angle_deg == ()
     np.testing.assert_allclose(found.leak, bench[1].leak, rtol=0.05, atol=1e-4)
+
+
+def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
+    folder, films = bench
+    ball = _dark(folder / "ball")
+    _, usual = measure_ball(ball, films)
+    crossed = ball.bands["white_crossed"]
+    moved = replace(
+        crossed, pixels=np.roll(crossed.pixels, (6, 4), (1, 2)), leds=tuple((k + 7,) for (k,) in crossed.leds)
+    )
+    _, light = measure_ball(replace(ball, bands={**ball.bands, "white_crossed": moved}), films)
+    np.testing.assert_allclose(light[..., 0], usual[..., 0], rtol=0.03, atol=2e-5 * usual[..., 0].max())
 
 
 def _dark(folder: Path) -> Capture:

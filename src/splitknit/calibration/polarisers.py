@@ -21,7 +21,7 @@ from splitknit.calibration.radiometry_folder import residual_tile
 from splitknit.calibration.sensor import noise_model, noise_samples
 from splitknit.errors import naming, require
 from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
-from splitknit.imaging.polarised import crossed_place, undone
+from splitknit.imaging.films import crossed_place, undone
 from splitknit.io.capture import ReadSettings, read_capture, with_rig
 from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
@@ -68,10 +68,6 @@ def films_to_file(
     """
     check_rig_file(out)
     check_picture(residuals, folder)
-    require(
-        residuals is None or residuals.suffix.lower() in (".png", ".tif", ".tiff"),
-        f"'{residuals}' must end in .png or .tif: it is a picture.",
-    )
     turned = {path: _angle(path) for path in sorted(folder.glob("ball_*"))}
     progress("card", 0.0)
     card, ball = (_photographs(folder / name, rig_file) for name in ("card", "ball"))
@@ -192,7 +188,7 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
             f"the card's crossed image {k} departs by {one:.1f} % (rms) from a parallel one of other brightness; use a "
             "matt card."
             for k, one in enumerate(rms)
-            if one > _MATT_PERCENT
+            if one > _MATT_PERCENT and near.leds[k] == far.leds[k]
         ],
     }
     leds = tuple(group[0] for group in near.leds)

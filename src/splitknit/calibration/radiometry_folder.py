@@ -74,10 +74,6 @@ def calibrate_to_file(
     """
     check_rig_file(out)
     check_picture(residuals, folder)
-    require(
-        residuals is None or residuals.suffix.lower() in (".png", ".tif", ".tiff"),
-        f"'{residuals}' must end in .png or .tif: it is a picture.",
-    )
     progress("reading", 0.0)
     plan = _read_radiometry_plan(folder)
     capture = read_capture(folder)

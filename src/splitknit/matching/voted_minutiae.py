@@ -246,7 +246,8 @@ def left_out_pictures(
     from splitknit.finger.steady import find_steady_finger
     from splitknit.imaging.band import linear_stack
     from splitknit.imaging.coloured import balanced
-    from splitknit.imaging.polarised import aligned, without_films
+    from splitknit.imaging.films import aligned
+    from splitknit.imaging.polarised import without_films
     from splitknit.photometric.lambertian import left_out
     from splitknit.prints.print_map import plane_map, resample
     from splitknit.prints.ridges import PrintSettings, ink
