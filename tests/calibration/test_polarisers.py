@@ -143,9 +143,19 @@ def _plain(folder: Path) -> None:
         write_image(path, (40000 + rng.normal(0, 300, image.shape)).astype(np.uint16))
 
 
+def _no_exposures(folder: Path) -> None:
+    path = folder / "card" / "capture.json"
+    document = json.loads(path.read_text())
+    for entry in document["bands"]["white_crossed"]["images"]:
+        entry["exposure_s"] *= 9
+    path.write_text(json.dumps(document))
+
+
 def _alone(folder: Path) -> None:
-    shutil.rmtree(folder / "card")
-    shutil.copytree(folder / "ball_85", folder / "card")
+    path = folder / "card" / "capture.json"
+    document = json.loads(path.read_text())
+    del document["bands"]["white_crossed"], document["bands"]["white"]["polarisation"]
+    path.write_text(json.dumps(document))
 
 
 def _named_wrong(folder: Path) -> None:
@@ -169,6 +179,7 @@ def _same_angle(folder: Path) -> None:
         (_clip, "the highlight is clipped"),
         (_dull, "no highlight stands out"),
         (_plain, "no common details"),
+        (_no_exposures, "times as bright in the crossed image"),
         (_alone, "holds no crossed series"),
         (_named_wrong, "such as ball_85"),
         (_no_card, "card does not exist"),

@@ -70,7 +70,7 @@ def films_to_file(
     check_picture(residuals, folder)
     turned = {path: _angle(path) for path in sorted(folder.glob("ball_*"))}
     progress("card", 0.0)
-    card, ball = (_photographs(folder / name, rig_file) for name in ("card", "ball"))
+    card, ball = (_photographs(folder / name, rig_file, may_be_dark=name == "ball") for name in ("card", "ball"))
     for capture, name in ((card, "card"), (ball, "ball")):
         require(
             "white_crossed" in capture.bands,
@@ -107,8 +107,8 @@ def films_to_file(
     return {**facts, "films": plain_json(asdict(films)), "out": str(out), "files": files}
 
 
-def _photographs(folder: Path, rig_file: Path | None) -> Capture:
-    capture = read_capture(folder, ReadSettings(may_be_dark=True))
+def _photographs(folder: Path, rig_file: Path | None, *, may_be_dark: bool = True) -> Capture:
+    capture = read_capture(folder, ReadSettings(may_be_dark=may_be_dark))
     return capture if rig_file is None else with_rig(capture, rig_file)
 
 
@@ -175,6 +175,12 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         ratio = np.full((*cells, 3), np.nan)
         ratio[used] = c[used].astype(np.float64) / p[used]
         brightness.append(np.nanmedian(ratio, axis=(0, 1)))
+        least, most = float(brightness[-1].min()), float(brightness[-1].max())
+        require(
+            least > 0.2 and most < 5.0,
+            f"image {k}: the card is {least:.2g} to {most:.2g} times as bright in the crossed image as in the parallel "
+            "one; state exposure_s of every image, and compare the films.",
+        )
         rest.append((ratio / brightness[-1]) @ GREY_WEIGHTS.astype(np.float64) - 1.0)
     rms = [100 * float(np.sqrt(np.nanmean(one**2))) for one in rest]
     count = [int(np.isfinite(one).sum()) for one in rest]
