@@ -252,15 +252,41 @@ def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = 
     return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Films:
+    """What a rig's polarising films do, as ``splitknit calibrate polarisers`` measures it; without it they are ideal.
+
+    One entry for each white light of a polarised capture.
+    """
+
+    leds: tuple[int, ...]
+    """LEDs that light the parallel images."""
+    leak: tuple[float, ...]
+    """Fraction of the specular light that is in the crossed image, of that in both images: about
+    1 / extinction ratio + sin^2(angle error)."""
+    brightness: tuple[tuple[float, ...], ...]
+    """Red, green, blue: depolarised light of the crossed image over that of the parallel one."""
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    """Columns and rows by which the middle of the crossed image lies right of and below that of the parallel one."""
+    scale: float = 1.0
+    """Size of the crossed image over that of the parallel one."""
+    extinction_ratio: float | None = None
+    """Of polariser and analyser together: brightest over darkest light as the analyser turns; None where unknown."""
+    angle_deg: tuple[float, ...] = ()
+    """Turn of each light's specular reflection from the parallel position of the analyser; none where unknown."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rig:
-    """Camera, lights and mirrors."""
+    """Camera, lights, mirrors and films."""
 
     camera: Camera
     leds: tuple[Led, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     mirrors: tuple[Mirror, ...] = ()
     """Beside the finger; none in the thesis's main rig."""
+    films: Films | None = None
+    """Of a rig for polarised captures, where they have been measured."""
 
     def __post_init__(self) -> None:
         names = [mirror.name for mirror in self.mirrors]
@@ -301,7 +327,7 @@ class Rig:
                 )
             first = self.leds[group[0]]
             chosen.append(replace(first, also=tuple(self.leds[index] for index in group[1:])))
-        return replace(self, leds=tuple(chosen))
+        return replace(self, leds=tuple(chosen), films=None)  # which number the rig's LEDs
 
     def light_vectors(self) -> NDArray[np.float64]:
         """Distant-light vectors (L, 3): direction from the origin to each LED times its relative irradiance there.
@@ -359,6 +385,8 @@ class Band:
     crossed: Band | None = None
     """The crossed series of a parallel one, image by image. The band's light is then the mean of both, which is that
     without films."""
+    transmission: NDArray[np.float64] | None = None
+    """(L, C) by which the light of each image's channels is divided, where films before lights and camera differ."""
 
     def __repr__(self) -> str:
         count, rows, columns, channels = self.pixels.shape

@@ -26,6 +26,7 @@ from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
+from splitknit.imaging.films import aligned
 from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients, smoothed
 from splitknit.imaging.polarised import doubts_of_series, specular_of, without_films
 from splitknit.imaging.view import view_of
@@ -572,10 +573,12 @@ def relief_and_shape(
 def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
     """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
     lit, notes = prepared_capture(capture, settings)
+    lit, films, more = aligned(lit)  # before motion is measured, which would take the shift of the image for one
     steady, finger = find_steady_finger(lit, settings)
     steady = without_films(steady)
     facts, doubts = _doubt_of_lights(steady, finger)
-    return steady, replace(finger, facts={**finger.facts, **facts}, warnings=(*notes, *finger.warnings, *doubts))
+    warnings = (*notes, *more, *finger.warnings, *doubts)
+    return steady, replace(finger, facts={**finger.facts, **films, **facts}, warnings=warnings)
 
 
 def _doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], tuple[str, ...]]:

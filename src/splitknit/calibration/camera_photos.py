@@ -106,9 +106,9 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> Measur
     leds = base.leds if base is not None else default_rig().leds
     before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
     found = replace(found, leds_nominal=base is None, warnings=(*found.warnings, *_warnings(found)))
-    mirrors = base.mirrors if base is not None else ()
+    mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
     provenance = {**before, "camera": _rig_provenance(camera_facts(found), found.hashes)}
-    write_rig(Rig(found.camera, leds, provenance, mirrors), job.out)
+    write_rig(Rig(found.camera, leds, provenance, mirrors, films), job.out)
     return found
 
 

@@ -208,8 +208,8 @@ def rig_of(
         leds.append(led if place is None else replace(led, position_mm=place, direction=None))
     leds += [Led(band=band, position_mm=place) for (band, _), place in sorted(places.items(), key=_order)]
     before = dict(base.provenance) if base is not None else {}
-    mirrors = base.mirrors if base is not None else ()
-    return Rig(camera, tuple(leds), {**before, "lights": dict(provenance)}, mirrors)
+    mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
+    return Rig(camera, tuple(leds), {**before, "lights": dict(provenance)}, mirrors, films)
 
 
 def _led_facts(
