@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from splitknit.capture.folder import Opened
-from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_pi
+from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_analyser, open_pi
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
 from splitknit.model import Rig, default_rig, nominal_rig
@@ -97,8 +97,12 @@ def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
     with ExitStack() as stack:
         chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
         camera, lights = open_pi(stack, chosen, settings.pi)
+        analyser = open_analyser(chosen)
+        if analyser is not None:
+            stack.enter_context(analyser)
         untested = f"the {settings.pi.camera} camera was {UNTESTED}"
-        yield Opened("pi", camera, lights, chosen, notes=(untested,) if rig is not None else (NOMINAL, untested))
+        notes = (untested,) if rig is not None else (NOMINAL, untested)
+        yield Opened("pi", camera, lights, chosen, notes=notes, turn=analyser)
 
 
 @contextmanager
@@ -131,7 +135,8 @@ def opened_twin(
             seed=noise,
         ) as camera,
     ):
-        yield Opened("twin", camera, lights, rig, truth=truth, notes=notes)
+        turn = getattr(scene, "turn", None)  # of a scene with films
+        yield Opened("twin", camera, lights, rig, truth=truth, notes=notes, turn=turn)
 
 
 def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
