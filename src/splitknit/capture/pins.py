@@ -35,6 +35,8 @@ SERVO_PIN = 4
 """BCM line of the analyser's servo (header pin 7). It is pulled up at power-on, which is no pulse to a servo."""
 PULSES_MS = (1.0, 2.0)
 """Length of the servo's pulses in the parallel and in the crossed position: a quarter turn of most small servos."""
+PULLED_UP = range(9)
+"""Lines that are pulled up until a program takes them."""
 USABLE = range(2, 28)
 """Lines that a rig may use; 0 and 1 belong to the ID EEPROM."""
 

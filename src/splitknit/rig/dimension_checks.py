@@ -138,10 +138,7 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
 
 def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
     """Nothing may stand between the LED and the last phalanx, as far as the picture shows it."""
-    half = min(dimensions.field_mm[0] / 2, dimensions.disc_radius_mm)
-    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - sizes.FINGER_PHALANX_MM)
-    ends = (start, (start + dimensions.stop_y_mm) / 2, dimensions.field_mm[1] / 2)
-    corners = np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
+    corners = dimensions.lit_corners
     fraction = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
     way = hole.light_mm + fraction * (corners - hole.light_mm)  # (samples, corners, 3)
     require(

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture.pins import films_of
 from splitknit.errors import require
 from splitknit.model import Led, Rig
 from splitknit.rig import part_settings as sizes
+from splitknit.rig.films import FilmMounts, film_mounts
 from splitknit.rig.part_settings import LedSettings, PartSettings
 
 _STEP_MM = 0.5
@@ -186,6 +188,15 @@ class RigDimensions:
     opening_radius_mm: float
     nail_mm: float
     """Height of the nail's tip over the finger plane."""
+    films: FilmMounts | None = None
+
+    @property
+    def lit_corners(self) -> NDArray[np.float64]:
+        """(9, 3) border and middle of what every LED must light: the last phalanx, as far as the picture shows it."""
+        half = min(self.field_mm[0] / 2, self.disc_radius_mm)
+        start = max(-self.field_mm[1] / 2, self.stop_y_mm - sizes.FINGER_PHALANX_MM)
+        ends = (start, (start + self.stop_y_mm) / 2, self.field_mm[1] / 2)
+        return np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
 
     @property
     def outer_mm(self) -> float:
@@ -289,7 +300,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     Raises
     ------
     BadInput
-        If an LED has no place, or the picture is too small for a nail's shadows.
+        If an LED has no place, or the picture is too small for a nail's shadows, or there is no room for films.
 
     Examples
     --------
@@ -313,9 +324,13 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
     lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + _gusset(settings)
     box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
-    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high(), box_z + lug_room)
+    films = films_of(rig)
+    if films is not None and films.kind == "servo":
+        box_z = max(box_z, plate_top + sizes.SERVO_HIGH_MM)
+    second = sizes.SECOND_BOARD_MM if films is not None and films.kind == "neighbours" else 0.0
+    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high() + second, box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
-    return RigDimensions(
+    dimensions = RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),
         field_mm=field,
@@ -331,6 +346,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         opening_radius_mm=_opening(settings),
         nail_mm=_nail_height(rig, sizes.NAIL_OFFSET_MM, sizes.NAIL_MARGIN_MM, sizes.NAIL_RADIUS_MM),
     )
+    return dimensions if films is None else replace(dimensions, films=film_mounts(dimensions, films))
 
 
 def _bore(holes: tuple[LedHole, ...], settings: PartSettings, field: tuple[float, float]) -> float:

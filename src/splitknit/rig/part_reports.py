@@ -15,6 +15,7 @@ from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles
 from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_reach, shadow_tips
+from splitknit.rig.films import FilmMounts
 from splitknit.rig.part_settings import PrinterSettings
 
 
@@ -71,6 +72,21 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
             "leds_nir": sum(hole.band != "white" for hole in d.holes),
             "insert_hole_mm": sizes.JOINT_INSERT_HOLE_MM,
         },
+        **({} if d.films is None else {"films": _films(d, d.films)}),
+    }
+
+
+def _films(d: RigDimensions, mounts: FilmMounts) -> dict[str, Any]:
+    """Pieces of film, squares with their axis along an edge, where they lie, and screws."""
+    return {
+        "kind": mounts.kind,
+        "piece_mm": round(mounts.piece_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
+        "analyser_piece_mm": round(mounts.analyser_piece_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
+        "windows": [
+            {"led": hole.index, "x_mm": round(x, 2), "y_mm": round(y, 2), "axis": axis or None}
+            for hole, (x, y, axis) in zip(d.holes, mounts.windows, strict=True)
+        ],
+        "screws_m3x10_self_tapping": len(mounts.ring_posts) + len(mounts.plate_posts),
     }
 
 
