@@ -333,7 +333,7 @@ def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path
     bill = list(csv.reader((tmp_path / "board" / "parts.csv").read_text(encoding="utf-8").splitlines()))
     names = [line[1] for line in bill]
     assert ("servo" in names) == (kind == "servo")
-    assert "linear polarising film, 100 x 100 mm" in names
+    assert "linear polarising film, 50 x 50 mm" in names
     second = [line for line in bill if line[-1].startswith("second board")]
     drawing = (tmp_path / "board" / "films.svg").read_text(encoding="utf-8")
     assert ("GPIO 4)" in drawing) == (kind == "servo")

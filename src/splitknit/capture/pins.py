@@ -10,7 +10,7 @@ there would glow while the Pi boots. What is left are exactly 14 lines that are 
 
 A rig with polarising films says so beside its pins, as one of::
 
-    "films": {"kind": "servo", "servo": 4, "pulses_ms": [1.0, 2.0]}
+    "films": {"kind": "servo", "servo": 4, "pulses_ms": [2.0, 1.0]}
     "films": {"kind": "hand"}
     "films": {"kind": "neighbours", "crossed": [14, 15, 16, 17, 18, 19, 20]}
 """
@@ -33,8 +33,9 @@ CROSSED_PINS = (9, 10, 11, 14, 15, 5, 6)
 are pulled up and need a stronger pull-down. SPI and the serial console must be off."""
 SERVO_PIN = 4
 """BCM line of the analyser's servo (header pin 7). It is pulled up at power-on, which is no pulse to a servo."""
-PULSES_MS = (1.0, 2.0)
-"""Length of the servo's pulses in the parallel and in the crossed position: a quarter turn of most small servos."""
+PULSES_MS = (2.0, 1.0)
+"""Length of the servo's pulses in the parallel and in the crossed position: a quarter turn of most small servos, to
+the left as seen from above, where their shaft points down."""
 PULLED_UP = range(9)
 """Lines that are pulled up until a program takes them."""
 USABLE = range(2, 28)

@@ -27,7 +27,7 @@ TRANSMISSION = 0.45
 """Of unpolarised white light by one film, at most: what an eye may get; half would be a film without losses."""
 _PARTS = (
     (
-        "linear polarising film, 100 x 100 mm", "ITOS XP42-18", "Edmund Optics XP42", "Thorlabs LPVISE2X2 (three)",
+        "linear polarising film, 50 x 50 mm", "Thorlabs LPVISE2X2", "ITOS XP42-18", "Edmund Optics XP42",
         "linear, not circular; neutral; passes 38 to 45 %, extinction 1:400 or better, at most 0.75 mm thick",
     ),
     (
