@@ -14,7 +14,7 @@ from test_pi_session import CAMERA, rig_of_pi  # noqa: F401 - a fixture
 from twin_bench import twin_devices
 
 from splitknit.capture.pi import PiAnalyser, open_analyser
-from splitknit.capture.pins import CROSSED_PINS, NIR_PINS, WHITE_PINS, Films, films_of
+from splitknit.capture.pins import CROSSED_PINS, NIR_PINS, WHITE_PINS, RigFilms, rig_films
 from splitknit.capture.session import SessionSettings, run_session
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
@@ -127,8 +127,8 @@ def test_an_analyser_that_nothing_turns(finger):
 def test_films_that_cannot_be(films, words):
     rig = default_rig()
     with pytest.raises(BadInput, match=words):
-        films_of(replace(rig, provenance={"films": films}))
-    assert films_of(rig) is None
+        rig_films(replace(rig, provenance={"films": films}))
+    assert rig_films(rig) is None
 
 
 def test_pins_of_films_are_free():
@@ -140,7 +140,7 @@ def test_the_servo_gets_pulses_only_while_it_turns():
     try:
         rig = with_films(default_rig(), kind="servo", servo=5, pulses_ms=[2.0, 1.0])
         slept = []
-        analyser = PiAnalyser(films_of(rig), gpiozero.Servo, lambda seconds: slept.append(pin.state))
+        analyser = PiAnalyser(rig_films(rig), gpiozero.Servo, lambda seconds: slept.append(pin.state))
         pin = gpiozero.Device.pin_factory.pin(5)
         with analyser:
             assert pin.state == 0
@@ -151,7 +151,7 @@ def test_the_servo_gets_pulses_only_while_it_turns():
         with open_analyser(rig), pytest.raises(BadInput, match="servo cannot be driven"):
             open_analyser(rig)
         assert open_analyser(with_films(default_rig(), kind="hand")) is None
-        assert films_of(with_films(default_rig(), kind="hand")) == Films("hand", tuple(range(7)))
+        assert rig_films(with_films(default_rig(), kind="hand")) == RigFilms("hand", tuple(range(7)))
     finally:
         gpiozero.Device.pin_factory.reset()
         gpiozero.Device.pin_factory = None

@@ -13,7 +13,7 @@ from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.rig import assembly
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
 from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, _mirror_front, dimensions_of, holder_places
-from splitknit.rig.films import with_films
+from splitknit.rig.films import film_mounts, with_films
 from splitknit.rig.part_reports import _check_soundness, _first_hits, report_part
 from splitknit.rig.part_settings import (
     CAMERA_LENS_TO_CONNECTOR_MM,
@@ -315,7 +315,10 @@ def test_films_holders_print_and_touch_nothing_else(filmed):
             assert all(verdict["ok"] for verdict in report["checks"].values()), kind.name
     for first, second in itertools.combinations([*STACK, *names], 2):
         assert shared_volume(parts[first], parts[second]) < 1e-6, (first, second)
-    for x, y in (*dimensions.films.ring_posts, *dimensions.films.plate_posts):  # a screw's head over every post
+    for x, y in (
+        *film_mounts(dimensions).ring_posts,
+        *film_mounts(dimensions).plate_posts,
+    ):  # a screw's head over every post
         z = dimensions.frame_z_mm + JOINT_PLATE_MM + 0.01
         head = build123d.Pos(x, y, z) * build123d.Solid.make_cylinder(2.8, 2.4)
         assert shared_volume(head, parts["frame"]) < 1e-6
@@ -351,7 +354,7 @@ def test_light_passes_the_windows_and_the_analyser(filmed):
         way = np.array([*pupil, dimensions.camera_height_mm]) - seen
         length = np.linalg.norm(way, axis=1)
         assert np.all(_first_hits(mesh, seen, way / length[:, None], 200.0)[0] > length - 8.0)
-    axes = [axis for _, _, axis in dimensions.films.windows]
+    axes = [axis for _, _, axis in film_mounts(dimensions).windows]
     assert axes == ["x"] * 7 + [""] * 7 + ["y"] * (len(axes) - 14)
 
 
@@ -384,4 +387,4 @@ def test_a_servo_and_its_horn_fit(filmed):
 def test_leds_that_leave_no_room_for_films_are_named(azimuths, radius, films, words):
     leds = tuple(Led("white", position_mm=(radius * math.cos(a), radius * math.sin(a), 120.0)) for a in azimuths)
     with pytest.raises(BadInput, match=words):
-        dimensions_of(with_films(Rig(other_rig().camera, leds), films))
+        film_mounts(dimensions_of(with_films(Rig(other_rig().camera, leds), films)))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, films_of, pins_of
+from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, pins_of, rig_films
 from splitknit.errors import BadInput
 from splitknit.io.rig import read_rig
 from splitknit.model import Led, default_rig
@@ -328,7 +328,7 @@ def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path
     facts = circuit_to_folder(tmp_path / "board", rig, CircuitSettings(supply_v=8.5))
     assert facts["files"] == [*FILES, "films.svg"]
     written = read_rig(tmp_path / "board" / "rig.json")
-    assert films_of(written) == films_of(rig)
+    assert rig_films(written) == rig_films(rig)
     assert pins_of(written) == pins_of(rig)
     bill = list(csv.reader((tmp_path / "board" / "parts.csv").read_text(encoding="utf-8").splitlines()))
     names = [line[1] for line in bill]

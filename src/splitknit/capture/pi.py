@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.capture.pins import Films, films_of, pins_of
+from splitknit.capture.pins import RigFilms, pins_of, rig_films
 from splitknit.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc, preview_pixels
 from splitknit.devices import Camera, Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import BadInput, importing, require
@@ -151,7 +151,7 @@ class PiAnalyser(Closing):
     """The film before the camera on a servo; without pulses between its turns, so that it does not tremble."""
 
     def __init__(
-        self, films: Films, make_servo: Callable[..., Any], sleep: Callable[[float], None] = time.sleep
+        self, films: RigFilms, make_servo: Callable[..., Any], sleep: Callable[[float], None] = time.sleep
     ) -> None:
         """Take the servo's line; `make_servo`: ``gpiozero.Servo``, or what behaves like it; `sleep`: lets time pass."""
         short, long = sorted(films.pulses_ms)
@@ -504,7 +504,7 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
     BadInput
         If the line is in use.
     """
-    films = films_of(rig)
+    films = rig_films(rig)
     if films is None or films.kind != "servo":
         return None
     import gpiozero  # the LEDs have it already

@@ -80,7 +80,7 @@ def pins_of(rig: Rig) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Films:
+class RigFilms:
     """Linear films before the white LEDs and, as the analyser, before the camera."""
 
     kind: str
@@ -92,7 +92,7 @@ class Films:
     pulses_ms: tuple[float, float] = PULSES_MS
 
 
-def films_of(rig: Rig) -> Films | None:
+def rig_films(rig: Rig) -> RigFilms | None:
     """Films of a rig by its file's ``provenance.films``; None where it has none.
 
     Raises
@@ -119,7 +119,7 @@ def films_of(rig: Rig) -> Films | None:
             f"provenance.films.crossed of the rig file must list half of its {len(white)} white LEDs, those with "
             "crossed film, in the order of the others.",
         )
-        return Films(str(kind), tuple(crossed))
+        return RigFilms(str(kind), tuple(crossed))
     servo, pulses_ms = given.get("servo", SERVO_PIN), given.get("pulses_ms", PULSES_MS)
     require(
         type(servo) is int and servo in USABLE and (kind == "hand" or servo not in pins_of(rig)),
@@ -133,7 +133,7 @@ def films_of(rig: Rig) -> Films | None:
         "provenance.films.pulses_ms of the rig file must be two different numbers of 0.3 to 3, the servo's pulses in "
         f"the parallel and in the crossed position, not {pulses_ms!r}.",
     )
-    return Films(str(kind), white, servo, (float(pulses_ms[0]), float(pulses_ms[1])))
+    return RigFilms(str(kind), white, servo, (float(pulses_ms[0]), float(pulses_ms[1])))
 
 
 def led_names(rig: Rig) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ from splitknit.capture.exposure import (
     survey,
     typical_level,
 )
-from splitknit.capture.pins import films_of
+from splitknit.capture.pins import rig_films
 from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Devices, Examiner, Shooting, Shot
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
@@ -112,7 +112,7 @@ def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[i
             f"the rig file has {len(leds)} {band} LEDs, but photometric stereo needs three at least; add the missing "
             "ones.",
         )
-    films = films_of(rig)
+    films = rig_films(rig)
     if films is not None:
         parallel = [k for k in bands["white"] if k not in films.crossed or films.kind != "neighbours"]
         bands = {"white": tuple(parallel), "white_crossed": films.crossed, "nir": bands["nir"]}

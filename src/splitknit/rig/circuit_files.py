@@ -19,10 +19,10 @@ from splitknit.capture.pins import (
     PULLED_UP,
     SERVO_PIN,
     WHITE_PINS,
-    Films,
-    films_of,
+    RigFilms,
     led_names,
     pins_of,
+    rig_films,
 )
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
@@ -218,7 +218,7 @@ def _with_values(text: str, circuit: Circuit) -> str:
     return re.sub(r"\b9 V\b", f"{circuit.settings.supply_v:g} V", text)
 
 
-def _second_board(rig: Rig, films: Films, settings: CircuitSettings) -> Circuit:
+def _second_board(rig: Rig, films: RigFilms, settings: CircuitSettings) -> Circuit:
     """The circuit of the LEDs of the crossed series: the white stages of another LED board, on lines of their own.
 
     A line that is pulled up at power-on gets a stronger pull-down, so that its LED stays dark while the Pi boots.
@@ -247,7 +247,7 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
         limit of :mod:`splitknit.rig.safety`.
     """
     check_target(out, "circuit.json", "an earlier board")
-    films, second = films_of(rig), None
+    films, second = rig_films(rig), None
     apart = films.crossed if films is not None and films.kind == "neighbours" else ()
     circuit = design_circuit(
         replace(rig, leds=tuple(led for k, led in enumerate(rig.leds) if k not in apart)), settings

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.dimensions import LedHole, RigDimensions
+from splitknit.rig.films import film_mounts
 
 _SAMPLES = 400
 _MIN_SEAT_MM = 0.6
@@ -34,6 +35,8 @@ def check_dimensions(dimensions: RigDimensions) -> None:
         _check_hole(hole, dimensions)
         _check_camera(hole, dimensions)
         _check_beam(hole, dimensions)
+    if dimensions.films is not None:
+        film_mounts(dimensions)  # refuses LEDs that leave no room
 
 
 def _check_bed(dimensions: RigDimensions) -> None:

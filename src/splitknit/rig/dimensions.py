@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.capture.pins import films_of
+from splitknit.capture.pins import RigFilms, rig_films
 from splitknit.errors import require
 from splitknit.model import Led, Rig
 from splitknit.rig import part_settings as sizes
-from splitknit.rig.films import FilmMounts, film_mounts
 from splitknit.rig.part_settings import LedSettings, PartSettings
 
 _STEP_MM = 0.5
@@ -188,7 +187,7 @@ class RigDimensions:
     opening_radius_mm: float
     nail_mm: float
     """Height of the nail's tip over the finger plane."""
-    films: FilmMounts | None = None
+    films: RigFilms | None = None
 
     @property
     def lit_corners(self) -> NDArray[np.float64]:
@@ -300,7 +299,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     Raises
     ------
     BadInput
-        If an LED has no place, or the picture is too small for a nail's shadows, or there is no room for films.
+        If an LED has no place, or the picture is too small for a nail's shadows.
 
     Examples
     --------
@@ -324,13 +323,13 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
     lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + _gusset(settings)
     box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
-    films = films_of(rig)
+    films = rig_films(rig)
     if films is not None and films.kind == "servo":
         box_z = max(box_z, plate_top + sizes.SERVO_HIGH_MM)
     second = sizes.SECOND_BOARD_MM if films is not None and films.kind == "neighbours" else 0.0
     lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high() + second, box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
-    dimensions = RigDimensions(
+    return RigDimensions(
         settings=settings,
         camera_height_mm=float(camera.height_mm),
         field_mm=field,
@@ -345,8 +344,8 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         niche_y_mm=stop_y - finger.reach_mm,
         opening_radius_mm=_opening(settings),
         nail_mm=_nail_height(rig, sizes.NAIL_OFFSET_MM, sizes.NAIL_MARGIN_MM, sizes.NAIL_RADIUS_MM),
+        films=films,
     )
-    return dimensions if films is None else replace(dimensions, films=film_mounts(dimensions, films))
 
 
 def _bore(holes: tuple[LedHole, ...], settings: PartSettings, field: tuple[float, float]) -> float:

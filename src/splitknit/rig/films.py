@@ -2,7 +2,7 @@
 
 All axes are seen from the camera: those of the parallel series, and of the analyser in its parallel position, lie along
 x, those of the crossed series along y. ``provenance.films`` of the rig file says which kind they are
-(:func:`splitknit.capture.pins.films_of`).
+(:func:`splitknit.capture.pins.rig_films`).
 """
 
 from __future__ import annotations
@@ -11,16 +11,13 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, Films
+from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, RigFilms
 from splitknit.errors import require
 from splitknit.model import Led, Rig
-
-if TYPE_CHECKING:
-    from splitknit.rig.dimensions import RigDimensions
+from splitknit.rig.dimensions import RigDimensions
 
 KINDS = ("servo", "hand", "neighbours")
 TRANSMISSION = 0.45
@@ -84,7 +81,7 @@ def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
     return replace(led, position_mm=turned(led.position_mm), aim=turned(led.aim))
 
 
-def film_rows(films: Films) -> list[list[str]]:
+def film_rows(films: RigFilms) -> list[list[str]]:
     """Rows of ``parts.csv`` for films and servo."""
     return [["1", *row, "not on the board", ""] for row in _PARTS[: 2 if films.kind == "servo" else 1]]
 
@@ -113,7 +110,7 @@ class FilmMounts:
     """Places in the rig's frame, mm, with the analyser in its parallel position."""
 
     kind: str
-    """See :class:`splitknit.capture.pins.Films`."""
+    """See :class:`splitknit.capture.pins.RigFilms`."""
     windows: tuple[tuple[float, float, str], ...]
     """x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty without."""
     window_mm: float
@@ -148,15 +145,16 @@ class FilmMounts:
         return self.plate_z_mm + FLANGE_MM + 1.2
 
 
-def film_mounts(d: RigDimensions, films: Films) -> FilmMounts:
-    """Work out where films are mounted.
+def film_mounts(d: RigDimensions) -> FilmMounts:
+    """Work out where the films of a rig that has some are mounted.
 
     Raises
     ------
     BadInput
         If LEDs leave no room for films, screws, servo or rod.
     """
-    camera = d.settings.camera
+    camera, films = d.settings.camera, d.films
+    assert films is not None
     lights = np.array([hole.light_mm for hole in d.holes])
     ring_z = min(float(hole.light_mm[2]) - hole.radius_mm for hole in d.holes) - 0.3
     down = np.array([(z - lights[:, 2]) / lights[:, 2] for z in (ring_z, ring_z - 2.0)])[..., None, None]

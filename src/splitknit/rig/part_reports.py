@@ -15,7 +15,7 @@ from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles
 from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_reach, shadow_tips
-from splitknit.rig.films import FilmMounts
+from splitknit.rig.films import FilmMounts, film_mounts
 from splitknit.rig.part_settings import PrinterSettings
 
 
@@ -72,7 +72,7 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
             "leds_nir": sum(hole.band != "white" for hole in d.holes),
             "insert_hole_mm": sizes.JOINT_INSERT_HOLE_MM,
         },
-        **({} if d.films is None else {"films": _films(d, d.films)}),
+        **({} if d.films is None else {"films": _films(d, film_mounts(d))}),
     }
 
 

@@ -26,6 +26,7 @@ from splitknit.rig.dimensions import (
     holder_places,
     mirror_profile,
 )
+from splitknit.rig.films import film_mounts
 
 Shape = Any
 """A solid of build123d."""
@@ -172,7 +173,7 @@ def _cylinder_part(dimensions: RigDimensions) -> Shape:
     holes = _head_holes(dimensions, low, SCREWS_A_DEG)
     holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
     if dimensions.films is not None and dimensions.films.kind == "hand":
-        y, z = films.ROD_Y_MM, dimensions.films.rod_z_mm
+        y, z = films.ROD_Y_MM, film_mounts(dimensions).rod_z_mm
         holes.append(_rod(1.4, (dimensions.bore_mm - 5.0, y, z), (dimensions.outside_mm + 5.0, y, z)))
     return _cut(body, [hand, opening, *holes])
 
@@ -371,9 +372,9 @@ def _nail_part(dimensions: RigDimensions) -> Shape:
 
 def _film_screws(dimensions: RigDimensions) -> list[Shape]:
     """What a rig with films has in the frame's floor: holes for the posts' screws, and the servo's opening."""
-    mounts, low = dimensions.films, dimensions.frame_z_mm
-    if mounts is None:
+    if dimensions.films is None:
         return []
+    mounts, low = film_mounts(dimensions), dimensions.frame_z_mm
     high = low + sizes.JOINT_PLATE_MM + 1.0
     posts = [*mounts.ring_posts, *mounts.plate_posts]
     holes = [_cylinder(sizes.JOINT_SCREW_HOLE_MM / 2, low - 1.0, high, x, y) for x, y in posts]
@@ -386,11 +387,6 @@ def _film_screws(dimensions: RigDimensions) -> list[Shape]:
             y = near + long / 2 + side * sizes.SERVO_SCREWS_MM
             holes.append(_cylinder(sizes.CAMERA_POST_HOLE_MM / 2, low + 1.2, high, -films.LINK_MM, y))
     return holes
-
-
-def _mounts(dimensions: RigDimensions) -> films.FilmMounts:
-    assert dimensions.films is not None
-    return dimensions.films
 
 
 def _posts(places: _Points, low: float, high: float) -> tuple[list[Shape], list[Shape]]:
@@ -410,7 +406,7 @@ def _film_pocket(place: tuple[float, float], side: float, z: tuple[float, float]
 
 def _film_ring_part(dimensions: RigDimensions) -> Shape:
     """Return the ring below the LEDs: a window for each, and for the white ones a pocket for film over it."""
-    mounts = _mounts(dimensions)
+    mounts = film_mounts(dimensions)
     high, low = mounts.ring_z_mm, mounts.ring_z_mm - films.FILM_MM - sizes.MIN_WALL_MM
     inside = min(math.hypot(x, y) for x, y, _ in mounts.windows) - mounts.piece_mm * math.sqrt(0.5) - 1.2
     outside = dimensions.bore_mm - 2 * sizes.JOINT_CLEARANCE_MM
@@ -425,7 +421,7 @@ def _film_ring_part(dimensions: RigDimensions) -> Shape:
 
 def _analyser_part(dimensions: RigDimensions) -> Shape:
     """Return the analyser in its parallel position: body, flange, lever, collar around the lens; film from below."""
-    mounts = _mounts(dimensions)
+    mounts = film_mounts(dimensions)
     radius = mounts.turning_mm
     low, middle = mounts.plate_z_mm - films.PLATE_MM, mounts.plate_z_mm
     high, camera = middle + films.FLANGE_MM, dimensions.settings.camera
@@ -444,7 +440,7 @@ def _analyser_part(dimensions: RigDimensions) -> Shape:
 
 def _analyser_plate_part(dimensions: RigDimensions) -> Shape:
     """Return the plate before the lens: the analyser turns in it by 90 deg between two stops, or its film is fixed."""
-    mounts = _mounts(dimensions)
+    mounts = film_mounts(dimensions)
     low, high = mounts.plate_z_mm - films.PLATE_MM, mounts.plate_z_mm
     posts, cuts = _posts(mounts.plate_posts, high, dimensions.frame_z_mm)
     plate = _cylinder(max(math.hypot(*place) for place in mounts.plate_posts) + films.POST_MM, low, high)
