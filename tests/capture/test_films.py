@@ -114,6 +114,13 @@ def test_an_analyser_that_nothing_turns(finger):
         run_session(camera, lights, with_films(finger.rig, kind="servo"))
 
 
+def test_the_twin_has_no_films(tmp_path, capsys):
+    write_rig(with_films(default_rig(), kind="servo"), tmp_path / "rig.json")
+    words = ["capture", "--device", "twin", "--rig", str(tmp_path / "rig.json"), "--out", str(tmp_path / "c")]
+    assert main(words) == 2  # before anything is simulated
+    assert "the twin's camera and LEDs have not" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("films", "words"),
     [

@@ -11,6 +11,7 @@ import numpy as np
 
 from splitknit.capture.folder import Opened
 from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_analyser, open_pi
+from splitknit.capture.pins import rig_films
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
 from splitknit.model import Rig, default_rig, nominal_rig
@@ -68,6 +69,11 @@ def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scal
         )
     twin = twin_settings(scale, parts[""])
     if rig is not None and device == "twin":
+        require(
+            rig_films(rig) is None,
+            "the rig file has polarising films, which the twin's camera and LEDs have not; capture with --device pi, "
+            "or take provenance.films out of the file.",
+        )
         if scale is not None:
             size = default_rig(scale).camera.image_size
             require(
@@ -135,8 +141,7 @@ def opened_twin(
             seed=noise,
         ) as camera,
     ):
-        turn = getattr(scene, "turn", None)  # of a scene with films
-        yield Opened("twin", camera, lights, rig, truth=truth, notes=notes, turn=turn)
+        yield Opened("twin", camera, lights, rig, truth=truth, notes=notes)
 
 
 def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:

@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, RigFilms
+from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, RigFilms, rig_films
 from splitknit.errors import require
 from splitknit.model import Led, Rig
 from splitknit.rig.dimensions import RigDimensions
 
-KINDS = ("servo", "hand", "neighbours")
 TRANSMISSION = 0.45
 """Of unpolarised white light by one film, at most: what an eye may get; half would be a film without losses."""
 _PARTS = (
@@ -45,12 +44,12 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
     BadInput
         If the rig has films of another kind, or an LED without a place, or too many for further ones.
     """
-    given = rig.provenance.get("films")
-    if kind is None or (given is not None and given.get("kind") == kind):
+    given = rig_films(rig)
+    if kind is None or (given is not None and given.kind == kind):
         return rig
     require(
         given is None,
-        f"the rig file has films of the kind '{(given or {}).get('kind')}'; leave --films out, or name it.",
+        f"the rig file has films of the kind '{given and given.kind}'; leave --films out, or take one without films.",
     )
     films: dict[str, object] = {"kind": kind}
     if kind == "servo":
