@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -381,6 +382,8 @@ def test_a_servo_and_its_horn_fit(filmed):
     [
         ((0.7, 2.0, 3.14, 5.0), 33.0, "servo", "LED 2 stands where the analyser's servo must be"),
         ((0.4, 2.0, 3.14, 5.0), 40.0, "hand", "the analyser's rod would cut the light of LED 0"),
+        ((0.7, 2.0, 3.6, 5.0), 40.0, "servo", "31.* mm from the camera's axis, where .* mm are taken"),
+        ((0.7, 2.0, 3.6, 5.0), 33.0, "hand", "25.* mm from the camera's axis, where .* mm are taken"),
         ((0.7, 0.87, 3.0, 5.0), 40.0, "hand", r"films of LEDs 0 and 1, squares of \d\.\d mm, would overlap"),
     ],
 )
@@ -388,3 +391,10 @@ def test_leds_that_leave_no_room_for_films_are_named(azimuths, radius, films, wo
     leds = tuple(Led("white", position_mm=(radius * math.cos(a), radius * math.sin(a), 120.0)) for a in azimuths)
     with pytest.raises(BadInput, match=words):
         film_mounts(dimensions_of(with_films(Rig(other_rig().camera, leds), films)))
+
+
+def test_films_of_upright_leds_do_not_fit_into_the_tube():
+    leds = tuple(replace(led, aim=(0.0, 0.0, -1.0)) for led in other_rig().leds)
+    wide = [replace(led, position_mm=(1.55 * led.position_mm[0], 1.55 * led.position_mm[1], 120.0)) for led in leds]
+    with pytest.raises(BadInput, match="out of the tube of"):
+        film_mounts(dimensions_of(with_films(Rig(other_rig().camera, tuple(wide)), "hand")))

@@ -32,7 +32,7 @@ from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
 from splitknit.rig.circuit import BC337, Channel, Circuit, CircuitSettings, Resistor, design_stage
-from splitknit.rig.films import TRANSMISSION, film_rows
+from splitknit.rig.films import TRANSMISSION
 from splitknit.rig.safety import check_hazards, rig_hazards
 
 _BOARD = Path(__file__).with_name("board")
@@ -267,7 +267,10 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
     texts: dict[str, str] = {}
     if not circuit.misfit:
         texts = {name: _with_values((_BOARD / name).read_text(encoding="utf-8"), circuit) for name in _TEXTS}
-        rows = _bill_of_materials(circuit) + (film_rows(films) if films is not None else [])
+        rows = _bill_of_materials(circuit)
+        if films is not None:
+            lines = csv.reader((_BOARD / "films.csv").read_text(encoding="utf-8").splitlines())
+            rows += [row for row in lines if row[1] != "servo" or films.kind == "servo"]
         for row in _bill_of_materials(second)[1:] if second is not None else []:
             if row[-1] or row[0] != "1":  # cable and adapter serve both boards
                 rows.append([*row[:-1], f"second board: {row[-1]}" if row[-1] else ""])

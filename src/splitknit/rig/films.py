@@ -14,24 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, RigFilms, rig_films
+from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, rig_films
 from splitknit.errors import require
 from splitknit.model import Led, Rig
+from splitknit.rig import part_settings as sizes
 from splitknit.rig.dimensions import RigDimensions
 
 TRANSMISSION = 0.45
 """Of unpolarised white light by one film, at most: what an eye may get; half would be a film without losses."""
-_PARTS = (
-    (
-        "linear polarising film, 50 x 50 mm", "Thorlabs LPVISE2X2", "ITOS XP42-18", "Edmund Optics XP42",
-        "linear, not circular; neutral; passes 38 to 45 %, extinction 1:400 or better, at most 0.75 mm thick",
-    ),
-    (
-        "servo", "Tower Pro MG90S", "Tower Pro SG90", "Hitec HS-55",
-        "body at most 23 x 12.4 mm, 180 degrees, 5 V, at most 0.8 A; horn with a hole 14 mm from its axis",
-    ),
-)  # fmt: skip
-"""Film, and what turns the analyser: name, part, two alternatives, what to check before ordering."""
 
 
 def with_films(rig: Rig, kind: str | None) -> Rig:
@@ -71,18 +61,13 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
 
 def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
     azimuths = [math.atan2(one.position_mm[1], one.position_mm[0]) for one in (led, *leds) if one.position_mm]
-    turn = min(gap for a in azimuths if (gap := (a - azimuths[0]) % math.tau) > 0.01) / 2
+    turn = min((gap for a in azimuths if (gap := (a - azimuths[0]) % math.tau) > 0.01), default=math.pi) / 2
     cos, sin = math.cos(turn), math.sin(turn)
 
     def turned(vector: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         return vector and (cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1], vector[2])
 
     return replace(led, position_mm=turned(led.position_mm), aim=turned(led.aim))
-
-
-def film_rows(films: RigFilms) -> list[list[str]]:
-    """Rows of ``parts.csv`` for films and servo."""
-    return [["1", *row, "not on the board", ""] for row in _PARTS[: 2 if films.kind == "servo" else 1]]
 
 
 # Where films are mounted: a ring of windows below the LEDs, and before the lens a plate on which the analyser turns.
@@ -127,6 +112,12 @@ class FilmMounts:
     def piece_mm(self) -> float:
         """Side of the square pockets in the ring."""
         return 2 * self.window_mm + 1.2
+
+    @property
+    def ring_mm(self) -> tuple[float, float]:
+        """Radii between which the ring's pockets lie."""
+        away, corner = [math.hypot(x, y) for x, y, _ in self.windows], self.piece_mm * math.sqrt(0.5) + 1.2
+        return min(away) - corner, max(away) + corner
 
     @property
     def analyser_piece_mm(self) -> float:
@@ -211,3 +202,16 @@ def _check_room(d: RigDimensions, mounts: FilmMounts) -> None:
             mounts.kind != "hand" or x < 0 or abs(y - ROD_Y_MM) >= 0.15 * LEVER_MM + 1.0 + hole.radius_mm,
             f"the analyser's rod would cut the light of LED {hole.index}; move the LED, or take --films servo.",
         )
+    inside, outside = mounts.ring_mm
+    horn = math.hypot(LINK_MM + LEVER_MM * math.sqrt(0.5), LEVER_MM * math.sqrt(0.5)) + 3.0
+    least = horn if mounts.kind == "servo" else _PLATE_POSTS_MM + POST_MM + 0.5
+    require(
+        inside >= least,
+        f"films below the LEDs would lie {inside:.1f} mm from the camera's axis, where {least:.1f} mm are taken by "
+        "analyser and servo; move the LEDs outwards, or take other films (--films).",
+    )
+    require(
+        outside <= d.bore_mm - 2 * sizes.JOINT_CLEARANCE_MM,
+        f"films below the LEDs would reach {outside:.1f} mm from the camera's axis, out of the tube of {d.bore_mm:g} "
+        "mm; tilt the LEDs towards the axis.",
+    )

@@ -72,20 +72,16 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
             "leds_nir": sum(hole.band != "white" for hole in d.holes),
             "insert_hole_mm": sizes.JOINT_INSERT_HOLE_MM,
         },
-        **({} if d.films is None else {"films": _films(d, film_mounts(d))}),
+        **({} if d.films is None else {"films": _films(film_mounts(d))}),
     }
 
 
-def _films(d: RigDimensions, mounts: FilmMounts) -> dict[str, Any]:
-    """Pieces of film, squares with their axis along an edge, where they lie, and screws."""
+def _films(mounts: FilmMounts) -> dict[str, Any]:
     return {
         "kind": mounts.kind,
         "piece_mm": round(mounts.piece_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
         "analyser_piece_mm": round(mounts.analyser_piece_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
-        "windows": [
-            {"led": hole.index, "x_mm": round(x, 2), "y_mm": round(y, 2), "axis": axis or None}
-            for hole, (x, y, axis) in zip(d.holes, mounts.windows, strict=True)
-        ],
+        "axes_of_leds": [axis or None for _, _, axis in mounts.windows],
         "screws_m3x10_self_tapping": len(mounts.ring_posts) + len(mounts.plate_posts),
     }
 

@@ -408,8 +408,7 @@ def _film_ring_part(dimensions: RigDimensions) -> Shape:
     """Return the ring below the LEDs: a window for each, and for the white ones a pocket for film over it."""
     mounts = film_mounts(dimensions)
     high, low = mounts.ring_z_mm, mounts.ring_z_mm - films.FILM_MM - sizes.MIN_WALL_MM
-    inside = min(math.hypot(x, y) for x, y, _ in mounts.windows) - mounts.piece_mm * math.sqrt(0.5) - 1.2
-    outside = dimensions.bore_mm - 2 * sizes.JOINT_CLEARANCE_MM
+    inside, outside = mounts.ring_mm[0], dimensions.bore_mm - 2 * sizes.JOINT_CLEARANCE_MM
     posts, screws = _posts(mounts.ring_posts, high, dimensions.frame_z_mm)
     ring = _fused(_turned([(inside, low), (outside, low), (outside, high), (inside, high)]), posts)
     cuts = [_cylinder(mounts.window_mm, low - 1.0, high + 1.0, x, y) for x, y, _ in mounts.windows]
