@@ -510,7 +510,11 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
     import gpiozero  # the LEDs have it already
 
     try:
-        return PiAnalyser(films, gpiozero.Servo)
+        with (
+            warnings.catch_warnings()
+        ):  # some releases warn that pulses tremble, which they do not while images are taken
+            warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
+            return PiAnalyser(films, gpiozero.Servo)
     except (gpiozero.GPIOZeroError, OSError) as error:
         reason = " ".join(str(error).split())
         raise BadInput(
