@@ -155,15 +155,15 @@ def run_session(
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)
     devices, px_per_mm = Devices(camera, lights, rig), rig.camera.px_per_mm
-    turns = bands.get("white_crossed") == bands["white"]
+    turn = turn if bands.get("white_crossed") == bands["white"] else None
     require(
-        not turns or turn is not None,
+        turn is not None or bands.get("white_crossed") != bands["white"],
         "the rig file has an analyser that turns between the two series, but nothing turns it here: run this on the "
         "Raspberry Pi, and on a terminal if it is turned by hand.",
     )
     try:
         lights.off()
-        if turns and turn is not None:
+        if turn is not None:
             turn("parallel")
         progress("finding the exposure", 0.0)
         metering = _meter(devices, bands, settings, lambda fraction: progress("finding the exposure", 0.3 * fraction))
@@ -176,7 +176,7 @@ def run_session(
             progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
         for band, leds in bands.items():
-            if band == "white_crossed" and turns and turn is not None:
+            if band == "white_crossed" and turn is not None:
                 turn("crossed")
             shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
     finally:
