@@ -249,6 +249,7 @@ def _add_circuit(kinds: Any) -> None:
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
+    _add_films(verb)
     verb.add_argument(
         "--topology",
         choices=("sink", "switch"),
@@ -258,6 +259,15 @@ def _add_circuit(kinds: Any) -> None:
     add_settings(verb)
 
 
+def _add_films(verb: Any) -> None:
+    verb.add_argument(
+        "--films",
+        choices=("servo", "hand", "neighbours"),
+        help="polarising films: an analyser that a servo or a hand turns, or crossed film on further white LEDs beside "
+        "the first ones (default: as the rig file has it, else none)",
+    )
+
+
 def _design_circuit(options: argparse.Namespace) -> Outcome:
     """Design the board and write it."""
     from splitknit.cli.options import read_changes
@@ -265,6 +275,7 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
     from splitknit.model import default_rig
     from splitknit.rig.circuit import CircuitSettings
     from splitknit.rig.circuit_files import circuit_to_folder
+    from splitknit.rig.films import with_films
     from splitknit.settings import flatten, override
 
     given = _given(topology=options.topology, supply_v=options.supply_v)
@@ -272,7 +283,8 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
     changes = flatten(read_changes(options.settings, options.assignments))
     named = {name.removeprefix("circuit."): value for name, value in changes.items()}
     settings = override(CircuitSettings(), {**given, **named})
-    facts = circuit_to_folder(options.out, read_rig(options.rig) if options.rig else default_rig(), settings)
+    rig = with_films(read_rig(options.rig) if options.rig else default_rig(), options.films)
+    facts = circuit_to_folder(options.out, rig, settings)
     lines = [f"LED board of {len(facts['leds'])} stages ({settings.topology}, {settings.supply_v:g} V):"]
     for band, stage in facts["stages"].items():
         low, middle, high = stage["current_ma"]
@@ -293,7 +305,8 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
         lines.append(
             f"  {hazard['leds']:5s} {hazard['hazard']:26s} {hazard['value']:9.4g} of {hazard['limit']:.4g} "
             f"{hazard['unit']}, margin {hazard['margin']:.3g} ({hazard['margin_with_a_shorted_transistor']:.3g} with a "
-            "shorted transistor)"
+            "shorted transistor"
+            + (f", {hazard['margin_without_films']:.3g} without films)" if "films" in facts else ")")
         )
     lines.append(f"Written to {options.out}: {', '.join(facts['files'])}; rig.json holds the pin map.")
     return facts, lines
@@ -304,6 +317,7 @@ def _add_cad(kinds: Any) -> None:
     verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _draw_parts)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)")
+    _add_films(verb)
     verb.add_argument("--below", action="store_true", help="put the assembly together with the camera below the finger")
     verb.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
     add_settings(verb)
@@ -321,6 +335,7 @@ def _draw_parts(options: argparse.Namespace) -> Outcome:
             rig_file=options.rig,
             changes=changes,
             below=options.below,
+            films=options.films,
             pictures=not options.no_pictures,
             progress=progress.update,
         )
