@@ -187,8 +187,7 @@ def interrupt(event, arguments):
             os.kill(os.getpid(), number)
 
 sys.addaudithook(interrupt)
-from splitknit.cli.main import build_parser, main
-from splitknit.cli.verb import one_line
+from splitknit.cli.main import main
 sys.exit(main())
 """
 

@@ -172,7 +172,7 @@ def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
         return method, checked_surface(method, job.surface, settings)
     require(
         (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
-        f"'{path}' is a print already, to be made one of 500 ppi; leave out --method, --surface, --ppi and scales.",
+        f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",
     )
     return "file", "paper"
 
@@ -200,7 +200,7 @@ def _read(
         return source, None, given
     if method == "rolled":
         unscaled = job.px_per_mm is None and job.ridge_period_mm is None
-        require(unscaled, "a rig with mirrors has a scale; leave out --px-per-mm and --ridge-period.")
+        require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
         return *read_rolled(job.path, job.preset, settings.rolled, progress), None
     photo = method == "photo"
     source = read_source(
