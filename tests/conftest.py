@@ -5,12 +5,18 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from splitknit.io.capture import write_capture
+from splitknit.matching import methods, minutiae
+from splitknit.prints import from_file
 from splitknit.simulator.finger import finger
 from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
@@ -33,6 +39,25 @@ def drawn_once(pattern: str, seed: int, settings: MasterPrintSettings) -> Master
 
 
 finger.master_print = drawn_once  # type: ignore[assignment]
+
+
+def once(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of a print, the same at every call (test_minutiae.py), which so is called once for all tests."""
+    kept: dict[bytes, Any] = {}
+
+    @wraps(function)
+    def called(image: np.ndarray, *others: float) -> Any:
+        key = sha256(repr((image.shape, others)).encode() + image.tobytes()).digest()
+        if key not in kept:
+            kept[key] = function(image, *others)
+        found = kept[key]
+        return found.copy() if isinstance(found, np.ndarray) else found
+
+    return called
+
+
+minutiae.nfiq2 = methods.nfiq2 = once(minutiae.nfiq2)
+minutiae.enhance_print = from_file.enhance_print = once(minutiae.enhance_print)
 
 
 @pytest.fixture(scope="session")

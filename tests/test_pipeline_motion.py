@@ -22,17 +22,18 @@ from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
 
+SCALE = 0.12
 OFF = {"motion.correct": "off"}
 
 
 @pytest.fixture(scope="module")
 def still():
-    return simulate_capture(11, "whorl", TwinSettings(scale=0.15))
+    return simulate_capture(11, "whorl", TwinSettings(scale=SCALE))
 
 
 @pytest.fixture(scope="module")
 def moved():
-    return simulate_capture(11, "whorl", TwinSettings(scale=0.15, motion=HandMotion(amplitude_mm=0.5)))
+    return simulate_capture(11, "whorl", TwinSettings(scale=SCALE, motion=HandMotion(amplitude_mm=0.5)))
 
 
 @pytest.fixture(scope="module")

@@ -275,6 +275,8 @@ def main(arguments: list[str] | None = None) -> int:
     for module in ("pyarrow.parquet", "tifffile", "nistitl", "nbis", "cryptography.x509"):
         with contextlib.suppress(ImportError):  # once, here, and not in every child
             importlib.import_module(module)
+    # the same for what hypothesis loads when it is first used
+    settings(max_examples=1, database=None)(given(inputs([{"x": b"1"}], None))(lambda files: None))()
     with tempfile.TemporaryDirectory(prefix="splitknit-fuzz-") as name:
         scratch = Path(name)
         pid = in_child(lambda: look(scratch, chosen), scratch / "samples", 2)  # threads of readers stay there

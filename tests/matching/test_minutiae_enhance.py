@@ -54,4 +54,4 @@ def test_paper_stays_white() -> None:
 
 def test_the_same_bytes_each_time() -> None:
     image = np.random.default_rng(3).integers(0, 256, (200, 170)).astype(np.uint8)
-    assert np.array_equal(enhance_print(image), enhance_print(image))
+    assert np.array_equal(enhance_print.__wrapped__(image), enhance_print.__wrapped__(image))
