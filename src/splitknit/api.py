@@ -45,7 +45,7 @@ def read_photographs(
     px_per_mm : pixels a millimetre on the object; without it results are in pixels
     **options
         Fields of :class:`splitknit.io.plain.PhotographOptions`: ``mask``, ``material`` (``opaque`` or ``skin``),
-        ``encoding``, ``background``, ``tip_direction_deg``, ``max_megapixels``.
+        ``encoding``, ``background``, ``tip_direction_deg``, ``max_megapixels``, ``crossed``, ``mosaic``, ``film_deg``.
 
     Returns
     -------
