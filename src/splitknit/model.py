@@ -6,7 +6,6 @@ against the rows, z towards the camera, in millimetres; its origin is where the 
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.hooks import RESULT_HOOKS
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -252,15 +252,41 @@ def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = 
     return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Films:
+    """What a rig's polarising films do, as ``splitknit calibrate polarisers`` measures it; without it they are ideal.
+
+    One entry for each white light of a polarised capture.
+    """
+
+    leds: tuple[int, ...]
+    """LEDs that light the parallel images."""
+    leak: tuple[float, ...]
+    """Fraction of the specular light that is in the crossed image, of that in both images: about
+    1 / extinction ratio + sin^2(angle error)."""
+    brightness: tuple[tuple[float, ...], ...]
+    """Red, green, blue: depolarised light of the crossed image over that of the parallel one."""
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    """Columns and rows by which the middle of the crossed image lies right of and below that of the parallel one."""
+    scale: float = 1.0
+    """Size of the crossed image over that of the parallel one."""
+    extinction_ratio: float | None = None
+    """Of polariser and analyser together: brightest over darkest light as the analyser turns; None where unknown."""
+    angle_deg: tuple[float, ...] = ()
+    """Turn of each light's specular reflection from the parallel position of the analyser; none where unknown."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rig:
-    """Camera, lights and mirrors."""
+    """Camera, lights, mirrors and films."""
 
     camera: Camera
     leds: tuple[Led, ...]
     provenance: Mapping[str, Any] = field(default_factory=dict)
     mirrors: tuple[Mirror, ...] = ()
     """Beside the finger; none in the thesis's main rig."""
+    films: Films | None = None
+    """Of a rig for polarised captures, where they have been measured."""
 
     def __post_init__(self) -> None:
         names = [mirror.name for mirror in self.mirrors]
@@ -301,7 +327,7 @@ class Rig:
                 )
             first = self.leds[group[0]]
             chosen.append(replace(first, also=tuple(self.leds[index] for index in group[1:])))
-        return replace(self, leds=tuple(chosen))
+        return replace(self, leds=tuple(chosen), films=None)  # which number the rig's LEDs
 
     def light_vectors(self) -> NDArray[np.float64]:
         """Distant-light vectors (L, 3): direction from the origin to each LED times its relative irradiance there.
@@ -359,6 +385,8 @@ class Band:
     crossed: Band | None = None
     """The crossed series of a parallel one, image by image. The band's light is then the mean of both, which is that
     without films."""
+    transmission: NDArray[np.float64] | None = None
+    """(L, C) by which the light of each image's channels is divided, where films before lights and camera differ."""
 
     def __repr__(self) -> str:
         count, rows, columns, channels = self.pixels.shape
@@ -424,11 +452,6 @@ class Capture:
         return self.rig.camera.image_size
 
 
-def _above(module: str) -> Any:
-    """A module of a layer above this one: results hand over to it what people want of them."""
-    return importlib.import_module(f"splitknit.{module}")
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Reconstruction:
     """A metric fingerprint on the input's pixel grid."""
@@ -487,7 +510,7 @@ class Reconstruction:
 
         rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in self._summary().items())
         warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
-        picture = "" if not bool(self.mask.any()) else _above("report.result").preview_html(self)
+        picture = "" if not bool(self.mask.any()) else RESULT_HOOKS["preview"](self)
         return f"{picture}<table>{rows}</table><ul>{warnings}</ul>"
 
     def _summary(self) -> dict[str, str]:
@@ -527,7 +550,7 @@ class Reconstruction:
         >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
         >>> splitknit.reconstruct(capture, "ea").save("result", capture)
         """
-        _above("report.result").write_results(self, capture, folder)
+        RESULT_HOOKS["save"](self, capture, folder)
 
     def plot(self, *panels: str, ax: Any = None) -> Any:
         """Draw the result with matplotlib: upright, with scale bars in mm.
@@ -558,7 +581,7 @@ class Reconstruction:
         >>> axes = splitknit.reconstruct(capture, "ea").plot("relief", "print")
         >>> axes[0].figure.savefig("relief.png")
         """
-        return _above("report.plot").plot(self, panels, ax)
+        return RESULT_HOOKS["plot"](self, panels, ax)
 
     def show(self, *, block: bool | None = None) -> str:
         """Open the result in the viewer, a page in the browser on this machine only.
@@ -587,7 +610,7 @@ class Reconstruction:
         >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
         >>> address = splitknit.reconstruct(capture, "ea").show(block=False)
         """
-        return str(_above("viewer.server").show(self.save, block))
+        return str(RESULT_HOOKS["show"](self.save, block))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -607,8 +630,8 @@ class Surface:
 
 UNKNOWN_SCALE = "scale unknown, heights in pixels: give --px-per-mm, or --ridge-period 0.45 where it is a finger."
 NO_SCALE = (
-    "its scale is unknown, and this needs millimetres: give --px-per-mm (here, or where it is reconstructed), or "
-    "--ridge-period 0.45 to take the scale from the ridges."
+    "its scale is unknown, and this needs millimetres: give `px_per_mm` (here, or where it is reconstructed), or "
+    "`ridge_period_mm` 0.45 to take the scale from the ridges."
 )
 
 

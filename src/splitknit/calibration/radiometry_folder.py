@@ -55,8 +55,8 @@ def calibrate_to_file(
     limit_percent: float | None = None,
     residuals: Path | None = None,
     progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Calibrate the rig with the card in `folder` and write it to `out`; return the facts.
+) -> RadiometricCalibration:
+    """Calibrate the rig with the card in `folder` and write it to `out`.
 
     Parameters
     ----------
@@ -74,10 +74,6 @@ def calibrate_to_file(
     """
     check_rig_file(out)
     check_picture(residuals, folder)
-    require(
-        residuals is None or residuals.suffix.lower() in (".png", ".tif", ".tiff"),
-        f"'{residuals}' must end in .png or .tif: it is a picture.",
-    )
     progress("reading", 0.0)
     plan = _read_radiometry_plan(folder)
     capture = read_capture(folder)
@@ -98,13 +94,12 @@ def calibrate_to_file(
         **provenance({"radiometry": settings}, {**capture.hashes, **camera.hashes}),
     }
     progress("writing", 0.9)
-    written = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
+    rig = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
     if residuals is not None:
         write_image(residuals, _residual_picture(found))
-    write_rig(written, out)
+    write_rig(rig, out)
     progress("done", 1.0)
-    files = [str(out)] + ([str(residuals)] if residuals is not None else [])
-    return {**facts, "out": str(out), "files": files}
+    return replace(found, rig=rig, facts=facts, warnings=tuple(warnings))
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
@@ -162,13 +157,16 @@ def _residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourA
     rows = []
     widest = max(bands.count(band) for band in bands)
     for band in dict.fromkeys(bands):
-        tiles = [_tile(100 * flat.residual[k], flat.dust, shape, side) for k, b in enumerate(bands) if b == band]
+        tiles = [
+            residual_tile(100 * flat.residual[k], flat.dust, shape, side) for k, b in enumerate(bands) if b == band
+        ]
         tiles += [np.full_like(tiles[0], 255)] * (widest - len(tiles))
         rows.append(np.concatenate(tiles, axis=1))
     return np.concatenate(rows, axis=0)
 
 
-def _tile(residual: Any, dust: Any, shape: tuple[int, int], side: int) -> ColourArray:
+def residual_tile(residual: Any, dust: Any, shape: tuple[int, int], side: int) -> ColourArray:
+    """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %, black where unused."""
     values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
     small = colour(values, -_SCALE_PERCENT, _SCALE_PERCENT, diverging=True)
     small[np.asarray(dust).reshape(shape)] = 0

@@ -1,4 +1,4 @@
-"""``splitknit calibrate``: a rig's camera, the brightness of its LEDs, and where they are."""
+"""``splitknit calibrate``: a rig's camera, the brightness of its LEDs, where they are, and films before them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from splitknit.cli.verb import Outcome, Progress, add_settings, from_options, gr
 
 def add_calibrate(verbs: Any) -> None:
     """Add ``splitknit calibrate`` and its verbs."""
-    kinds = group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor")
+    kinds = group(verbs, "calibrate", "measure a rig: its camera, its lights, its sensor, its films")
     _add_camera(kinds)
     _add_radiometry(kinds)
     _add_lights(kinds)
+    _add_polarisers(kinds)
 
 
 def _add_camera(kinds: Any) -> None:
@@ -60,12 +61,12 @@ def _add_camera(kinds: Any) -> None:
 
 def _calibrate_camera(options: argparse.Namespace) -> Outcome:
     """Calibrate."""
-    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # only this verb pays
+    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig, camera_facts  # only this verb pays
 
     now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     job = from_options(CameraJob, options, plane=tuple(options.plane), f_number=options.aperture, calibrated_at=now)
     with Progress(options) as progress:
-        facts = calibrate_to_rig(job, progress.update)
+        facts = camera_facts(calibrate_to_rig(job, progress.update))
     return facts, _camera_lines(facts)
 
 
@@ -203,7 +204,7 @@ def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
                 )
             facts = check_folder(options.folder, options.check, limit_percent=options.limit, progress=progress.update)
             return facts, _check_lines(facts)
-        facts = calibrate_to_file(
+        found = calibrate_to_file(
             options.folder,
             options.out,
             rig_file=options.rig,
@@ -212,6 +213,8 @@ def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
             residuals=options.residuals,
             progress=progress.update,
         )
+    files = [str(file) for file in (options.out, options.residuals) if file is not None]
+    facts = {**found.facts, "out": str(options.out), "files": files}
     return facts, _radiometry_lines(facts, options.card_tilt_deg is None)
 
 
@@ -376,7 +379,7 @@ def _calibrate_lights(options: argparse.Namespace) -> Outcome:
     settings = override(settings, {name: value for name, value in given.items() if value is not None})
     job = from_options(LightsJob, options, settings=settings)
     with Progress(options) as progress:
-        facts = lights_to_rig(job, progress.update)
+        facts = dict(lights_to_rig(job, progress.update).facts)
     return facts, _light_lines(facts)
 
 
@@ -420,3 +423,66 @@ def _led_lines(facts: dict[str, Any]) -> list[str]:
     if facts["nail_height_mm"] is not None:
         lines.append(f"The nail is {facts['nail_height_mm']:.1f} mm high, from its shadows.")
     return lines + [f"Please note: {warning}" for warning in facts["warnings"]]
+
+
+def _add_polarisers(kinds: Any) -> None:
+    """Add ``calibrate polarisers``."""
+    verb = new_verb(
+        kinds,
+        "polarisers",
+        "polarising films: extinction, angles, brightness and image shift, from a printed card and a glossy black ball",
+        _calibrate_polarisers,
+    )
+    verb.add_argument(
+        "folder",
+        type=Path,
+        metavar="FOLDER",
+        help="holds the capture folders card and ball, analyser parallel (white) and crossed (white_crossed), and "
+        "ball_85, ball_95 ...: the ball with the analyser at other angles",
+    )
+    verb.add_argument("--rig", type=Path, metavar="RIG", help="rig file to add the films to (default: the card's)")
+    verb.add_argument("--out", type=Path, required=True, metavar="RIG2", help="rig file to write")
+    verb.add_argument("--residuals", type=Path, metavar="PNG", help="picture to write: residuals under every LED")
+
+
+def _calibrate_polarisers(options: argparse.Namespace) -> Outcome:
+    """Measure the films."""
+    from splitknit.calibration.polarisers import films_to_file  # only this verb pays for it
+
+    with Progress(options) as progress:
+        facts = films_to_file(
+            options.folder,
+            options.out,
+            rig_file=options.rig,
+            residuals=options.residuals,
+            progress=progress.update,
+        )
+    return facts, _film_lines(facts)
+
+
+def _film_lines(facts: Mapping[str, Any]) -> list[str]:
+    films = facts["films"]
+    lines = ["LED   specular light left  angle            crossed / parallel: red, green, blue  residuals rms"]
+    for k, led in enumerate(films["leds"]):
+        low, high = facts["leak_interval"][k]
+        angle = "not measured"
+        if films["angle_deg"]:
+            angle = f"{films['angle_deg'][k]:+.2f} +- {facts['angle_interval_deg'][k]:.2f} deg"
+        tint = ", ".join(f"{value:.4f}" for value in films["brightness"][k])
+        lines.append(
+            f"{led:3d}   {100 * low:.3f} to {100 * high:.3f} %      {angle:16s} {tint:37s} "
+            f"{facts['residual_rms_percent'][k]:.2f} %"
+        )
+    if films["extinction_ratio"] is None:
+        lines.append("Extinction and angles: photograph the ball at other angles of the analyser (ball_85, ball_95).")
+    else:
+        low, high = facts["extinction_interval"]
+        span = f"at least {low:.0f}" if high is None else f"{low:.0f} to {high:.0f}"
+        lines.append(f"Extinction ratio: {films['extinction_ratio']:.0f} ({span}).")
+    x, y = films["shift_px"]
+    lines.append(
+        f"The crossed image lies {x:+.3f} px right of and {y:+.3f} px below the parallel one (+- "
+        f"{max(facts['shift_interval_px']):.3f} px), and is {films['scale']:.5f} times its size."
+    )
+    lines += [f"Please note: {warning}" for warning in facts["warnings"]]
+    return [*lines, f"Written: {', '.join(facts['files'])}."]

@@ -57,7 +57,7 @@ from splitknit.model import Band, BoolArray, Capture, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegisteredBand:
+class _RegisteredBand:
     """A band whose shots are registered: what the others are compared with."""
 
     stack: FloatArray
@@ -70,7 +70,7 @@ class RegisteredBand:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BandRegistration:
+class _BandRegistration:
     """Where the skin lies in every shot of another band."""
 
     flow: Flow
@@ -81,13 +81,13 @@ class BandRegistration:
 
 
 def _register_band(  # noqa: PLR0917
-    first: RegisteredBand,
+    first: _RegisteredBand,
     stack: FloatArray,
     lights: NDArray[np.float64],
     mask: BoolArray,
     px_per_mm: float,
     settings: RegistrationSettings | None = None,
-) -> BandRegistration:
+) -> _BandRegistration:
     """Find where the skin of the band `first` lies in every image of another band.
 
     `first`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
@@ -116,11 +116,11 @@ def _register_band(  # noqa: PLR0917
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
     better = likeness > before  # a shot that went astray stays as it was
     flow = Flow(flow.nodes_mm * better[:, None, None, None])
-    return BandRegistration(flow, np.maximum(likeness, before), before)
+    return _BandRegistration(flow, np.maximum(likeness, before), before)
 
 
 def _expected(  # noqa: PLR0917
-    first: RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
+    first: _RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
 ) -> FloatArray:
     """(L, N) details under `lights` of the surface that the `known` details of the first band give."""
     taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
@@ -238,7 +238,7 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
+class _Registered:
     """Motion of every band."""
 
     flows: dict[str, Flow]
@@ -262,7 +262,7 @@ def seen_motion_mm(finger: Finger) -> float:
     return max(found)
 
 
-def register(capture: Capture, finger: Finger, settings: FingerSettings, *, still_white: bool = False) -> Registered:
+def register(capture: Capture, finger: Finger, settings: FingerSettings, *, still_white: bool = False) -> _Registered:
     """Registration of the white band, of the others to it, and the report's facts on them.
 
     `still_white`: the shots of the white band lie still; only a crossed series is registered to them.
@@ -297,7 +297,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
         alike, stack = (skin, _light_of(capture, band, window, binning, coloured)[1]) if crossed else (
             grey, linear_stack(band, capture.encoding, "grey", window, binning))  # fmt: skip
         vectors = _lights_over(capture, band, window, BLOCK_MM)
-        other = _register_band(RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px, method)
+        other = _register_band(_RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px, method)
         nodes = other.flow.nodes_mm
         if crossed and not coloured:  # gloss shifts each image by itself: their mean is what moved
             nodes = np.broadcast_to(nodes.mean(axis=0), nodes.shape).copy()
@@ -307,7 +307,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
-    return Registered(flows, most, _rms(before), _rms(after), facts)
+    return _Registered(flows, most, _rms(before), _rms(after), facts)
 
 
 def _light_of(
@@ -321,7 +321,7 @@ def _light_of(
     return channels[0], without_glare(channels[1:])
 
 
-def _worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettings) -> bool:
+def _worth_undoing(registered: _Registered, seen_mm: float, settings: FingerSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
@@ -337,7 +337,7 @@ _SWITCH = (
 )
 
 
-def _check(registered: Registered, settings: FingerSettings) -> None:
+def _check(registered: _Registered, settings: FingerSettings) -> None:
     """Refuse motion that cannot be undone."""
     motion = settings.motion
     require(
@@ -386,7 +386,7 @@ def _plain(values: NDArray[np.float64]) -> list[float]:
     return [round(float(v), 5) for v in values]
 
 
-def resampled(capture: Capture, finger: Finger, registered: Registered) -> Capture:
+def resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capture:
     """The capture with every image taken from where its skin is, once, in the values that are stored."""
     px_per_mm = capture.rig.camera.px_per_mm
     window = around(capture, finger)

@@ -293,6 +293,8 @@ def _lit_light(  # noqa: PLR0917
         rows, columns = (range(*part.indices(n)) for part, n in zip(window, band.pixels.shape[1:3], strict=True))
         fall_off = lens_shading(band.shading, band.pixels.shape[1:3], rows.start, columns.start, binning, light.shape)
         light /= fall_off[..., None]
+    if band.transmission is not None:
+        light /= band.transmission[k].astype(np.float32)
     return light
 
 

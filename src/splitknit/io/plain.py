@@ -191,7 +191,7 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...]]:
     table = listed[0] if len(listed) == 1 else root / "lights.txt" if lights is None else Path(lights)
     require(
         lights is not None or table.is_file(),
-        f"{root} holds no lights.txt; name the file of the light directions with --lights.",
+        f"{root} holds no lights.txt; name the file of the light directions by `lights`.",
     )
     if table.suffix.lower() == ".json":
         return table, _white(read_rig(table), os.fspath(table)), ()
@@ -380,7 +380,7 @@ def _assembled(  # noqa: PLR0917
     camera = _camera_of(rig.camera, reading, px_per_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in leds),
-        "lights at places in mm need the scale of the photographs; give --px-per-mm, or directions of the lights.",
+        "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
     )
     if announce is not None and (cost := reading.cost()):
         announce(cost)
@@ -443,11 +443,11 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
         require(
             camera.image_size == size,
             f"the rig's camera takes images of {camera.image_size[0]} x {camera.image_size[1]} pixels (rows x "
-            f"columns), but the photographs have {size[0]} x {size[1]}; give --lights a list of lights instead.",
+            f"columns), but the photographs have {size[0]} x {size[1]}; give `lights` a list of lights instead.",
         )
         require(
             px_per_mm is None or not camera.scale_known,
-            f"--px-per-mm and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+            f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
         )
         if px_per_mm is None and not camera.scale_known:
             return camera_without_scale(small)
@@ -527,7 +527,7 @@ class _Reading:
         self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
         """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
         large = self.factor == 1 or min(rows, columns) // self.factor >= 16
-        require(large, "--max-size leaves less than 16 pixels a side; give more.")
+        require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
         floats = self.first.pixels.dtype.kind == "f"
         self.encoding_after = encoding if self.factor == 1 or floats else "linear"
         self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
@@ -589,7 +589,7 @@ class _Reading:
         require(
             math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
             f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB; name fewer, or "
-            "reduce them with --max-size.",
+            "reduce them by `max_megapixels`.",
         )
         stack = large_array(shape, self.dtype)
         for k, file in enumerate(self.files):

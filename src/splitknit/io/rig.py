@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from splitknit.errors import BadInput, naming, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
-from splitknit.model import Camera, Led, Mirror, Rig, camera_without_scale
+from splitknit.model import Camera, Films, Led, Mirror, Rig, camera_without_scale
 
 RIG_FORMAT, RIG_VERSION = "splitknit-rig", 1
 _MAX_PIXELS = 200_000_000
@@ -97,6 +98,7 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
         },
         "leds": leds,
         **({"mirrors": [_mirror_entry(mirror) for mirror in rig.mirrors]} if rig.mirrors else {}),
+        **({} if rig.films is None else {"films": plain_json(asdict(rig.films))}),
         "provenance": plain_json(rig.provenance),
     }
 
@@ -115,8 +117,8 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     """Build a rig from its JSON document; `name` is the file's name for messages.
 
     ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
-    ``intensity`` (1), ``lobe_exponent`` (0) and ``mirrors`` (none). A ``px_per_mm`` of null is a scale that nobody has
-    measured. Fields that the format does not know are ignored.
+    ``intensity`` (1), ``lobe_exponent`` (0), ``mirrors`` (none) and ``films`` (ideal). A ``px_per_mm`` of null is a
+    scale that nobody has measured. Fields that the format does not know are ignored.
 
     Raises
     ------
@@ -133,7 +135,30 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
     entries = fields.items("mirrors") if fields.has("mirrors") else []
     mirrors = [_mirror(Fields(entry, name, f"mirrors[{k}]")) for k, entry in enumerate(entries)]
     origin = fields.mapping("provenance")
-    return naming(name, lambda: Rig(camera, leds, origin, tuple(mirrors)))
+    films = _films(fields.child("films"), len(leds)) if fields.has("films") else None
+    return naming(name, lambda: Rig(camera, leds, origin, tuple(mirrors), films))
+
+
+def _films(fields: Fields, count: int) -> Films:
+    leds = fields.items("leds")
+    if not (all(type(k) is int and 0 <= k < count for k in leds) and 0 < len(set(leds)) == len(leds)):
+        fields.refuse("leds", f"a list of different LEDs of the rig (0 to {count - 1})")
+    rows = [Fields({"row": row}, fields.name).numbers("row", (3,), 100.0) for row in fields.items("brightness")]
+    if len(rows) != len(leds) or min(min(row) for row in rows) < 0.01:
+        fields.refuse("brightness", f"three numbers from 0.01 to 100 for each of the {len(leds)} LEDs")
+    leak = fields.numbers("leak", (len(leds),), 0.499)
+    if min(leak) < 0.0:
+        fields.refuse("leak", "numbers from 0 to 0.499")
+    x, y = fields.numbers("shift_px", (2,), 1e3)
+    return Films(
+        leds=tuple(leds),
+        leak=leak,
+        brightness=tuple(rows),
+        shift_px=(x, y),
+        scale=fields.number("scale", 0.9, 1.1, 1.0),
+        extinction_ratio=fields.number("extinction_ratio", 1.0, 1e9) if fields.has("extinction_ratio") else None,
+        angle_deg=fields.numbers("angle_deg", (0, len(leds)), 90.0) if fields.has("angle_deg") else (),
+    )
 
 
 def _mirror(fields: Fields) -> Mirror:

@@ -77,7 +77,7 @@ def check_capture(
     taken = (out.expanduser() / marker).exists()
     require(
         overwrite or not taken,
-        f"'{out}' exists and is not empty: it is {words}; name another folder, or give --overwrite.",
+        f"'{out}' exists and is not empty: it is {words}; name another folder, or give `overwrite`.",
     )
 
 
@@ -114,6 +114,10 @@ def check_rig_file(out: Path | None) -> None:
 
 def check_picture(out: Path | None, photographs: Path | None = None) -> None:
     """Refuse to replace a file that is no PNG or TIFF picture, or is one of the photographs that are read."""
+    require(
+        out is None or out.suffix.lower() in (".png", ".tif", ".tiff"),
+        f"'{out}' must end in .png or .tif: it is a picture.",
+    )
     check_file(out, "a picture", lambda data: data.startswith((SIGNATURE, *SIGNATURES)))
     if out is not None and photographs is not None:
         inside = photographs.expanduser().resolve() in out.expanduser().resolve().parents and out.expanduser().exists()

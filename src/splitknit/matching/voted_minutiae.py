@@ -246,13 +246,14 @@ def left_out_pictures(
     from splitknit.finger.steady import find_steady_finger
     from splitknit.imaging.band import linear_stack
     from splitknit.imaging.coloured import balanced
+    from splitknit.imaging.films import aligned
     from splitknit.imaging.polarised import without_films
     from splitknit.photometric.lambertian import left_out
     from splitknit.prints.print_map import plane_map, resample
     from splitknit.prints.ridges import PrintSettings, ink
 
     chosen = chosen or LeaveOneOutSettings()
-    capture, _ = prepared_capture(capture, settings)
+    capture, _, _ = aligned(prepared_capture(capture, settings)[0])
     if finger is None:
         capture, finger = find_steady_finger(capture, settings)
     white, window = without_films(capture).bands["white"], finger.window

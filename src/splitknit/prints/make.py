@@ -149,7 +149,7 @@ def checked_surface(method: str, surface: str | None, settings: PrintingSettings
         return settings.unroll.kind if method == "unroll" else "plane"
     require(
         not (method == "unroll" and surface == "plane"),
-        "--method unroll cannot be printed on the plane; use --method relief for that.",
+        "`method` unroll cannot be printed on the plane; use `method` relief for that.",
     )
     return surface
 

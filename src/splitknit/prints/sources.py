@@ -98,7 +98,7 @@ def read_source(
     )
     require(
         not photo,
-        f"'{path}' is a result, which holds no photograph of the finger; name the capture folder for --method photo.",
+        f"'{path}' is a result, which holds no photograph of the finger; name the capture folder for `method` photo.",
     )
     return _of_result(result, px_per_mm, ridge_period_mm)
 

@@ -144,12 +144,10 @@ def make_report(
 
 
 def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    import splitknit  # the version, without an import cycle
-
     return {
         "format": "splitknit-report",
         "version": 1,
-        "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
+        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "preset": result.preset,
         "capture": {}

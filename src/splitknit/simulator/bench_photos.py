@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,11 @@ from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_capture
 from splitknit.model import Band, Capture, Progress, Rig, no_progress, nominal_rig
 from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
+from splitknit.simulator.calibration_set.films import BlackBallScene, behind_analyser, drawn_films
 from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
 from splitknit.simulator.calibration_set.solids import NailScene
 from splitknit.simulator.camera.device import LitScene
+from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit.simulator.rigs import built_rig
 
 MARKER = "rig_true.json"
@@ -34,6 +37,10 @@ PUPIL_MM = 1.6
 """A lens of 12.8 mm at f/8: boards that are held obliquely are blurred by up to a few pixels."""
 _LONGEST = EXPOSURES_S[-1]
 _EXPOSED = 0.9
+ANALYSER_DEG = (80, 85, 95, 100)
+"""Positions of the analyser between those of polarised captures, 0 and 90."""
+_LONGER = 64.0
+"""The ball behind a crossed analyser is exposed longer, up to so many times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +53,8 @@ class BenchPhotos:
     """Places of the nail, 1 to 4; at each it is photographed under every LED."""
     dark: int = 2
     """Dark frames, photographs without any light, at least 1."""
+    polarisers: bool = False
+    """Also a printed card and a glossy black ball behind polarising films."""
 
     def __post_init__(self) -> None:
         require(
@@ -71,7 +80,8 @@ def bench_to_folder(
 
     Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
     ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
-    exposure series), ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what calibration should find).
+    exposure series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
+    calibration should find).
 
     Raises
     ------
@@ -81,12 +91,18 @@ def bench_to_folder(
     photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
     rig, drawn = built_rig(seed, scale=scale), nominal_rig(scale)
-    count = photos.boards + photos.nails + 3
+    count = photos.boards + photos.nails + 3 + (2 + len(ANALYSER_DEG)) * photos.polarisers
+    ball = None
+    if photos.polarisers:
+        films, ball = drawn_films(rig, np.random.SeedSequence([seed, 0xF1]), BenchSettings(aperture_mm=PUPIL_MM))
+        rig = replace(rig, films=films)
     with atomic_folder(out, overwrite=overwrite) as target:
         write_rig(rig, target / MARKER)
         write_rig(drawn, target / "rig_drawn.json")
         # one scene after another: each keeps arrays of the picture's size
-        for k, (stage, job) in enumerate(_jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))):
+        jobs = _jobs(rig, photos, np.random.SeedSequence([seed, 0xBE]))
+        behind = () if ball is None else behind_films(rig, ball, np.random.SeedSequence([seed, 0xF2]))
+        for k, (stage, job) in enumerate(chain(jobs, behind)):
             progress(stage, k / count)
             job(target)
     progress("done", 1.0)
@@ -136,6 +152,58 @@ def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Itera
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
     card = CardScene(camera=camera, leds=leds, bench=lens, tilt_deg=(tilt[0], tilt[1]))
     yield "card", partial(_card, card, rig, of_card, photos.dark)
+
+
+def behind_films(
+    rig: Rig, ball: BlackBallScene, seed: np.random.SeedSequence
+) -> Iterator[tuple[str, Callable[[Path], None]]]:
+    """The printed card and the ball with the analyser parallel and crossed, and the ball at positions between."""
+    assert rig.films is not None
+    tilt = np.deg2rad(rig.provenance["base_tilt_deg"])
+    pose = (float(tilt[0]), float(tilt[1]), 0.0)
+    card = BoardScene(camera=rig.camera, leds=rig.leds, bench=ball.bench, board=BOARD, rotation_vector=pose)
+    away, folder = behind_analyser(rig.camera, rig.films), Path("polarisers")
+    series: dict[str, LitScene] = {"white": card, "white_crossed": replace(card, camera=away)}
+    yield "card", partial(_polarised, series, rig, seed.spawn(1)[0], np.inf, folder / "card")
+    longest = _LONGER * _EXPOSED / float(ball.light([rig.films.leds[0]]).max())
+    series = {"white": ball, "white_crossed": replace(ball, camera=away, analyser_deg=90.0)}
+    yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / "ball")
+    for turn in ANALYSER_DEG:
+        series = {"white": replace(ball, analyser_deg=float(turn))}
+        yield "ball", partial(_polarised, series, rig, seed.spawn(1)[0], longest, folder / f"ball_{turn}", turn=turn)
+
+
+def _polarised(  # noqa: PLR0917
+    series: Mapping[str, LitScene],
+    rig: Rig,
+    seed: np.random.SeedSequence,
+    longest: float,
+    folder: Path,
+    target: Path,
+    turn: float | None = None,
+) -> None:
+    """A capture folder of what is behind films under every white LED, each image with its own exposure."""
+    films, bands, sensor = rig.films, {}, SensorSettings(bits=16)
+    assert films is not None
+    for name, scene in series.items():
+        pixels, exposures = [], []
+        for k, led in enumerate(films.leds):
+            crossed = float(name == "white_crossed") if turn is None else np.sin(np.deg2rad(turn)) ** 2
+            tint = 1.0 + crossed * (np.array(films.brightness[k]) - 1.0)  # of a lens that polarises a little
+            light = scene.light([led]) * tint.astype(np.float32)
+            exposures.append(min(0.7 / float(light.max()), longest))
+            light = light * np.float32(exposures[-1])
+            pixels.append(record(light, "white", seed.spawn(1)[0], sensor, binning_scale(scene.camera)))
+        bands[name] = Band(
+            name=name,
+            pixels=np.stack(pixels),  # type: ignore[arg-type]
+            leds=tuple((led,) for led in films.leds),
+            exposure=np.array(exposures),
+            black_level=np.zeros(len(pixels)),
+            polarisation="" if len(series) == 1 else "parallel" if name == "white" else "crossed",
+        )
+    drawn = nominal_rig(rig.camera.image_size[0] / 2200)
+    write_capture(Capture(rig=drawn, bands=bands, material="opaque"), target / folder, overwrite=True)
 
 
 def _one(scene: LitScene, lit: Sequence[int], seed: np.random.SeedSequence, name: Path, target: Path) -> None:

@@ -269,7 +269,7 @@ class SphereScene(GroundScene):
         normals = np.tile((0.0, 0.0, 1.0), (len(places), 1))
         for _ in range(60):  # the ball is small beside the distances: each turn shrinks the error by their ratio
             points = self.middle_mm + self.radius_mm * normals
-            normals = _unit(_unit(places - points) + _unit(self._towards_camera(points)))
+            normals = unit(unit(places - points) + unit(self._towards_camera(points)))
         return np.asarray(self.middle_mm + self.radius_mm * normals)
 
     def highlights_px(self) -> NDArray[np.float64]:
@@ -303,7 +303,7 @@ class SphereScene(GroundScene):
     def _depth_in_shadow(self, points: Array, place: Array) -> Array:
         """By how much (mm) the lines from points (..., 3) of the base to the point `place` pass inside the ball."""
         away = points - self.middle_mm
-        towards = _unit(place - points)
+        towards = unit(place - points)
         nearest = np.sum(away * towards, axis=-1)
         return np.asarray(self.radius_mm - np.sqrt(np.maximum(np.sum(away * away, axis=-1) - nearest**2, 0.0)))
 
@@ -322,7 +322,7 @@ class SphereScene(GroundScene):
         distance = float(np.linalg.norm(towards))
         view = towards / distance
         nearer = self.radius_mm / distance if near else 0.0
-        across = _unit(np.cross(view, (1.0, 0.0, 0.0) if abs(view[0]) < 0.9 else (0.0, 1.0, 0.0)))
+        across = unit(np.cross(view, (1.0, 0.0, 0.0) if abs(view[0]) < 0.9 else (0.0, 1.0, 0.0)))
         angle = 2.0 * np.pi * np.arange(count) / count
         ring = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(view, across)
         return np.asarray(self.middle_mm + self.radius_mm * (nearer * view + np.sqrt(1.0 - nearer**2) * ring))
@@ -353,12 +353,12 @@ class SphereScene(GroundScene):
 
         Lines that pass it are taken to touch it.
         """
-        down = _directions(sight)
+        down = directions(sight)
         away = np.stack([sight.x, sight.y, np.zeros_like(sight.x)], axis=-1) - self.middle_mm
         nearest = away - np.sum(away * down, axis=-1, keepdims=True) * down  # of the line to the ball's middle
         beside2 = np.sum(nearest * nearest, axis=-1)
         depth = np.sqrt(np.maximum(self.radius_mm**2 - beside2, 0.0))
-        normals = _unit(nearest - depth[..., None] * down)
+        normals = unit(nearest - depth[..., None] * down)
         return (self.middle_mm + self.radius_mm * normals, normals), self.radius_mm - np.sqrt(beside2)
 
     def _grey(self, leds: tuple[Led, ...]) -> Array:
@@ -381,7 +381,7 @@ class SphereScene(GroundScene):
 
     def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines) -> Array:
         """Radiance (h, w) of the chrome ball: the base, the walls and the LEDs in it."""
-        rays = _mirrored(lines, seen)
+        rays = mirrored(lines, seen)
         walls = self.surround * sum(card_radiance(led) for led in leds) + self.ambient_light
         start, way = self.plane.own(rays[0]), rays[1] @ self.plane.axes
         falls = way[..., 2] < -1e-3
@@ -399,7 +399,7 @@ class SphereScene(GroundScene):
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
 
         def shine(finer: SightLines) -> tuple[Array, Array]:
-            return _led_face(led, self.bench.led_radius_mm, _mirrored(finer, self._seen(finer)[0]))
+            return _led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
 
         inwards, radiance = _led_face(led, self.bench.led_radius_mm, rays)
         step = steps(inwards)
@@ -435,20 +435,20 @@ Lines = tuple[Array, Array]
 """Points (..., 3) and unit vectors (..., 3): normals of a mirror, or directions of rays."""
 
 
-def _unit(vectors: NDArray[np.float64]) -> Array:
+def unit(vectors: NDArray[np.float64]) -> Array:
     """Vectors (..., 3) of length one."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _directions(sight: SightLines) -> Array:
+def directions(sight: SightLines) -> Array:
     """Unit vectors (..., 3) from the camera."""
-    return _unit(np.stack([sight.slope_x, sight.slope_y, np.full_like(sight.x, -1.0)], axis=-1))
+    return unit(np.stack([sight.slope_x, sight.slope_y, np.full_like(sight.x, -1.0)], axis=-1))
 
 
-def _mirrored(sight: SightLines, mirror: Lines) -> Lines:
+def mirrored(sight: SightLines, mirror: Lines) -> Lines:
     """Where lines of sight leave a mirror (points and normals) and which way they go then."""
     points, normals = mirror
-    down = _directions(sight)
+    down = directions(sight)
     return points, down - 2.0 * np.sum(down * normals, axis=-1, keepdims=True) * normals
 
 
