@@ -44,6 +44,9 @@ def read_photographs(
     background: float | AnyPath | None = None,
     tip_direction_deg: float | None = None,
     max_megapixels: float | None = None,
+    crossed: AnyPath | None = None,
+    mosaic: Literal["mono", "colour"] | None = None,
+    film_deg: float = 90.0,
 ) -> Capture:
     """Read photographs of one object under one light after the other, taken by any camera, as a capture.
 
@@ -61,6 +64,9 @@ def read_photographs(
     background : stored value of no light that was added to every pixel, or an image with all lights off
     tip_direction_deg : where a finger's tip points (0 = up, counter-clockwise)
     max_megapixels : larger photographs are reduced to so many pixels
+    crossed : folder of the same photographs through crossed films; those of `folder` are then the parallel ones
+    mosaic : of a camera with films on its pixels, see :func:`splitknit.imaging.polarised.split_mosaic`
+    film_deg : direction of the film before the LEDs, for a mosaic
 
     Returns
     -------
@@ -80,7 +86,9 @@ def read_photographs(
     """
     from splitknit.io.plain import PhotographOptions, capture_from_photographs
 
-    options = PhotographOptions(mask, material, encoding, background, tip_direction_deg, max_megapixels)
+    options = PhotographOptions(
+        mask, material, encoding, background, tip_direction_deg, max_megapixels, crossed, mosaic, film_deg
+    )
     found = capture_from_photographs(folder, lights, px_per_mm, options, _LOG.warning)
     for note in found.notes:
         _LOG.info("%s", note)

@@ -337,7 +337,7 @@ EXPLAINED = {
     "crease_line": "Ends of the flexion crease at which the finger was cut (column, row).",
     "motion_mm": "How far the finger moved against the other shots, in every image. Good: below 0.05 mm.",
     "motion_reliability": "How well that is known, for every image: 1 = certain.",
-    "moved_mm": "How far the finger moved against the reference image, for every image; it was undone.",
+    "moved_mm": "How far it moved against the reference image, for every image. A note says where it was undone.",
     "shift_mm": "The same to the right and upwards.",
     "turn_deg": "By how much it turned, counter-clockwise.",
     "centre_mm": "About which point, to the right and downwards from the first pixel.",
