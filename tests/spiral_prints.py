@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,7 @@ def _places(seed: int) -> NDArray[np.float64]:
 PLACES = _places(1)
 
 
+@lru_cache(maxsize=8)
 def spiral_print(shift: tuple[int, int] = (0, 0), scale: float = 1.0, seed: int = 1) -> NDArray[np.uint8]:
     """(500, 380) uint8 at 500 ppi, times `scale`; ridges 9 pixels apart, dark; another finger for each `seed`."""
     rows, columns = np.mgrid[: round(500 * scale), : round(380 * scale)] / scale
@@ -25,4 +28,6 @@ def spiral_print(shift: tuple[int, int] = (0, 0), scale: float = 1.0, seed: int 
     for sign, (column, row) in zip(signs, _places(seed), strict=True):
         phase += sign * np.arctan2(rows - row - shift[1], columns - column - shift[0])
     inside = np.hypot((columns - 190) / 175, (rows - 250) / 235) < 1
-    return np.where(inside, 127 + 110 * np.cos(phase), 255).astype(np.uint8)
+    image = np.where(inside, 127 + 110 * np.cos(phase), 255).astype(np.uint8)
+    image.setflags(write=False)
+    return image

@@ -166,8 +166,8 @@ def test_paths_and_objects_are_the_same(capture: Capture, result: Reconstruction
     by_path = splitknit.reconstruct(str(tmp_path / "c"), "ea")
     np.testing.assert_allclose(by_path.height_mm[by_path.mask], result.height_mm[result.mask], atol=1e-5)
     result.save(tmp_path / "r", capture)
-    assert splitknit.match(result, tmp_path / "r")["similarity"] == pytest.approx(1.0, abs=1e-3)
-    assert splitknit.match(capture, result, preset="ea")["similarity"] == pytest.approx(1.0, abs=1e-3)
+    assert splitknit.match(result, tmp_path / "r").similarity == pytest.approx(1.0, abs=1e-3)
+    assert splitknit.match(capture, result, preset="ea").similarity == pytest.approx(1.0, abs=1e-3)
     one = splitknit.make_print(result, "relief").image
     np.testing.assert_array_equal(one, splitknit.make_print(tmp_path / "r", "relief").image)
     assert splitknit.make_print(capture, "photo").image.shape == one.shape
@@ -179,7 +179,7 @@ def test_a_folder_that_is_no_capture_is_refused(tmp_path: Path) -> None:
 
 
 def test_lights_from_the_drawing(tmp_path: Path) -> None:
-    facts = splitknit.calibrate_lights(
+    found = splitknit.calibrate_lights(
         tmp_path / "rig.json",
         geometry=True,
         px_per_cm=378.5,
@@ -187,5 +187,5 @@ def test_lights_from_the_drawing(tmp_path: Path) -> None:
         led_height_cm=14.0,
         led_radius_cm=5.25,
     )
-    assert len(facts["leds"]) == 14 and (tmp_path / "rig.json").is_file()
+    assert len(found.leds) == 14 and (tmp_path / "rig.json").is_file()
     assert len(splitknit.read_rig(tmp_path / "rig.json").leds) == 14

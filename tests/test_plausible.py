@@ -6,13 +6,13 @@ import pytest
 
 from splitknit import plausible
 from splitknit.errors import BadInput
-from splitknit.plausible import CAMERA_HEIGHT, RELIEF, Plausible
+from splitknit.plausible import CAMERA_HEIGHT, RELIEF, _Plausible
 
-ALL = [one for one in vars(plausible).values() if isinstance(one, Plausible)]
+ALL = [one for one in vars(plausible).values() if isinstance(one, _Plausible)]
 
 
 @pytest.mark.parametrize("one", ALL, ids=lambda one: one.what)
-def test_the_usual_is_possible(one: Plausible) -> None:
+def test_the_usual_is_possible(one: _Plausible) -> None:
     assert one.possible[0] <= one.usual[0] < one.usual[1] <= one.possible[1]
     assert one.notes(one.usual[1], "x") == ()
 

@@ -35,6 +35,22 @@ ARRAYS = (
     "splitknit.integration.shapelets.shapelet_response",
 )
 """Functions on arrays that are public as well."""
+RESULTS = (
+    "splitknit.prints.make.Print",
+    "splitknit.matching.methods.Match",
+    "splitknit.matching.methods.ComparedSide",
+    "splitknit.matching.methods.MatchDecision",
+    "splitknit.gallery.identify.Identification",
+    "splitknit.gallery.identify.RankedCandidate",
+    "splitknit.gallery.identify.Searched",
+    "splitknit.evaluation.study.Evaluation",
+    "splitknit.evaluation.facts.Result",
+    "splitknit.calibration.camera_photos.MeasuredCamera",
+    "splitknit.calibration.lights_found.CalibratedLights",
+    "splitknit.calibration.lights_found.CalibratedLed",
+    "splitknit.calibration.radiometry.RadiometricCalibration",
+)
+"""What public functions return."""
 
 
 def inside(markdown: str, folder: Path, add: Callable[[Path], str]) -> str:
@@ -83,13 +99,13 @@ def public_names() -> str:
     """One entry of the page for each public name."""
     parts = []
     home = importlib.import_module("splitknit")
-    for full in (*(f"splitknit.{name}" for name in home.__all__), *ARRAYS):
+    for full in (*(f"splitknit.{name}" for name in home.__all__), *RESULTS, *ARRAYS):
         module, _, name = full.rpartition(".")
         value: Any = getattr(importlib.import_module(module), name)
         if isinstance(value, str):
             continue
-        if full == ARRAYS[0]:
-            parts.append("## Functions on arrays")
+        if full in (RESULTS[0], ARRAYS[0]):
+            parts.append("## Results" if full == RESULTS[0] else "## Functions on arrays")
         words = (value.__doc__ or "").strip()
         if not words or words.startswith(f"{name}("):  # what dataclasses write themselves
             LOG.warning("%s is public and has no docstring", full)

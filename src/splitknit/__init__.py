@@ -5,6 +5,8 @@ The surface of the package is imported when it is first used, so that ``import s
 
 from __future__ import annotations
 
+from splitknit.hooks import RESULT_HOOKS
+
 TYPE_CHECKING = False  # as typing's, whose import would take longer than all the rest of the command line's start
 if TYPE_CHECKING:
     from typing import Any
@@ -81,3 +83,30 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+def _save(*given: Any) -> None:
+    from splitknit.report.result import write_results
+
+    write_results(*given)
+
+
+def _plot(*given: Any) -> Any:
+    from splitknit.report.plot import plot
+
+    return plot(*given)
+
+
+def _show(*given: Any) -> str:
+    from splitknit.viewer.server import show
+
+    return show(*given)
+
+
+def _preview(*given: Any) -> str:
+    from splitknit.report.result import preview_html
+
+    return preview_html(*given)
+
+
+RESULT_HOOKS.update(save=_save, plot=_plot, show=_show, preview=_preview)

@@ -1,7 +1,8 @@
 """Input checks with one message style: what was expected, what came, what to do about it.
 
 Every check raises :class:`BadInput`, a ``ValueError`` whose text is one sentence that a user can act on. The command
-line prints it and exits with code 2.
+line prints it and exits with code 2. An argument stands between backticks in it (```px_per_mm```), of which the command
+line makes its option.
 """
 
 from __future__ import annotations
@@ -103,10 +104,10 @@ class Refused(BadInput):
         self.facts = facts
 
 
-def require(condition: bool, message: str) -> None:
-    """Raise :class:`BadInput` with `message` unless `condition` holds."""
+def require(condition: bool, message: str, kind: type[BadInput] = BadInput) -> None:
+    """Raise :class:`BadInput`, or a `kind` of it, with `message` unless `condition` holds."""
     if not condition:
-        raise BadInput(message)
+        raise kind(message)
 
 
 @contextlib.contextmanager

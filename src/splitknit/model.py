@@ -6,7 +6,6 @@ against the rows, z towards the camera, in millimetres; its origin is where the 
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.hooks import RESULT_HOOKS
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
@@ -452,11 +452,6 @@ class Capture:
         return self.rig.camera.image_size
 
 
-def _above(module: str) -> Any:
-    """A module of a layer above this one: results hand over to it what people want of them."""
-    return importlib.import_module(f"splitknit.{module}")
-
-
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Reconstruction:
     """A metric fingerprint on the input's pixel grid."""
@@ -492,6 +487,10 @@ class Reconstruction:
     normals_measured: FloatArray | None = None
     """(H, W, 3) as photometric stereo found them, before they were integrated: unit length, zero outside the mask. None
     where the method finds a surface without them (`metric` on skin)."""
+    specular: FloatArray | None = None
+    """(H, W) of a polarised capture: what the surface reflects under all lights, of even brightness and contrast, in
+    standard deviations from the local mean, NaN outside the mask; see
+    :func:`splitknit.imaging.polarised.specular_picture`."""
     scale_known: bool = True
     """False: nobody has measured the camera's scale, and all that is named `_mm` is in pixels, `pitch_mm` is 1."""
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -511,7 +510,7 @@ class Reconstruction:
 
         rows = "".join(f"<tr><th>{escape(k)}</th><td>{escape(v)}</td></tr>" for k, v in self._summary().items())
         warnings = "".join(f"<li>{escape(warning)}</li>" for warning in self.warnings)
-        picture = "" if not bool(self.mask.any()) else _above("report.result").preview_html(self)
+        picture = "" if not bool(self.mask.any()) else RESULT_HOOKS["preview"](self)
         return f"{picture}<table>{rows}</table><ul>{warnings}</ul>"
 
     def _summary(self) -> dict[str, str]:
@@ -551,7 +550,7 @@ class Reconstruction:
         >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
         >>> splitknit.reconstruct(capture, "ea").save("result", capture)
         """
-        _above("report.result").write_results(self, capture, folder)
+        RESULT_HOOKS["save"](self, capture, folder)
 
     def plot(self, *panels: str, ax: Any = None) -> Any:
         """Draw the result with matplotlib: upright, with scale bars in mm.
@@ -582,7 +581,7 @@ class Reconstruction:
         >>> axes = splitknit.reconstruct(capture, "ea").plot("relief", "print")
         >>> axes[0].figure.savefig("relief.png")
         """
-        return _above("report.plot").plot(self, panels, ax)
+        return RESULT_HOOKS["plot"](self, panels, ax)
 
     def show(self, *, block: bool | None = None) -> str:
         """Open the result in the viewer, a page in the browser on this machine only.
@@ -611,7 +610,7 @@ class Reconstruction:
         >>> capture, truth = splitknit.simulate_capture(1, settings={"scale": 0.08})
         >>> address = splitknit.reconstruct(capture, "ea").show(block=False)
         """
-        return str(_above("viewer.server").show(self.save, block))
+        return str(RESULT_HOOKS["show"](self.save, block))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -631,8 +630,8 @@ class Surface:
 
 UNKNOWN_SCALE = "scale unknown, heights in pixels: give --px-per-mm, or --ridge-period 0.45 where it is a finger."
 NO_SCALE = (
-    "its scale is unknown, and this needs millimetres: give --px-per-mm (here, or where it is reconstructed), or "
-    "--ridge-period 0.45 to take the scale from the ridges."
+    "its scale is unknown, and this needs millimetres: give `px_per_mm` (here, or where it is reconstructed), or "
+    "`ridge_period_mm` 0.45 to take the scale from the ridges."
 )
 
 

@@ -27,8 +27,8 @@ from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
 from splitknit.imaging.films import aligned
-from splitknit.imaging.geometry import gradients_from_normals, smoothed
-from splitknit.imaging.polarised import without_films
+from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients, smoothed
+from splitknit.imaging.polarised import doubts_of_series, specular_of, without_films
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.knit import add, crossover
@@ -58,7 +58,7 @@ from splitknit.presets import (
 from splitknit.separation.direct import direct_light, direct_of_enhanced
 from splitknit.settings import override
 from splitknit.skin.diffusion import Diffusion, SkinSettings
-from splitknit.skin.grid import BandImages, Grid
+from splitknit.skin.grid import BandImages, Grid, smooth_step
 from splitknit.skin.images import SEPARATED_BY, MetricSettings, SkinImages, working_images
 from splitknit.skin.learned import (
     LITTLE_GLOSS,
@@ -69,7 +69,9 @@ from splitknit.skin.learned import (
     relief_network,
     variance_restored,
 )
-from splitknit.skin.relief import ReliefEstimate, detail_of, measure, relief_by_colour
+from splitknit.skin.light import lighting, slant_of
+from splitknit.skin.polarised import polarised_heights, specular_images
+from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
 from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, on_fine_grid, white_light_on
 from splitknit.steps import IN_MEMORY, Memory, shared, step
 
@@ -91,8 +93,12 @@ NO_NIR = (
     "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
     "reflection bend it."
 )
+NO_SPECULAR = (
+    "the difference of the parallel and the crossed series shows hardly any specular reflection (matt or wet skin, or "
+    "films that are not crossed): ridge heights are modelled, as without films."
+)
 NO_PLACE_FOR_MIRRORS = (
-    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take --preset "
+    "this preset keeps the visible surface whole, so that a shape from mirrors has no place in it: take `preset` "
     "metric or snk."
 )
 OPAQUE = "none (opaque material)"
@@ -158,6 +164,7 @@ def reconstruct(
     capture, doubt = _with_working_scale(capture)
     with steps.timed_run(progress, memory) as seconds:
         capture, finger = locate_finger(capture, chosen.finding())
+        specular = specular_of(capture, finger.mask)
         mirrors = None
         if chosen.shape.source == "mirror":
             require(not chosen.visible_alone, NO_PLACE_FOR_MIRRORS)
@@ -175,7 +182,12 @@ def reconstruct(
             surface = smoothed_surface(method(white, nir, p), white, chosen.smooth.sigma_mm)
             separated = OPAQUE if chosen.method == "metric" else _separation_of(chosen.direct, capture.material)
             surface = replace(
-                surface, facts={"shape_source": "white" if nir == white else "nir", "separation": separated}
+                surface,
+                facts={
+                    "shape_source": "white" if nir == white else "nir",
+                    "separation": separated,
+                    "heights": "measured",
+                },
             )
         if mirrors is not None:
             detail = None if chosen.method == "thesis" else surface.shape_mm
@@ -183,8 +195,9 @@ def reconstruct(
         result = _finished(capture, finger, surface, chosen.top_mm)
     warnings = (*notes, *doubt, *finger.warnings, *no_nir, *surface.warnings, *_doubt_of_scale(capture, result))
     result = replace(
-        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds)
-    )
+        result, preset=preset, whole=chosen.whole, settings=asdict(chosen), warnings=warnings, timings_s=dict(seconds),
+        specular=specular,
+    )  # fmt: skip
     return result if capture.rig.camera.scale_known else _in_pixels(result)
 
 
@@ -484,6 +497,48 @@ def metric_skin(
     return SkinSurface(smooth - detail, estimate.relief_mm + detail, estimate.deviation_mm, estimate.albedo, facts)
 
 
+def metric_polarised(
+    images: SkinImages, skin: SkinSettings, p: MetricSettings, networks: Networks | None = None
+) -> SkinSurface:
+    """The `metric` method for skin photographed behind films, parallel and crossed.
+
+    The crossed series shows no specular reflection: it gives the shape. Both series together give a first relief, and
+    from there their difference, the specular image, measures the heights. Where films show hardly any specular
+    reflection (matt or wet skin), the result is that of :func:`metric_skin`.
+
+    Parameters
+    ----------
+    images : whose `bands` are as without films, and whose `crossed` is not None
+    skin, p, networks : as for :func:`metric_skin`
+    """
+    grid, both, crossed = images.grid, images.bands[0], images.crossed
+    assert crossed is not None
+    diffuse = metric_skin((crossed, *images.bands[1:]), grid, skin, p, networks)
+    relief, deviation = diffuse.relief_mm, diffuse.deviation_mm
+    if networks is not None:
+        shape, network = diffuse.shape_mm, relief_network(networks.relief, (UPRIGHT, *TURNED))
+        light = lighting(both.rig, grid, shape, normals_from_gradients(*height_gradients(shape, grid.pitch_mm)))
+        estimate = relief_by_network(features(both, grid, shape, light), grid, shape, network)
+        first = variance_restored(estimate)
+        steep = smooth_step((slant_of(shape, grid.pitch_mm) - np.float32(BOTH_DEG[0])) / np.float32(BOTH_DEG[1])) / 2
+        relief, deviation = first.relief_mm + steep * (relief - first.relief_mm), first.deviation_mm
+    found = polarised_heights(specular_images(both, crossed), grid, diffuse.shape_mm + relief, deviation)
+    if found.facts["specular_over_noise"] < FAINT:
+        modelled = metric_skin(images.bands, grid, skin, p, networks)
+        return replace(modelled, facts={**modelled.facts, "specular": found.facts})
+    rest = found.height_mm - diffuse.shape_mm
+    slow = grid.smooth(rest, grid.mask, KNIT_MM)
+    facts = {**diffuse.facts, "relief_by": "polarised", "specular": found.facts}
+    return SkinSurface(diffuse.shape_mm + slow, rest - slow, found.deviation_mm, diffuse.albedo, facts)
+
+
+BOTH_DEG = (30.0, 10.0)
+"""Slant from which the first relief is the mean of that of both series and that of the crossed one, and the width of
+the transition: the one is too high there, the other too low."""
+FAINT = 3.0
+"""Specular reflection over noise below which it says nothing of heights."""
+
+
 def relief_and_shape(
     images: CoarseImages, shape: Shape, optics: Mapping[str, Diffusion], networks: Networks, rounds: int
 ) -> tuple[FloatArray, ReliefEstimate]:
@@ -538,7 +593,12 @@ def _doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], 
         "light_residual": round(fit.residual, 4),
         "light_residual_per_image": [round(each, 4) for each in fit.residual_per_image],
     }
-    return facts, doubts_of_lights(fit, [Path(file).name for file in band.files])
+    doubts = doubts_of_lights(fit, [Path(file).name for file in band.files])
+    if band.crossed is not None:
+        series = replace(band, crossed=None), band.crossed
+        parallel, crossed = (linear_stack(one.sampled(every), capture.encoding) for one in series)
+        doubts = (*doubts, *doubts_of_series(parallel, crossed, finger.mask[::every, ::every]))
+    return facts, doubts
 
 
 def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple[str, ...]]:
@@ -738,12 +798,17 @@ def _linear_images(capture: Capture, bands: tuple[Band, ...], finger: Finger, p:
 @step("surface")
 def _skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> FingerSurface:
     """The surface of skin by :func:`metric_skin`, on the window's pixels."""
-    found = metric_skin(images.bands, images.grid, skin, p, _reporting(images.networks, p.rounds))
+    networks = _reporting(images.networks, p.rounds)
+    if images.crossed is None:
+        found = metric_skin(images.bands, images.grid, skin, p, networks)
+    else:
+        found = metric_polarised(images, skin, p, networks)
     shape_mm, ridge_mm, albedo = (images.on_pixels(part) for part in (found.shape_mm, found.relief_mm, found.albedo))
     deviation_um = images.on_pixels(found.deviation_mm) * np.float32(1000.0)
     facts = {
         "shape_source": "nir" if len(images.bands) > 1 else "white",
         "separation": SEPARATED_BY[found.facts["relief_by"]],
+        "heights": "measured" if found.facts["relief_by"] == "polarised" else "modelled",
         "optics": found.facts,
     }
     some = found.relief_mm[images.grid.mask > 0.5]
@@ -752,7 +817,10 @@ def _skin_surface(images: SkinImages, skin: SkinSettings, p: MetricSettings) -> 
         "give --material opaque for what is no living skin (a cast, a render), else check --px-per-mm, and take colour "
         "photographs, as grey ones leave glare in the relief"
     )
-    notes = (*images.warnings, *_doubts_of(found.facts), *RELIEF.notes(relief_um, remedy))
+    faint: tuple[str, ...] = ()
+    if images.crossed is not None and found.facts["relief_by"] != "polarised":
+        faint = (NO_SPECULAR,)
+    notes = (*faint, *images.warnings, *_doubts_of(found.facts), *RELIEF.notes(relief_um, remedy))
     return FingerSurface(shape_mm + ridge_mm, ridge_mm, shape_mm, albedo, None, deviation_um, facts, notes)
 
 

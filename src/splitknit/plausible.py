@@ -11,7 +11,7 @@ from splitknit.errors import Note, require
 
 
 @dataclass(frozen=True, slots=True)
-class Plausible:
+class _Plausible:
     """A quantity and its ranges, in the unit that people give it in."""
 
     what: str
@@ -44,17 +44,17 @@ class Plausible:
 
 
 ANY = float("inf")
-VIEW = Plausible("the longer side of the pictures of a finger", "mm", (10.0, 200.0), (3.0, 400.0))
+VIEW = _Plausible("the longer side of the pictures of a finger", "mm", (10.0, 200.0), (3.0, 400.0))
 """From a part of a fingertip to a whole hand."""
-FINGER_WIDTH = Plausible("the finger's width", "mm", (6.0, 35.0), (2.0, 60.0))
+FINGER_WIDTH = _Plausible("the finger's width", "mm", (6.0, 35.0), (2.0, 60.0))
 """Adults' fingers are 14 to 25 mm wide (T. M. Greiner, "Hand anthropometry of U.S. Army personnel", 1991); children's
 less."""
-RIDGE_PERIOD = Plausible("the distance of the ridges", "mm", (0.3, 0.7), (0.2, 1.0))
+RIDGE_PERIOD = _Plausible("the distance of the ridges", "mm", (0.3, 0.7), (0.2, 1.0))
 """0.43 mm in women and 0.48 mm in men, 8 % between people (H. Cummins, W. J. Waits and J. T. McQuitty, Am. J. Anat. 68,
 1941); children's from 0.3 mm."""
-RELIEF = Plausible("the ridges' height (5th to 95th percentile)", "um", (0.0, 400.0), (0.0, ANY))
+RELIEF = _Plausible("the ridges' height (5th to 95th percentile)", "um", (0.0, 400.0), (0.0, ANY))
 """Ridges are some 50 to 150 um high; 130 um on simulated fingers, 4000 um on a render that was taken for skin."""
-CAMERA_HEIGHT = Plausible("the camera's height above the finger plane", "mm", (40.0, 400.0), (15.0, 1000.0))
+CAMERA_HEIGHT = _Plausible("the camera's height above the finger plane", "mm", (40.0, 400.0), (15.0, 1000.0))
 """140 mm in the drawn rig; at a metre the drawn camera has 4 pixels a ridge."""
-TOP = Plausible("the highest point above the finger plane (top_mm)", "mm", (-5.0, 30.0), (-100.0, 100.0))
+TOP = _Plausible("the highest point above the finger plane (top_mm)", "mm", (-5.0, 30.0), (-100.0, 100.0))
 """A finger is up to 25 mm thick."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig
+from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig, camera_facts
 from splitknit.cli.main import main
 from splitknit.io.images import write_image
 from splitknit.io.rig import read_rig, write_rig
@@ -72,7 +72,7 @@ def calibrated(photos, tmp_path_factory):
         disc=place / "disc.png",
         calibrated_at="2026-01-02",
     )
-    return calibrate_to_rig(job), out
+    return camera_facts(calibrate_to_rig(job)), out
 
 
 def test_the_camera_that_took_the_photographs_is_found(photos, calibrated):

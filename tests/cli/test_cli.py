@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import argparse
+import ast
 import json
 import os
 import re
@@ -12,9 +14,11 @@ from typing import Any
 
 import pytest
 
+import splitknit
 from handmade import capture_of, finger
 from splitknit import pipeline
-from splitknit.cli.main import main
+from splitknit.cli.main import build_parser, main
+from splitknit.cli.verb import one_line
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.model import Capture, Reconstruction
@@ -183,7 +187,8 @@ def interrupt(event, arguments):
             os.kill(os.getpid(), number)
 
 sys.addaudithook(interrupt)
-from splitknit.cli.main import main
+from splitknit.cli.main import build_parser, main
+from splitknit.cli.verb import one_line
 sys.exit(main())
 """
 
@@ -365,3 +370,32 @@ def test_experiments_and_benchmarks_import_no_command_line() -> None:
     assert len(scripts) > 50
     imported = re.compile(r"^\s*(from|import) splitknit\.cli", re.MULTILINE)
     assert [script.name for script in scripts if imported.search(script.read_text(encoding="utf-8"))] == []
+
+
+def _options(parser: argparse.ArgumentParser) -> set[str]:
+    """Options of a parser and of all its verbs."""
+    found = set(parser._option_string_actions)
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            found |= set().union(*(_options(verb) for verb in action.choices.values()))
+    return found
+
+
+def test_arguments_that_messages_name_are_options() -> None:
+    """A message of the library names an argument between backticks; the command line writes its option."""
+    known, named = _options(build_parser()), set()
+    for file in (Path(main.__code__.co_filename).parents[1]).rglob("*.py"):
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") in ("require", "BadInput", "Refused"):
+                texts = [one.value for one in ast.walk(call) if isinstance(one, ast.Constant)]
+                named |= {name for text in texts for name in re.findall("`[a-z_]+`", str(text))}
+    assert len(named) > 20
+    assert {name for name in named if one_line(name) not in known} == set()
+
+
+def test_an_error_names_the_option(tmp_path: Path, capsys: Captured) -> None:
+    words = ["identify", str(tmp_path / "people.skg"), str(tmp_path), "--top", "0"]
+    assert main(words) == 2
+    assert capsys.readouterr().err == "splitknit: error: --top must be at least 1, but it is 0.\n"
+    with pytest.raises(BadInput, match="`top` must be at least 1, but it is 0"):
+        splitknit.identify(tmp_path / "people.skg", tmp_path, top=0)

@@ -12,6 +12,7 @@ from PIL import Image
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
+from splitknit.io.capture import read_capture
 from splitknit.io.results import read_fields, read_result
 from splitknit.model import surface_of
 from written_files import read_light_tiff
@@ -179,3 +180,98 @@ def test_a_known_scale_is_not_replaced(photos: Path, tmp_path: Path, capsys) -> 
     assert main(["import", "--images", str(photos), "--px-per-mm", "20", "--out", str(capture)]) == 0
     assert main(["reconstruct", str(capture), "--px-per-mm", "30", "--out", str(tmp_path / "x")]) == 2
     assert "has a scale already: 20 px/mm" in capsys.readouterr().err
+
+
+def polarised_photos(photos: Path, root: Path, *, mirrored: int = 3000) -> tuple[Path, Path]:
+    """The ball's photographs as a crossed series, and with light that its surface reflects as a parallel one."""
+    parallel, crossed = root / "parallel", root / "crossed"
+    for folder in (parallel, crossed):
+        folder.mkdir(parents=True)
+    shutil.copy(photos / "lights.txt", parallel)
+    for k in range(5):
+        light = np.asarray(Image.open(photos / f"{k}.png")).astype(np.int64)
+        Image.fromarray((light // 2).astype(np.uint16)).save(crossed / f"through_{k}.png")
+        Image.fromarray((light // 2 + mirrored * (light > 0)).astype(np.uint16)).save(parallel / f"{k}.png")
+    return parallel, crossed
+
+
+def imported(*arguments: object) -> int:
+    return main(["import", *map(str, arguments), "--px-per-mm", "10", "--json"])
+
+
+def test_a_crossed_series_is_imported_beside_the_parallel_one(photos: Path, tmp_path: Path, capsys) -> None:
+    parallel, crossed = polarised_photos(photos, tmp_path)
+    assert imported("--images", parallel, "--crossed", crossed, "--out", tmp_path / "c") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["images"], facts["polarised"]) == (5, True)
+    capture = read_capture(tmp_path / "c")
+    for name, folder in (("white", parallel), ("white_crossed", crossed)):
+        first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0]))
+        np.testing.assert_array_equal(capture.bands[name].pixels[0, ..., 0], first)
+        assert capture.bands[name].leds == ((0,), (1,), (2,), (3,), (4,))
+    assert main(["reconstruct", str(tmp_path / "c"), "--preset", "ea", "--out", str(tmp_path / "r")]) == 0
+    one = ("--images", parallel, "--crossed", crossed, "--max-size", "0.01", "--out", tmp_path / "small")
+    assert imported(*one) == 0
+    assert {band.pixels.shape for band in read_capture(tmp_path / "small").bands.values()} == {(5, 100, 100, 1)}
+
+
+def test_series_in_the_wrong_folders_are_noted(photos: Path, tmp_path: Path, capsys) -> None:
+    parallel, crossed = polarised_photos(photos, tmp_path)
+    lights = ("--lights", photos / "lights.txt")
+    assert imported("--images", crossed, "--crossed", parallel, *lights, "--out", tmp_path / "c") == 0
+    assert "were their folders exchanged" in str(json.loads(capsys.readouterr().out)["notes"])
+
+
+def test_series_that_do_not_fit_are_refused(photos: Path, tmp_path: Path, capsys) -> None:
+    parallel, crossed = polarised_photos(photos, tmp_path)
+    Image.fromarray(np.ones((20, 20), np.uint16)).save(tmp_path / "small.png")
+    for change, words in (
+        (lambda: shutil.copy(crossed / "through_4.png", crossed / "through_5.png"), "5 photographs, but"),
+        ((crossed / "through_5.png").unlink, ""),
+        (lambda: shutil.copy(tmp_path / "small.png", crossed / "through_2.png"), "200 x 200 are expected"),
+        (lambda: shutil.rmtree(crossed), "is not a folder"),
+    ):
+        change()
+        if not words:
+            continue
+        assert imported("--images", parallel, "--crossed", crossed, "--out", tmp_path / "c") == 2
+        assert words in capsys.readouterr().err
+        assert not (tmp_path / "c").exists()
+    assert imported("--images", parallel, "--crossed", parallel, "--out", tmp_path / "c") == 2
+    assert "named twice" in capsys.readouterr().err
+    assert main(["import", "print.wsq", "--crossed", str(parallel), "--out", str(tmp_path / "p")]) == 2
+    assert "--crossed goes with --images" in capsys.readouterr().err
+
+
+def test_frames_of_a_camera_with_films_on_its_pixels(photos: Path, tmp_path: Path, capsys) -> None:
+    parallel, crossed = polarised_photos(photos, tmp_path)
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for k, (one, other) in enumerate(zip(sorted(parallel.glob("*.png")), sorted(crossed.glob("*.png")), strict=True)):
+        through = [np.asarray(Image.open(name)) for name in (one, other)]
+        mosaic = np.zeros((400, 400), np.uint16)
+        mosaic[0::2, 0::2], mosaic[1::2, 1::2] = through[0], through[1]  # 90 and 0 degrees
+        mosaic[0::2, 1::2] = mosaic[1::2, 0::2] = (through[0] // 2) + (through[1] // 2)
+        Image.fromarray(mosaic).save(frames / f"{k}.png")
+    lights = ("--lights", photos / "lights.txt")
+    assert imported("--images", frames, *lights, "--mosaic", "mono", "--out", tmp_path / "c") == 0
+    capture = read_capture(tmp_path / "c")
+    assert capture.shape == (200, 200)
+    middle = np.s_[0, 60:140, 60:140, 0]
+    for name, folder in (("white", parallel), ("white_crossed", crossed)):
+        first = np.asarray(Image.open(sorted(folder.glob("*.png"))[0])).astype(float)[60:140, 60:140]
+        found = capture.bands[name].pixels[middle].astype(float)
+        assert np.abs(found - first).mean() < 0.02 * first.mean()
+    capsys.readouterr()
+    for more, words in (
+        (("--encoding", "srgb"), "a mosaic of films is linear"),
+        (("--crossed", crossed), "leave out"),
+        (("--film-angle", "nan"), "--film-angle must be an angle"),
+    ):
+        assert imported("--images", frames, *lights, "--mosaic", "mono", *more, "--out", tmp_path / "d") == 2
+        assert words in capsys.readouterr().err
+    assert imported("--images", frames, *lights, "--mosaic", "colour", "--out", tmp_path / "d") == 0
+    assert read_capture(tmp_path / "d").bands["white_crossed"].pixels.shape == (5, 200, 200, 3)
+    Image.fromarray(mosaic[:399]).save(frames / "0.png")
+    assert imported("--images", frames, *lights, "--mosaic", "mono", "--out", tmp_path / "e") == 2
+    assert "0.png: a mosaic of films has one channel" in capsys.readouterr().err

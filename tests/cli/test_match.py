@@ -13,6 +13,7 @@ from splitknit.cli.main import main
 from splitknit.cli.match import one_in
 from splitknit.io.npz import write_npz
 from splitknit.io.prints import write_print_png
+from splitknit.matching.methods import FmrBasis
 from splitknit.matching.minutiae import installed
 from splitknit.simulator.finger.finger import FingerPose
 
@@ -117,7 +118,7 @@ def test_the_decision_is_at_a_stated_rate(results: Path, capsys) -> None:
     [(1e-4, "1 in 10,000"), (0.0359, "1 in 27"), (0.7, "more than 1 in 2"), (4e-3, "below 1 in 250")],
 )
 def test_rates_in_words(rate: float, words: str) -> None:
-    assert one_in(rate, {"smallest": 0.004} if words.startswith("below") else None) == words
+    assert one_in(rate, FmrBasis(249, "fingers", 0.004) if words.startswith("below") else None) == words
 
 
 def test_folders_of_print_are_matched(results: Path, tmp_path: Path, capsys) -> None:
@@ -175,7 +176,7 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["a", "a/print.png", "--method", "thesis"], "needs a surface"),
         (["a", "again", "--set", "ridge.phase.whitening=2"], "whitening"),
         (["a", "again", "--set", "ridge.speed=1"], "speed"),
-        (["a", "again", "--fmr", "nan"], "fmr (--fmr) must lie between 0 and 1"),
+        (["a", "again", "--fmr", "nan"], "--fmr must lie between 0 and 1"),
         (["a", "again", "--template", "a/height.npz/x.skt"], "cannot write"),
     ],
 )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splitknit.evaluation.facts import _cmc, _rank_one_interval
+from splitknit.evaluation.facts import cmc, rank_one_interval
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.scores import Scores, ids_of
 
@@ -20,7 +20,7 @@ def matrix(values: list[list[float]]) -> Scores:
 
 
 def test_ranks_by_hand() -> None:
-    found = _cmc(matrix([[9, 1, 2], [5, 4, 3], [8, 7, 6]]))
+    found = cmc(matrix([[9, 1, 2], [5, 4, 3], [8, 7, 6]]))
     assert found is not None
     assert found.rank.tolist() == [1, 2, 3] and found.gallery == 3 and found.left_out == 0
     np.testing.assert_allclose(found.rate, [1 / 3, 2 / 3, 1])
@@ -28,7 +28,7 @@ def test_ranks_by_hand() -> None:
 
 def test_ties_count_against_us_and_failures_are_never_found() -> None:
     nan = float("nan")
-    found = _cmc(matrix([[5, 5, 1], [nan, 1, nan], [9, 1, nan]]))
+    found = cmc(matrix([[5, 5, 1], [nan, 1, nan], [9, 1, nan]]))
     assert found is not None
     assert found.rank.tolist() == [2, 1, 0]
     np.testing.assert_allclose(found.rate, [1 / 3, 2 / 3, 2 / 3])
@@ -42,7 +42,7 @@ def test_the_best_of_several_scores_counts() -> None:
         np.append(one.score, 4.0),
         finger=ids_of([0, 0, 1, 1, 0], [0, 1, 0, 1, 0]),
     )
-    before, after = _cmc(one), _cmc(twice)
+    before, after = cmc(one), cmc(twice)
     assert before is not None and after is not None
     assert before.rank.tolist() == [2, 1] and after.rank.tolist() == [1, 1]
 
@@ -54,7 +54,7 @@ def test_against_the_definition() -> None:
     pairs = comparisons(finger, session)
     score = generator.integers(0, 6, pairs.a.size) + 2.0 * pairs.genuine
     order = generator.permutation(pairs.a.size)
-    found = _cmc(scores_of_comparisons(pairs, score, finger, session).taken(order))
+    found = cmc(scores_of_comparisons(pairs, score, finger, session).taken(order))
     ranks = []
     for probe in range(fingers * sessions):
         for gallery in range(session[probe] + 1, sessions):
@@ -68,28 +68,28 @@ def test_against_the_definition() -> None:
 
 def test_probes_without_their_whole_gallery_are_left_out() -> None:
     scores = matrix([[9, 1, 2], [5, 4, 3], [8, 7, 6]])
-    found = _cmc(scores.taken(np.arange(8)))
+    found = cmc(scores.taken(np.arange(8)))
     assert found is not None
     assert found.rank.tolist() == [1, 2] and found.left_out == 1
 
 
 def test_what_is_no_identification() -> None:
     scores = matrix([[9, 1, 2], [5, 4, 3], [8, 7, 6]])
-    assert _cmc(replace(scores, finger=None)) is None
+    assert cmc(replace(scores, finger=None)) is None
     triangle = scores.taken([0, 1, 2, 4, 5])  # each pair once: nobody meets a whole gallery but the first
-    found = _cmc(triangle)
+    found = cmc(triangle)
     assert found is not None and found.left_out == 1
-    assert _cmc(matrix([[9, 1], [1, 9]]).taken([0, 2])) is None
+    assert cmc(matrix([[9, 1], [1, 9]]).taken([0, 2])) is None
 
 
 def test_interval_of_rank_one() -> None:
     generator = np.random.default_rng(1)
     values = generator.normal(size=(40, 40)) + 2.5 * np.eye(40)
-    found = _cmc(matrix(values.tolist()))
+    found = cmc(matrix(values.tolist()))
     assert found is not None
-    low, high = _rank_one_interval(found, replicates=500)
+    low, high = rank_one_interval(found, replicates=500)
     fraction = found.rate[0]
     assert low < fraction < high
     assert high - low == pytest.approx(2 * 1.96 * np.sqrt(fraction * (1 - fraction) / 40), rel=0.2)
-    sure = _cmc(matrix((9 * np.eye(30)).tolist()))
-    assert sure is not None and _rank_one_interval(sure) == (pytest.approx(0.9), 1.0)
+    sure = cmc(matrix((9 * np.eye(30)).tolist()))
+    assert sure is not None and rank_one_interval(sure) == (pytest.approx(0.9), 1.0)

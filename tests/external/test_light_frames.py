@@ -10,7 +10,7 @@ import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.io.light_list import read_named_lights
-from splitknit.photometric.frames import FRAMES, fit_light_frame, fit_lights
+from splitknit.photometric.frames import FRAMES, _fit_light_frame, fit_lights
 from splitknit.photometric.lambertian import lambertian
 
 pytestmark = pytest.mark.external
@@ -44,7 +44,7 @@ def test_all_eight_frames(data_dir, name):
     for frame, matrix in FRAMES.items():
         given = np.array(lights, dtype=float)
         given[:, :2] = given[:, :2] @ np.array(matrix, dtype=float)
-        fit = fit_light_frame(lambertian(stack, given, mask)[0], mask)
+        fit = _fit_light_frame(lambertian(stack, given, mask)[0], mask)
         assert fit.frame == frame
 
 

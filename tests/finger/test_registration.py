@@ -11,7 +11,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.finger.registration import RegistrationSettings, register_shots, without_glare
 from splitknit.finger.registration_flow import details_of, finger_family, places_of, still
-from splitknit.finger.steady import RegisteredBand, _register_band
+from splitknit.finger.steady import _register_band, _RegisteredBand
 
 PX = 14.0
 QUICK = RegistrationSettings(iterations=8)
@@ -159,7 +159,7 @@ def test_another_band_is_brought_onto_the_first(scene, motion, found, centre):
     other = ridged(depth_mm=0.01, tone=0.0, first_light=np.pi / 7, seed=1)
     place = {k: (0.05 * k, 0.3 - 0.1 * k) for k in range(7)}
     stack = np.stack([moved(image, place[k], 0.0, centre) for k, image in enumerate(other.stack)])
-    seen = RegisteredBand(motion, scene.lights, found.flow, np.arange(7))
+    seen = _RegisteredBand(motion, scene.lights, found.flow, np.arange(7))
     band = _register_band(seen, stack, other.lights, scene.mask, PX, QUICK)
     mean = band.flow.at(*core(scene)).mean(axis=2)
     np.testing.assert_allclose(mean, np.array(list(place.values())), atol=0.05)

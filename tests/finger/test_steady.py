@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from splitknit.finger.steady import Registered, _worth_undoing
+from splitknit.finger.steady import _Registered, _worth_undoing
 from splitknit.presets import preset_settings
 
 
-def registered(most_mm: float, before: float, after: float) -> Registered:
-    return Registered({}, most_mm, before, after, {})
+def registered(most_mm: float, before: float, after: float) -> _Registered:
+    return _Registered({}, most_mm, before, after, {})
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,7 @@ READERS = ("read_", "decode_", "unpack_", "open_", "load_", "import_", "parse_")
 NO_READERS = {
     "imaging.band.decode_table": "makes a table, reads nothing",
     "gallery.records.import_records": "writes what prints.from_file.read_print_file reads",
+    "capture.pi.open_analyser": "opens a device",
     "capture.pi.open_pi": "opens devices",
     "capture.streams.open_genicam": "opens a device",
     "capture.streams.open_uvc": "opens a device",

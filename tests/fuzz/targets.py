@@ -108,8 +108,8 @@ from splitknit.prints.from_file import (
     read_print_folder,
 )
 from splitknit.prints.sources import read_source
-from splitknit.rig.candidates import RigCandidate, Study
-from splitknit.rig.optimise import _SweepFolder
+from splitknit.rig.candidates import RigCandidate
+from splitknit.rig.optimise import Study, _SweepFolder
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override

@@ -166,7 +166,7 @@ def test_places_in_mm_are_near_lights(plain: Path) -> None:
     table.write_text("x_mm y_mm z_mm\n" + "\n".join(" ".join(map(str, place)) for place in places))
     rig = capture_from_photographs(plain, px_per_mm=20.0).capture.rig
     np.testing.assert_array_equal([led.position_mm for led in rig.leds], places)
-    with pytest.raises(BadInput, match="--px-per-mm"):
+    with pytest.raises(BadInput, match="`px_per_mm`"):
         capture_from_photographs(plain)
     leds = (Led("nir", position_mm=(1.0, 2.0, 90.0)), *rig.leds)
     write_rig(Rig(Camera(12.5, (25, 35)), leds), plain / "rig.json")
@@ -186,7 +186,7 @@ def test_what_a_png_states_is_its_encoding(tmp_path: Path) -> None:
     found = {name: encoding_of([tmp_path / f"{name}.png"], lambda: False)[0] for name in "sgln"}
     assert found == {"s": "srgb", "g": "srgb", "l": "linear", "n": "linear"}
     assert encoding_of([tmp_path / "n.png"], lambda: True)[0] == "srgb"
-    with pytest.raises(BadInput, match=r"several kinds.*--encoding"):
+    with pytest.raises(BadInput, match=r"several kinds.*`encoding`"):
         encoding_of([tmp_path / "s.png", tmp_path / "n.png"], lambda: False)
 
 

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from splitknit.errors import BadInput
 from splitknit.io import itl_reading
 from splitknit.io.itl_reading import (
-    Transaction,
     TransactionFacts,
     TransactionPrint,
+    _Transaction,
     decode_transaction,
     encode_transaction,
 )
@@ -42,7 +42,7 @@ def test_bytes_are_those_of_the_standard() -> None:
     assert encode_transaction([SMALL], FACTS) == data
 
 
-def assert_same(a: Transaction, prints: list[TransactionPrint]) -> None:
+def assert_same(a: _Transaction, prints: list[TransactionPrint]) -> None:
     for read, written in zip(a.prints, prints, strict=True):
         np.testing.assert_array_equal(read.image, written.image)
         for name in ("finger", "impression", "ppi", "compression"):

@@ -242,7 +242,7 @@ def test_the_tone_curve_of_a_camera_is_assumed_and_said(folder: Path) -> None:
     assert any("srgb is assumed of the .jpg files" in note for note in found.notes)
     Image.fromarray(ball(DIRECTIONS[0])).save(folder / "p8.png")
     (folder / "p8.jpg").unlink()
-    with pytest.raises(BadInput, match="--encoding"):
+    with pytest.raises(BadInput, match="`encoding`"):
         capture_from_photographs(folder)
 
 

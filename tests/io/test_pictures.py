@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from handmade import finger
 from splitknit.io.pictures import PictureFrame, colour, on_paper, to_frame, upright_frame
-from splitknit.report.figures import SmallFields, _top_view, oblique_view, small_fields
+from splitknit.report.figures import _SmallFields, _top_view, oblique_view, small_fields
 
 
 @pytest.mark.parametrize("longest", [90, 200, 500])
@@ -51,12 +51,12 @@ def test_paper_shows_outside() -> None:
     assert on_paper(picture, weight)[..., 0].tolist() == [[255, 0], [128, 0]]
 
 
-def _fields(height: NDArray[np.float32], weight: NDArray[np.float32]) -> SmallFields:
+def _fields(height: NDArray[np.float32], weight: NDArray[np.float32]) -> _SmallFields:
     normals = np.broadcast_to(np.float32([0, 0, 1]), (*height.shape, 3))
-    return SmallFields(PictureFrame(np.eye(3), height.shape, 0.1), weight, height, height * 0, height, normals)
+    return _SmallFields(PictureFrame(np.eye(3), height.shape, 0.1), weight, height, height * 0, height, normals)
 
 
-def _bump() -> SmallFields:
+def _bump() -> _SmallFields:
     """A plane with a wall of 3 mm to the right of the middle column, ten pixels before the front edge."""
     height = np.zeros((120, 80), np.float32)
     height[100:110, 40:60] = 3.0

@@ -10,7 +10,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks import weights
 from splitknit.networks.unet import load_network
-from splitknit.networks.weights import card_bytes, read_network, shipped_names
+from splitknit.networks.weights import _shipped_names, card_bytes, read_network
 
 TINY = Path(__file__).parent / "tiny.onnx"
 
@@ -122,7 +122,7 @@ def test_what_is_no_network_is_refused(copy: Path) -> None:
 
 
 def test_every_shipped_network_is_whole_and_small() -> None:
-    names = shipped_names()
+    names = _shipped_names()
     assert "direct" in names
     for name in names:
         card, data = read_network(name)

@@ -10,8 +10,8 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.photometric.hanrahan_krueger_fit import (
     LevenbergSettings,
-    NormalEquations,
     _levenberg_marquardt,
+    _NormalEquations,
     _solved,
 )
 
@@ -29,7 +29,7 @@ class Valleys:
         by_y = np.stack([self.steepness, np.zeros_like(x)])
         moments = np.stack([(a * b).sum(axis=0) for a, b in ((by_x, by_x), (by_x, by_y), (by_y, by_y))])
         gradient = np.stack([(by_x * residual).sum(axis=0), (by_y * residual).sum(axis=0)])
-        return NormalEquations((residual**2).sum(axis=0), gradient, moments)
+        return _NormalEquations((residual**2).sum(axis=0), gradient, moments)
 
     def moved(self, parameters, step):
         return parameters + step

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from splitknit.model import Camera, Led, Rig, default_rig
 from splitknit.rig import assembly
 from splitknit.rig.assembly import STACK, STACK_BELOW, build_parts
 from splitknit.rig.dimensions import SCREWS_A_DEG, SCREWS_B_DEG, _mirror_front, dimensions_of, holder_places
+from splitknit.rig.films import film_mounts, with_films
 from splitknit.rig.part_reports import _check_soundness, _first_hits, report_part
 from splitknit.rig.part_settings import (
     CAMERA_LENS_TO_CONNECTOR_MM,
@@ -292,3 +294,107 @@ def test_a_rig_that_cannot_be_built_is_not_drawn():
     dimensions = dimensions_of(default_rig(), override(PartSettings(), {"printer.bed_x_mm": 100.0}))
     with pytest.raises(BadInput, match="more than the printer's bed of 100 mm"):
         build_parts(dimensions)
+
+
+@pytest.fixture(scope="module", params=["servo", "hand", "neighbours"])
+def filmed(request):
+    """Dimensions and parts by name of the thesis's rig with films."""
+    dimensions = dimensions_of(with_films(default_rig(), request.param))
+    return dimensions, {part.kind.name: part.solid for part in build_parts(dimensions)}
+
+
+def test_films_holders_print_and_touch_nothing_else(filmed):
+    dimensions, parts = filmed
+    names = [name for name in ("analyser_plate", "analyser", "film_ring") if name in parts]
+    assert len(names) == (2 if dimensions.films.kind == "neighbours" else 3)
+    for kind in assembly.FILM_KINDS:
+        if kind.name in parts:
+            part = assembly.RigPart(kind, parts[kind.name])
+            report = report_part(
+                kind, assembly.as_printed(part, assembly.triangles_of(part)), dimensions.settings.printer
+            )
+            assert all(verdict["ok"] for verdict in report["checks"].values()), kind.name
+    for first, second in itertools.combinations([*STACK, *names], 2):
+        assert shared_volume(parts[first], parts[second]) < 1e-6, (first, second)
+    for x, y in (
+        *film_mounts(dimensions).ring_posts,
+        *film_mounts(dimensions).plate_posts,
+    ):  # a screw's head over every post
+        z = dimensions.frame_z_mm + JOINT_PLATE_MM + 0.01
+        head = build123d.Pos(x, y, z) * build123d.Solid.make_cylinder(2.8, 2.4)
+        assert shared_volume(head, parts["frame"]) < 1e-6
+
+
+def test_the_analyser_turns_by_90_degrees_between_its_stops(filmed):
+    dimensions, parts = filmed
+    if dimensions.films.kind == "neighbours":
+        return
+    for turn in (0.0, 30.0, 60.0, 90.0, -2.0, 92.0):
+        turned = build123d.Rot(0, 0, turn) * parts["analyser"]
+        assert (shared_volume(turned, parts["analyser_plate"]) > 0.01) == (turn in (-2.0, 92.0)), turn
+        assert shared_volume(turned, parts["frame"]) < 1e-6
+    lens = build123d.Pos(0, 0, 132.0) * build123d.Solid.make_cylinder(7.5, 8.0)
+    assert shared_volume(lens, parts["analyser"]) < 1e-6
+
+
+def test_light_passes_the_windows_and_the_analyser(filmed):
+    """From every LED to all that it must light, and from there to the lens; films lie square to the rig."""
+    dimensions, parts = filmed
+    names = [name for name in ("analyser_plate", "analyser", "film_ring", "frame", "cylinder") if name in parts]
+    mesh = np.concatenate(
+        [assembly.triangles_of(assembly.RigPart(assembly.KINDS[0], parts[name])) for name in names]
+    ).astype(float)
+    corners = dimensions.lit_corners
+    for hole in dimensions.holes:
+        way = hole.light_mm - corners
+        length = np.linalg.norm(way, axis=1)
+        assert np.all(_first_hits(mesh, corners, way / length[:, None], 200.0)[0] > length - 0.1), hole.index
+    x, y = np.array(dimensions.field_mm) / 2
+    seen = np.array([(i * x, j * y, 0.0) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+    for pupil in ((2.5, 0.0), (0.0, -2.5), (-1.8, 1.8)):
+        way = np.array([*pupil, dimensions.camera_height_mm]) - seen
+        length = np.linalg.norm(way, axis=1)
+        assert np.all(_first_hits(mesh, seen, way / length[:, None], 200.0)[0] > length - 8.0)
+    axes = [axis for _, _, axis in film_mounts(dimensions).windows]
+    assert axes == ["x"] * 7 + [""] * 7 + ["y"] * (len(axes) - 14)
+
+
+def test_a_servo_and_its_horn_fit(filmed):
+    dimensions, parts = filmed
+    if dimensions.films.kind != "servo":
+        return
+    top = dimensions.frame_z_mm + JOINT_PLATE_MM
+    body = build123d.Pos(-28 - 6.1, -5.9, top - 4.3) * build123d.Solid.make_box(12.2, 22.8, 22.7)
+    ears = build123d.Pos(-28 - 6.1, -5.9 - 4.75, top) * build123d.Solid.make_box(12.2, 32.3, 2.5)
+    horns = [
+        build123d.Pos(-28, 0, top - 4.3 - 5.8)
+        * build123d.Rot(0, 0, turn)
+        * (build123d.Pos(0, -3, 0) * build123d.Solid.make_box(16, 6, 4))
+        for turn in (45.0, 90.0, 135.0)
+    ]
+    for thing in (body, ears, *horns):
+        for name in ("frame", "box", "film_ring", "analyser_plate", "analyser", "cylinder"):
+            assert shared_volume(thing, parts[name]) < 1e-6, name
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "radius", "films", "words"),
+    [
+        ((0.7, 2.0, 3.14, 5.0), 33.0, "servo", "LED 2 stands where the analyser's servo must be"),
+        ((0.4, 2.0, 3.14, 5.0), 40.0, "hand", "the analyser's rod would cut the light of LED 0"),
+        ((0.7, 2.0, 3.6, 5.0), 40.0, "servo", "31.* mm from the camera's axis, where .* mm are taken"),
+        ((0.7, 2.0, 3.6, 5.0), 33.0, "hand", "25.* mm from the camera's axis, where .* mm are taken"),
+        ((0.7, 0.87, 3.0, 5.0), 40.0, "hand", r"films of LEDs 0 and 1, squares of \d\.\d mm, would overlap"),
+    ],
+)
+def test_leds_that_leave_no_room_for_films_are_named(azimuths, radius, films, words):
+    leds = tuple(Led("white", position_mm=(radius * math.cos(a), radius * math.sin(a), 120.0)) for a in azimuths)
+    with pytest.raises(BadInput, match=words):
+        film_mounts(dimensions_of(with_films(Rig(other_rig().camera, leds), films)))
+
+
+def test_films_of_upright_leds_do_not_fit_into_the_tube():
+    leds = tuple(replace(led, aim=(0.0, 0.0, -1.0)) for led in other_rig().leds)
+    wide = [replace(led, position_mm=(1.55 * led.position_mm[0], 1.55 * led.position_mm[1], 120.0)) for led in leds]
+    with pytest.raises(BadInput, match="out of the tube of"):
+        film_mounts(dimensions_of(with_films(Rig(other_rig().camera, tuple(wide)), "hand")))

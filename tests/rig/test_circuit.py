@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from splitknit.capture.pins import DEFAULT_PINS
+from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, pins_of, rig_films
 from splitknit.errors import BadInput
+from splitknit.io.rig import read_rig
 from splitknit.model import Led, default_rig
 from splitknit.rig.circuit import (
     BC337,
@@ -29,11 +32,14 @@ from splitknit.rig.circuit import (
 )
 from splitknit.rig.circuit_files import (
     _BOARD,
+    FILES,
     _bill_of_materials,
     _fuse_for,
     _ohm_text,
+    circuit_to_folder,
     design_circuit,
 )
+from splitknit.rig.films import with_films
 
 
 @pytest.fixture(scope="module")
@@ -311,3 +317,45 @@ def test_other_rigs_get_other_circuits() -> None:
         design_circuit(replace(rig, leds=(Led("uv", (0.0, 0.0, 100.0)),)))
     with pytest.raises(BadInput, match="GPIO 13 to two LEDs"):
         design_circuit(replace(few, provenance={"pins": {"white": [5, 13, 13]}}))
+
+
+@pytest.mark.parametrize("kind", ["servo", "hand", "neighbours"])
+def test_films_add_rows_a_drawing_and_what_the_rig_file_says(kind: str, tmp_path: Path) -> None:
+    rig = with_films(default_rig(), kind)
+    assert with_films(rig, None) == with_films(rig, kind) == rig
+    with pytest.raises(BadInput, match=f"has films of the kind '{kind}'"):
+        with_films(rig, "servo" if kind == "hand" else "hand")
+    facts = circuit_to_folder(tmp_path / "board", rig, CircuitSettings(supply_v=8.5))
+    assert facts["files"] == [*FILES, "films.svg"]
+    written = read_rig(tmp_path / "board" / "rig.json")
+    assert rig_films(written) == rig_films(rig)
+    assert pins_of(written) == pins_of(rig)
+    bill = list(csv.reader((tmp_path / "board" / "parts.csv").read_text(encoding="utf-8").splitlines()))
+    names = [line[1] for line in bill]
+    assert ("servo" in names) == (kind == "servo")
+    assert "linear polarising film, 50 x 50 mm" in names
+    second = [line for line in bill if line[-1].startswith("second board")]
+    drawing = (tmp_path / "board" / "films.svg").read_text(encoding="utf-8")
+    assert ("GPIO 4)" in drawing) == (kind == "servo")
+    assert ("8.5 V adapter" in drawing) == (kind == "neighbours")
+    if kind == "neighbours":
+        assert [one["gpio"] for one in facts["leds"][14:]] == list(CROSSED_PINS)
+        assert all(f"GPIO {pin})" in drawing for pin in CROSSED_PINS)
+        refs = {ref: line[1] for line in second for ref in line[-1].split()[2:]}
+        assert refs["R406"] == refs["R407"] == "4k7 0.25 W"  # against the pull-up of GPIO 5 and 6
+        assert refs["R405"] == "100k 0.25 W"
+        assert len(refs) == 6 + 7 * 6
+        turned = rig.leds[14].position_mm, rig.leds[0].position_mm
+        assert math.dist(*turned) == pytest.approx(2 * 52.5 * math.sin(math.pi / 28))  # a quarter of the way round
+    else:
+        assert (second, rig.leds) == ([], default_rig().leds)
+    margins = {one["hazard"]: one for one in facts["safety"]}["retina, blue light"]
+    assert margins["margin"] == pytest.approx(margins["margin_without_films"] / 0.45, rel=0.01)
+
+
+def test_other_lines_get_no_drawing_of_the_default_ones(tmp_path: Path) -> None:
+    rig = replace(default_rig(), provenance={"films": {"kind": "servo", "servo": 5}})
+    facts = circuit_to_folder(tmp_path / "board", rig, CircuitSettings())
+    assert facts["files"] == [*FILES]
+    with pytest.raises(BadInput, match=r"3 to 7 white LEDs.* this one has 2"):
+        with_films(replace(default_rig(), leds=default_rig().leds[:2]), "neighbours")

@@ -9,22 +9,19 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.rig.candidates import (
+    FULL_WELL_E,
+    LAMPS,
+    TARGET_LEVEL,
     BuildSettings,
+    PhotonSettings,
     PrintPoints,
     RigCandidate,
     _glare_lobe_rad,
     _glaring,
     candidate_rig,
+    electrons_per_s,
     examine,
     grid,
-)
-from splitknit.rig.photography import (
-    FULL_WELL_E,
-    LAMPS,
-    TARGET_LEVEL,
-    PhotonSettings,
-    _tremor_blur_mm,
-    electrons_per_s,
     intensity_w_sr,
     plan_exposure,
 )
@@ -164,18 +161,6 @@ def test_depth_of_field_drops_the_height_and_follows_the_stop():
     assert replace(photons, f_number=2.0).depth_of_field_mm(2.0 / 75.7) == pytest.approx(1.35, abs=0.02)
     shallow = _found(THESIS, photons=replace(photons, f_number=1.0), finger=PrintPoints(np.eye(3) * 9, np.eye(3)))
     assert not shallow["depth_of_field"].ok and not shallow["depth_of_field"].hard
-
-
-def test_tremor_blurs_more_the_longer_and_never_beyond_its_amplitude():
-    times = np.linspace(1e-4, 0.055, 20)
-    blurs = [_tremor_blur_mm(float(t)) for t in times]
-    assert np.all(np.diff(blurs) > 0) and blurs[0] < 1e-4
-    assert max(_tremor_blur_mm(float(t)) for t in np.linspace(0, 2, 200)) <= 0.030 / np.sqrt(2) + 1e-9
-    # the mean of the variance over random phases, by sampling
-    rng, t = np.random.default_rng(0), 0.03
-    phases = rng.random(4000)[:, None] * 2 * np.pi
-    places = 0.030 * np.sin(2 * np.pi * 9.0 * np.linspace(0, t, 400)[None] + phases)
-    assert _tremor_blur_mm(t) == pytest.approx(np.sqrt(places.var(axis=1).mean()), rel=0.03)
 
 
 def test_grid_names_and_bad_candidates():

@@ -12,7 +12,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig, default_rig
-from splitknit.rig.assembly import KINDS
+from splitknit.rig.assembly import FILM_KINDS, KINDS
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import (
     _mirror_front,
@@ -229,4 +229,4 @@ def test_every_part_has_its_maker():
     tree = ast.parse((resources.files("splitknit.rig") / "parts.py").read_text(encoding="utf-8"))
     tables = {node.target.id: node.value for node in tree.body if isinstance(node, ast.AnnAssign)}
     makers = [key.value for key in tables["MAKERS"].keys]
-    assert sorted(makers) == sorted(kind.name for kind in KINDS)
+    assert sorted(makers) == sorted(kind.name for kind in KINDS + FILM_KINDS)

@@ -17,6 +17,7 @@ from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.model import Led, default_rig
 from splitknit.rig.circuit import NIR_LED, WHITE_LED, CircuitSettings, LedPart, design_stage
+from splitknit.rig.films import TRANSMISSION, with_films
 from splitknit.rig.safety import _blue_weight, _burn_weight, _hazards, _radiant_intensity, check_hazards, rig_hazards
 
 POINT = replace(NIR_LED, intensity_w_sr=1.0, half_angle_deg=5.0, source_mm=0.1, forward_v=20.0)
@@ -167,6 +168,13 @@ def test_the_page_has_the_figures():
         f"{worse.margin:.2g} |"
         for h, worse in zip(found, failed, strict=True)
     ]
+    table = page.partition("<!-- safety films -->")[2].partition("<!-- /safety films -->")[0].strip().splitlines()[2:]
+    for row, kind in zip(table, ("servo", "neighbours"), strict=True):
+        rig = with_films(default_rig(), kind)
+        ways = ({"passed": TRANSMISSION}, {"passed": TRANSMISSION, "shorted": True}, {})
+        blue = [named(rig_hazards(rig, stages, **way), "4.3.3") for way in ways]
+        margins = " | ".join(f"{one.margin:.2g}" for one in blue)
+        assert row.endswith(f"| {blue[0].value:.3g} W/m2/sr | {margins} |")
     assert f"{1000 * stages['white'].shorted_a:.0f} mA white, {1000 * stages['nir'].shorted_a:.0f} mA NIR" in page
 
 

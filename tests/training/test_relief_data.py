@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -187,7 +188,8 @@ def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -
 def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     data = ReliefData(other_scale_share=0.5)
     scenes = [_draw_scene(number, data) for number in range(5000, 5012)]
-    assert scenes[3].facts() == _draw_scene(5003, data).facts() != scenes[4].facts()
+    skin = defaultdict(float)
+    assert scenes[3].facts(skin) == _draw_scene(5003, data).facts(skin) != scenes[4].facts(skin)
     scales = [scene.settings.scale for scene in scenes]
     assert 0 < scales.count(0.5) < 12 and all(0.38 <= scale <= 0.62 for scale in scales)
     assert {scene.rig.camera.height_mm == 140.0 for scene in scenes} == {True, False}

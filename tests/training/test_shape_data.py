@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,7 @@ from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import SHAPE_SLOPE, _shape_features
 from splitknit.training.fields import FIELDS
 from splitknit.training.scenes import photograph_scene
-from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, SYMMETRY, WEIGHT, _without_nir
+from splitknit.training.shape import CHANNELS, OF_NIR, SLOPES, SYMMETRY, WEIGHT
 from splitknit.training.shape_data import (
     ShapeData,
     _assembled_shape,
@@ -111,7 +112,7 @@ def test_the_fields_of_near_infrared_are_those_that_vanish_without_it(scene) -> 
     vanished = [n for n in range(FIELDS) if with_nir[n].any() and not without[n].any()]
     assert tuple(vanished) == OF_NIR
     others = [n for n in range(CHANNELS) if n not in (*OF_NIR, 23)]  # 23 is the trust in the last band's lights
-    np.testing.assert_array_equal(without[others], _without_nir(with_nir)[others])
+    np.testing.assert_array_equal(without[others], with_nir[others])
 
 
 def test_a_sample_holds_the_slopes_that_are_missing(scene) -> None:
@@ -172,7 +173,9 @@ def test_scenes_follow_from_their_number_and_stay_in_their_ranges() -> None:
     data = ShapeData()
     drawn = [_draw_shape_scene(number, data) for number in range(5000, 5016)]
     again, gain = _draw_shape_scene(5003, data)
-    assert (again.facts(), gain) == (drawn[3][0].facts(), drawn[3][1]) != (drawn[4][0].facts(), drawn[4][1])
+    skin = defaultdict(float)
+    assert (again.facts(skin), gain) == (drawn[3][0].facts(skin), drawn[3][1])
+    assert (again.facts(skin), gain) != (drawn[4][0].facts(skin), drawn[4][1])
     scenes, gains = zip(*drawn, strict=True)
     scales, rims = ([read(scene) for scene in scenes] for read in (lambda s: s.settings.scale, _rim))
     assert 0.34 <= min(scales) < 0.36 and 0.41 < max(scales) <= 0.43

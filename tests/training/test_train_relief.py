@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.training.fields import FIELDS, check_channels
-from splitknit.training.relief import SYMMETRY, ReliefSettings, _draw_batch, _draw_patch, _field_scale, _judged
+from splitknit.training.fields import FIELDS, check_channels, draw_batch, draw_patch, field_scale
+from splitknit.training.relief import (
+    SYMMETRY,
+    TASK,
+    ReliefSettings,
+    _judged,
+)
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 
 flipped, transposed, oriented = SYMMETRY.flipped, SYMMETRY.transposed, SYMMETRY.oriented
@@ -80,14 +85,14 @@ def test_an_unturned_patch_is_a_piece_of_a_sample_with_enough_skin() -> None:
     sample[WEIGHT, :, 30:] = 1.0
     rng = np.random.default_rng(0)
     for _ in range(20):
-        patch = _draw_patch([sample], SMALL, rng)
+        patch = draw_patch(TASK, [sample], SMALL, rng)
         row, column = np.argwhere(sample[0] == patch[0, 0, 0])[0]
         np.testing.assert_array_equal(patch, sample[:, row : row + 16, column : column + 16])
         assert patch[WEIGHT].mean() >= 0.2
 
 
 def test_what_a_small_sample_lacks_is_zero_and_counts_nothing() -> None:
-    patch = _draw_patch([sample_of(3, (12, 30)).astype(np.float16)], SMALL, np.random.default_rng(0))
+    patch = draw_patch(TASK, [sample_of(3, (12, 30)).astype(np.float16)], SMALL, np.random.default_rng(0))
     assert patch.shape == (CHANNELS, 16, 16) and patch.dtype == np.float32
     assert (patch[:, 12:] == 0).all() and (patch[WEIGHT, :12] > 0).any()
 
@@ -96,7 +101,7 @@ def test_samples_without_skin_are_refused() -> None:
     sample = sample_of(4)
     sample[WEIGHT] = 0.0
     with pytest.raises(BadInput, match="enough skin"):
-        _draw_patch([sample], SMALL, np.random.default_rng(0))
+        draw_patch(TASK, [sample], SMALL, np.random.default_rng(0))
     with pytest.raises(BadInput, match="no fingers"):
         check_channels([], CHANNELS)
     with pytest.raises(BadInput, match=r"\(41, h, w\)"):
@@ -106,22 +111,22 @@ def test_samples_without_skin_are_refused() -> None:
 def test_a_fraction_of_the_patches_is_from_whole_fingers() -> None:
     pieces, fingers = ([np.full((CHANNELS, 20, 20), value, dtype=np.float32)] for value in (1.0, 2.0))
     rng = np.random.default_rng(0)
-    from_whole = sum(_draw_patch(pieces, SMALL, rng, fingers)[0, 0, 0] == 2 for _ in range(500))
+    from_whole = sum(draw_patch(TASK, pieces, SMALL, rng, fingers)[0, 0, 0] == 2 for _ in range(500))
     assert 70 < from_whole < 130  # a fifth
-    assert (_draw_patch(pieces, SMALL, rng)[0] == 1).all()
-    batch = _draw_batch(pieces, replace(SMALL, whole_share=1.0), 0, fingers)
+    assert (draw_patch(TASK, pieces, SMALL, rng)[0] == 1).all()
+    batch = draw_batch(TASK, pieces, replace(SMALL, whole_share=1.0), 0, fingers)
     assert (batch[:, 0] == 2).all()
-    assert _field_scale([sample_of(0)], replace(SMALL, whole_share=1.0), fingers)[0] == pytest.approx(50)
+    assert field_scale(TASK, [sample_of(0)], replace(SMALL, whole_share=1.0), fingers)[0] == pytest.approx(50)
 
 
 def test_batches_follow_from_seed_and_number() -> None:
     samples = [sample_of(5), sample_of(6)]
-    batch = _draw_batch(samples, SMALL, 7)
+    batch = draw_batch(TASK, samples, SMALL, 7)
     assert batch.shape == (3, CHANNELS, 16, 16) and batch.dtype == np.float32
-    np.testing.assert_array_equal(batch, _draw_batch(samples, SMALL, 7))
-    assert not np.array_equal(batch, _draw_batch(samples, SMALL, 8))
+    np.testing.assert_array_equal(batch, draw_batch(TASK, samples, SMALL, 7))
+    assert not np.array_equal(batch, draw_batch(TASK, samples, SMALL, 8))
     assert not np.array_equal(
-        batch, _draw_batch(samples, ReliefSettings(widths=(2, 3), patch_px=16, batch=3, seed=1), 7)
+        batch, draw_batch(TASK, samples, ReliefSettings(widths=(2, 3), patch_px=16, batch=3, seed=1), 7)
     )
 
 
@@ -130,7 +135,7 @@ def test_fields_are_scaled_by_what_they_vary() -> None:
     sample[WEIGHT] = 1.0
     sample[5] *= 10
     sample[6] = 3.0  # constant: not amplified
-    scale = _field_scale([sample], SMALL)
+    scale = field_scale(TASK, [sample], SMALL)
     assert scale.shape == (FIELDS,) and scale.dtype == np.float32
     np.testing.assert_allclose(scale[[0, 5, 6]], [1.0, 0.1, 50.0], rtol=0.1)
 

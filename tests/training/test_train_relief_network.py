@@ -9,16 +9,15 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import FieldsTrainer, _network_from, _packed_fields
+from splitknit.training.fields import FieldsTrainer, _network_from, _packed_fields, field_scale
 from splitknit.training.networks import fields_network
 from splitknit.training.relief import (
     NETWORK,
     PARTS,
+    TASK,
     ReliefSettings,
-    _field_scale,
     _judge_middle,
     _relief_losses,
-    _relief_trainer,
 )
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
 
@@ -76,7 +75,7 @@ def test_each_part_of_the_loss_says_what_it_is_named_after() -> None:
         assert float(parts[name]) == pytest.approx(float(value), rel=1e-5), name
     settings = ReliefSettings(slope_share=2.0, likelihood_share=3.0, glare_share=5.0)
     total = wanted["relief"] + 2 * wanted["slope"] + 3 * wanted["likelihood"] + 5 * wanted["glare"]
-    trainer = _relief_trainer(replace(settings, widths=(4, 6), patch_px=16), SAMPLES)
+    trainer = FieldsTrainer(TASK, replace(settings, widths=(4, 6), patch_px=16), SAMPLES)
     assert float(trainer.total(parts)) == pytest.approx(float(total), rel=1e-5)
 
 
@@ -87,7 +86,7 @@ def test_the_loss_looks_at_skin_alone_and_the_likelihood_changes_no_height() -> 
     batch[:, WEIGHT, :2] = 1.0
     made = torch.from_numpy(rng.standard_normal((1, 9, 4, 4)).astype(np.float32)).requires_grad_()
     parts = _relief_losses(made, torch.from_numpy(batch))
-    _relief_trainer(SETTINGS, SAMPLES).total(parts).backward()
+    FieldsTrainer(TASK, SETTINGS, SAMPLES).total(parts).backward()
     assert (made.grad[:, :, 2:] == 0).all() and (made.grad[:, :, :2] != 0).all()
     made.grad = None
     _relief_losses(made, torch.from_numpy(batch))["likelihood"].backward()
@@ -95,7 +94,7 @@ def test_the_loss_looks_at_skin_alone_and_the_likelihood_changes_no_height() -> 
 
 
 def test_training_lowers_every_part_of_the_loss_and_betters_the_figures() -> None:
-    trainer = _relief_trainer(SETTINGS, SAMPLES)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     heard: list[float] = []
     before = _judge_middle(trainer.run, SAMPLES[0], SETTINGS.stride)
     first = trainer.train(5)
@@ -112,15 +111,15 @@ def test_training_lowers_every_part_of_the_loss_and_betters_the_figures() -> Non
 
 
 def test_every_iteration_has_its_learning_rate() -> None:
-    trainer = _relief_trainer(SETTINGS, SAMPLES)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     for number in range(3):
         trainer.train(1)
         assert trainer.optimiser.param_groups[0]["lr"] == SETTINGS.rate(number)
 
 
 def test_fields_are_brought_to_one_scale_inside_the_network() -> None:
-    trainer = _relief_trainer(SETTINGS, SAMPLES)
-    scale = _field_scale(SAMPLES, SETTINGS)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
+    scale = field_scale(TASK, SAMPLES, SETTINGS)
     np.testing.assert_array_equal(trainer.network.scale.numpy(), scale)
     fields = np.asarray(SAMPLES[0][:32], dtype=np.float32)
     made = trainer.run(fields)
@@ -132,12 +131,12 @@ def test_fields_are_brought_to_one_scale_inside_the_network() -> None:
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
 def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     settings = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, precision=precision)
-    whole = _relief_trainer(settings, SAMPLES)
+    whole = FieldsTrainer(TASK, settings, SAMPLES)
     whole.train(6)
-    first = _relief_trainer(settings, SAMPLES)
+    first = FieldsTrainer(TASK, settings, SAMPLES)
     first.train(3)
     first.curve.append({"iteration": 3.0})
-    second = _relief_trainer(settings, SAMPLES)
+    second = FieldsTrainer(TASK, settings, SAMPLES)
     second.restore(first.state())
     assert second.done == 3 and second.curve == [{"iteration": 3.0}]
     second.train(3)
@@ -147,9 +146,9 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 
 
 def test_states_of_other_trainings_and_damaged_ones_are_refused() -> None:
-    trainer = _relief_trainer(SETTINGS, SAMPLES)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     state = trainer.state()
-    other = _relief_trainer(ReliefSettings(widths=(8, 8), patch_px=16, batch=3, iterations=150), SAMPLES)
+    other = FieldsTrainer(TASK, ReliefSettings(widths=(8, 8), patch_px=16, batch=3, iterations=150), SAMPLES)
     with pytest.raises(BadInput, match=r"batch.*resume with the same"):
         other.restore(state)
     with pytest.raises(BadInput, match="damaged"):
@@ -162,10 +161,10 @@ def test_whole_fingers_take_part() -> None:
     settings = ReliefSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, whole_share=1.0)
     never = SAMPLES[0].copy()
     never[RELIEF] = np.nan
-    parts = _relief_trainer(settings, [never], SAMPLES[1:]).train(2)
+    parts = FieldsTrainer(TASK, settings, [never], SAMPLES[1:]).train(2)
     assert np.isfinite(list(parts.values())).all()  # not one patch was from the others
     with pytest.raises(BadInput, match=r"\(41, h, w\)"):
-        _relief_trainer(settings, SAMPLES, [SAMPLES[0][:40]])
+        FieldsTrainer(TASK, settings, SAMPLES, [SAMPLES[0][:40]])
 
 
 def test_a_loss_that_is_no_number_ends_the_training() -> None:
@@ -173,11 +172,11 @@ def test_a_loss_that_is_no_number_ends_the_training() -> None:
     broken = SAMPLES[0].copy()
     broken[0] = np.nan
     with pytest.raises(BadInput, match="diverged"):
-        _relief_trainer(settings, [broken]).train(1)
+        FieldsTrainer(TASK, settings, [broken]).train(1)
 
 
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
-    trainer = _relief_trainer(SETTINGS, SAMPLES)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     trainer.train(20)
     weights, card = _packed_fields(NETWORK, trainer.network.state_dict(), {"command": "splitknit train relief"})
     (tmp_path / f"{NETWORK.name}.onnx").write_bytes(weights)

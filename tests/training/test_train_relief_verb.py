@@ -14,9 +14,13 @@ from splitknit.cli.train import _curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import relief as app
-from splitknit.training.fields import write_fields
+from splitknit.training.fields import network_metrics, train_fields, write_fields
 from splitknit.training.networks import fields_network
-from splitknit.training.relief import NETWORK, ReliefSettings, _network_metrics, train_relief
+from splitknit.training.relief import (
+    NETWORK,
+    TASK,
+    ReliefSettings,
+)
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData
 from splitknit.training.trainer import HELD_OUT_FROM, TrainingRun
 
@@ -59,7 +63,7 @@ def numbers(monkeypatch) -> list[int]:
 
 
 def train(out: Path, data: ReliefData, settings: ReliefSettings, **how: Any) -> dict[str, Any]:
-    return train_relief(TrainingRun(out, **how), data, settings)
+    return train_fields(TrainingRun(out, **how), TASK, data, settings)
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -221,7 +225,7 @@ def test_the_cards_figures_are_of_what_the_network_draws() -> None:
     sample = made_up(3, DATA)[0].astype(np.float32)
     sample[GLARE] = np.arange(1.0, 8.0)[:, None, None]
     sample[RELIEF] = 1.5
-    found = _network_metrics(state, {3: sample, 4: sample})
+    found = network_metrics(TASK, state, {3: sample, 4: sample})
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["rms_um"] == 20.0  # one unit too low
     assert found["mean"]["gain"] == pytest.approx(1 / 3, abs=1e-4)

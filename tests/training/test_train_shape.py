@@ -7,20 +7,17 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.skin.learned import SHAPE_COUNT
-from splitknit.training.fields import FIELDS, check_channels
+from splitknit.training.fields import FIELDS, check_channels, draw_batch, draw_patch, field_scale
 from splitknit.training.shape import (
     CHANNELS,
     OF_NIR,
     SLOPES,
     SYMMETRY,
+    TASK,
     WEIGHT,
     ShapeNetSettings,
-    _draw_batch,
-    _draw_patch,
-    _field_scale,
     _judge_whole,
     _judged,
-    _without_nir,
 )
 
 SMALL = ShapeNetSettings(widths=(2, 3), patch_px=16, batch=3, beyond_px=4)
@@ -39,7 +36,7 @@ def test_an_unturned_patch_is_a_piece_of_a_sample_or_reaches_over_its_edge() -> 
     framed = np.pad(sample, ((0, 0), (16, 16), (16, 16)))
     over = 0
     for _ in range(40):
-        patch = _draw_patch([sample], SMALL, rng)
+        patch = draw_patch(TASK, [sample], SMALL, rng)
         assert patch.shape == (CHANNELS, 16, 16) and patch[WEIGHT].mean() >= 0.15
         there = np.argwhere(patch[0] != 0)[0]
         row, column = np.argwhere(framed[0] == patch[0, there[0], there[1]])[0] - there
@@ -51,7 +48,7 @@ def test_an_unturned_patch_is_a_piece_of_a_sample_or_reaches_over_its_edge() -> 
 
 def test_a_small_sample_lies_somewhere_in_the_patch() -> None:
     sample = sample_of(3, (9, 30)).astype(np.float16)
-    patch = _draw_patch([sample], SMALL, np.random.default_rng(0))
+    patch = draw_patch(TASK, [sample], SMALL, np.random.default_rng(0))
     assert patch.shape == (CHANNELS, 16, 16) and patch.dtype == np.float32
     rows = (patch[WEIGHT] > 0).any(axis=1)
     assert 5 <= rows.sum() <= 9
@@ -61,7 +58,7 @@ def test_samples_without_skin_are_refused() -> None:
     sample = sample_of(4)
     sample[WEIGHT] = 0.0
     with pytest.raises(BadInput, match="enough skin"):
-        _draw_patch([sample], SMALL, np.random.default_rng(0))
+        draw_patch(TASK, [sample], SMALL, np.random.default_rng(0))
     with pytest.raises(BadInput, match="no fingers"):
         check_channels([], CHANNELS)
     with pytest.raises(BadInput, match=r"\(35, h, w\)"):
@@ -69,32 +66,35 @@ def test_samples_without_skin_are_refused() -> None:
 
 
 def test_without_near_infrared_only_its_fields_are_gone() -> None:
-    sample = sample_of(5)
-    blind = _without_nir(sample)
-    assert (blind[list(OF_NIR)] == 0).all() and (sample[list(OF_NIR)] != 0).all()
+    seen, blind = (draw_batch(TASK, [sample_of(5)], replace(SMALL, no_nir_share=part), 0) for part in (0.0, 0.9999))
+    assert (blind[:, list(OF_NIR)] == 0).all() and seen[:, list(OF_NIR)].any(axis=(2, 3)).all()
     others = [number for number in range(CHANNELS) if number not in OF_NIR]
-    np.testing.assert_array_equal(blind[others], sample[others])
+    np.testing.assert_array_equal(blind[:, others], seen[:, others])
 
 
 def test_a_fraction_of_the_patches_is_shown_without_near_infrared() -> None:
     settings = replace(SMALL, batch=400)
-    batch = _draw_batch([sample_of(6)], settings, 0)
+    batch = draw_batch(TASK, [sample_of(6)], settings, 0)
     blind = sum(bool((patch[list(OF_NIR)] == 0).all()) for patch in batch)
     assert 40 <= blind <= 80  # 15 %
-    assert not (_draw_batch([sample_of(6)], replace(settings, no_nir_share=0.0), 0)[:, 30] == 0).all(axis=(1, 2)).any()
+    assert (
+        not (draw_batch(TASK, [sample_of(6)], replace(settings, no_nir_share=0.0), 0)[:, 30] == 0)
+        .all(axis=(1, 2))
+        .any()
+    )
 
 
 def test_batches_follow_from_seed_and_number_and_turn_all_ways() -> None:
     samples = [sample_of(5), sample_of(6)]
-    batch = _draw_batch(samples, SMALL, 7)
+    batch = draw_batch(TASK, samples, SMALL, 7)
     assert batch.shape == (3, CHANNELS, 16, 16) and batch.dtype == np.float32
-    np.testing.assert_array_equal(batch, _draw_batch(samples, SMALL, 7))
-    assert not np.array_equal(batch, _draw_batch(samples, SMALL, 8))
-    assert not np.array_equal(batch, _draw_batch(samples, replace(SMALL, seed=1), 7))
+    np.testing.assert_array_equal(batch, draw_batch(TASK, samples, SMALL, 7))
+    assert not np.array_equal(batch, draw_batch(TASK, samples, SMALL, 8))
+    assert not np.array_equal(batch, draw_batch(TASK, samples, replace(SMALL, seed=1), 7))
     marked = np.zeros((CHANNELS, 16, 16), dtype=np.float32)
     marked[WEIGHT], marked[0], marked[22] = 1.0, 1.0, np.arange(256).reshape(16, 16)
     settings = replace(SMALL, batch=64, beyond_px=0)
-    corners = {(patch[22, 0, 0], patch[22, 0, -1]) for patch in _draw_batch([marked], settings, 0)}
+    corners = {(patch[22, 0, 0], patch[22, 0, -1]) for patch in draw_batch(TASK, [marked], settings, 0)}
     assert len(corners) == 8
     for way in range(8):
         assert not np.array_equal(SYMMETRY.oriented(marked, way), SYMMETRY.oriented(marked, (way + 1) % 8))
@@ -104,7 +104,7 @@ def test_fields_are_scaled_by_what_they_vary() -> None:
     sample = sample_of(7, (60, 60))
     sample[5] *= 10
     sample[31] = 3.0  # constant: not amplified
-    scale = _field_scale([sample], replace(SMALL, beyond_px=0))
+    scale = field_scale(TASK, [sample], replace(SMALL, beyond_px=0))
     assert scale.shape == (FIELDS,) == (SHAPE_COUNT,) and scale.dtype == np.float32
     np.testing.assert_allclose(scale[[0, 5, 31]], [1.0, 0.1, 20.0], rtol=0.1)
 

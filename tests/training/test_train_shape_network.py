@@ -6,19 +6,18 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import FieldsTrainer, _packed_fields
+from splitknit.training.fields import FieldsTrainer, _packed_fields, field_scale
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
     NETWORK,
     PARTS,
     SLOPES,
+    TASK,
     WEIGHT,
     ShapeNetSettings,
-    _field_scale,
     _judge_whole,
     _shape_losses,
-    _shape_trainer,
 )
 
 torch = pytest.importorskip("torch")
@@ -73,7 +72,7 @@ def test_an_error_that_changes_from_pixel_to_pixel_is_not_wide() -> None:
 
 
 def test_training_lowers_the_loss_and_betters_the_figures() -> None:
-    trainer = _shape_trainer(SETTINGS, SAMPLES)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     heard: list[float] = []
     before = _judge_whole(trainer.run, SAMPLES[0], SETTINGS.stride)
     first = trainer.train(5)
@@ -89,12 +88,12 @@ def test_training_lowers_the_loss_and_betters_the_figures() -> None:
 
 def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
     plain, decaying = (
-        _shape_trainer(
-            ShapeNetSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES
+        FieldsTrainer(
+            TASK, ShapeNetSettings(widths=(4, 6), patch_px=16, beyond_px=4, weight_decay=decay, warm_up=1), SAMPLES
         )
         for decay in (0.0, 100.0)
     )
-    np.testing.assert_array_equal(plain.network.scale.numpy(), _field_scale(SAMPLES, plain.settings))
+    np.testing.assert_array_equal(plain.network.scale.numpy(), field_scale(TASK, SAMPLES, plain.settings))
     first = plain.network.down[0][0].weight.detach().clone()
     plain.train(1)
     decaying.train(1)
@@ -105,26 +104,26 @@ def test_weights_decay_and_fields_are_brought_to_one_scale() -> None:
 @pytest.mark.parametrize("precision", ["float32", "mixed"])
 def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
     settings = ShapeNetSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=4, precision=precision)
-    whole = _shape_trainer(settings, SAMPLES)
+    whole = FieldsTrainer(TASK, settings, SAMPLES)
     whole.train(6)
-    first = _shape_trainer(settings, SAMPLES)
+    first = FieldsTrainer(TASK, settings, SAMPLES)
     first.train(3)
-    second = _shape_trainer(settings, SAMPLES)
+    second = FieldsTrainer(TASK, settings, SAMPLES)
     second.restore(first.state())
     assert second.done == 3
     second.train(3)
     for one, other in zip(weights_of(whole), weights_of(second), strict=True):
         np.testing.assert_array_equal(one, other)
     assert not all(np.array_equal(*pair) for pair in zip(weights_of(whole), weights_of(first), strict=True))
-    other = _shape_trainer(
-        ShapeNetSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=5, wide_share=2.0), SAMPLES
+    other = FieldsTrainer(
+        TASK, ShapeNetSettings(widths=(4, 6), patch_px=16, batch=2, iterations=6, beyond_px=5, wide_share=2.0), SAMPLES
     )
     with pytest.raises(BadInput, match=r"beyond_px, wide_share.*resume with the same"):
         other.restore(first.state())
 
 
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
-    trainer = _shape_trainer(SETTINGS, SAMPLES)
+    trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     trainer.train(20)
     weights, card = _packed_fields(NETWORK, trainer.network.state_dict(), {"command": "splitknit train shape"})
     (tmp_path / f"{NETWORK.name}.onnx").write_bytes(weights)

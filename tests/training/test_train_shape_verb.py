@@ -14,16 +14,15 @@ from splitknit.cli.train import _curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import shape as app
-from splitknit.training.fields import write_fields
+from splitknit.training.fields import network_metrics, train_fields, write_fields
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
     NETWORK,
     SLOPES,
+    TASK,
     WEIGHT,
     ShapeNetSettings,
-    _network_metrics,
-    train_shape,
 )
 from splitknit.training.shape_data import ShapeData
 from splitknit.training.trainer import HELD_OUT_FROM, TrainingRun
@@ -69,7 +68,7 @@ def numbers(monkeypatch) -> list[int]:
 
 
 def train(out: Path, data: ShapeData, settings: ShapeNetSettings, **how: Any) -> dict[str, Any]:
-    return train_shape(TrainingRun(out, **how), data, settings)
+    return train_fields(TrainingRun(out, **how), TASK, data, settings)
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -195,7 +194,7 @@ def test_the_cards_figures_are_of_what_the_network_draws(tmp_path) -> None:
     state["out.bias"][:] = torch.tensor([1.0, -2.0])
     sample = made_up(3, DATA)[0].astype(np.float32)
     sample[SLOPES] = np.array([2.0, -1.0])[:, None, None]
-    found = _network_metrics(state, {3: sample, 4: sample})
+    found = network_metrics(TASK, state, {3: sample, 4: sample})
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["before"] == pytest.approx(0.1 * np.sqrt(2.5), abs=1e-4)
     assert found["mean"]["after"] == pytest.approx(0.1, abs=1e-4) == found["mean"]["wide_after"]

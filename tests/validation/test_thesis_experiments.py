@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import splitknit
 from script_folder import Script, scripts_of
 
 THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
@@ -94,6 +97,49 @@ def population(folder: Path, store: MadeUpStore) -> Path:
 def read(file: Path) -> list[dict[str, str]]:
     with file.open(encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
+
+
+def test_crossed_images_are_a_case_of_their_own(tmp_path: Path, thesis: Script, monkeypatch) -> None:
+    run, chain, crossed = thesis("run"), thesis("chain"), thesis("crossed")
+    people, apart = tmp_path / "people", tmp_path / "people-crossed"
+    capture, _ = splitknit.simulate_capture(1, settings={"scale": 0.05})
+    white = capture.bands["white"]
+    dark = replace(white, name="white_crossed", pixels=white.pixels // 2, polarisation="crossed")
+    plain = people / "S01" / "session_1" / "right_index"
+    polarised = people / "S01" / "session_2" / "right_index"
+    splitknit.write_capture(capture, plain)
+    (people / "population.json").write_text("{}")
+    assert not crossed.crossed_population(people, apart)
+    assert not apart.exists()
+    bands = {"white": replace(white, polarisation="parallel"), "white_crossed": dark, "nir": capture.bands["nir"]}
+    splitknit.write_capture(replace(capture, bands=bands), polarised)
+    for _ in range(2):  # as a command that is stopped and goes on
+        assert crossed.crossed_population(people, apart)
+    assert (apart / "population.json").is_file()
+    found = splitknit.read_capture(apart / "S01" / "session_2" / "right_index")
+    assert list(found.bands) == ["white", "nir"]
+    np.testing.assert_array_equal(found.bands["white"].pixels, dark.pixels)
+    assert not (apart / "S01" / "session_1").exists()
+
+    ran: list[list[str]] = []
+    monkeypatch.setattr(chain, "_run", ran.append)
+    given = argparse.Namespace(
+        population=people, store=None, cases=["pr", "snk"], seed=1, jobs=1, small=False, prints=None, impostors=1.0
+    )
+    chain.run_chain(given)
+    assert [command[1] for command in ran] == ["simulate", "batch", "batch"]
+    assert ran[2][2:7] == [str(apart), "--out", str(tmp_path / "people-store-crossed"), "--cases", "snk"]
+
+    store = MadeUpStore()
+    joined = crossed.WithCrossed(store, store)
+    assert joined.scores("snk-crossed", "ridge").equals(store.scores("snk", "ridge"))
+    assert joined.features("ea").equals(store.features("ea"))
+    out, made = tmp_path / "out", population(tmp_path / "made", store)
+    monkeypatch.setattr(run, "_store", lambda options: joined)
+    (tmp_path / "store-crossed").mkdir()
+    given = ["cases", "--population", str(made), "--store", str(tmp_path / "store"), "--out", str(out)]
+    assert run.main([*given, "--replicates", "20", "--jobs", "1", "--cases", "snk", "ea"]) == 0
+    assert {row["case"] for row in read(out / "cases.csv")} == {"snk", "ea", "snk-crossed"}
 
 
 def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ import pytest
 from script_folder import VALIDATION
 from splitknit.errors import BadInput
 from splitknit.model import Camera, Led, Rig
+from splitknit.simulator.light.films import FilmSettings
 from splitknit.simulator.light.skin import (
     REFRACTIVE_INDEX,
     diffuse_transmittance,
@@ -78,6 +79,55 @@ def test_flat_skin_with_a_diffuse_boundary_agrees_with_the_table_of_walks(scatte
     albedo = diffusion_profile(scattering, absorption).albedo
     expected = albedo * ENTERING * TO_CAMERA / diffuse_transmittance()
     np.testing.assert_allclose(walked(FLAT, medium(scattering, absorption)), expected, rtol=0.02)
+
+
+@needs_numba
+def test_light_scattered_once_is_that_of_a_half_space_that_scatters_once():
+    scattering, absorption = 4.0, 1.0
+    solid, even = finger._solid(FLAT, LEDS), np.ones((24, 24), dtype=np.float32)
+    optics = medium(scattering, absorption, spread=0.0)
+    optics[5] = 0.0  # no micro-facets
+    found = finger.walk_solid(solid, FLAT, even, optics, walks=1.0, rays=200, threads=1, seed=[1], entering=6)
+    # Chandrasekhar 1960, Radiative Transfer, section 47
+    inside = np.sqrt(1 - (1 - COSINE**2) / REFRACTIVE_INDEX**2)
+    once = 0.8 / (4 * np.pi) * ENTERING * (1 - float(fresnel(np.array(1.0)))) / REFRACTIVE_INDEX**2 / (inside + 1)
+    np.testing.assert_allclose(found.once.mean(axis=(1, 2), dtype=np.float64), once, rtol=0.03)
+    assert (found.once <= found.radiance).all()
+
+
+@needs_numba
+def test_films_part_a_finger_into_a_parallel_and_a_crossed_series():
+    ridges = patch(np.broadcast_to(0.03 * np.cos(np.arange(40) * 0.7), (40, 40)))
+    leds = tuple(replace(led, band=band) for band in ("white", "nir") for led in LEDS)
+    optics = FingerOptics(spread=0.0, shot_noise=0.0, roughness=0.3)
+    rig = Rig(ridges.camera, leds)
+    light = finger.walk_finger(ridges, rig, optics, walks=2.0, rays=2, threads=1)
+    found = {}
+    for kept in (0.0, 0.4):
+        films = FilmSettings("analyser", extinction=1e6, kept=kept, transmission=(1.0, 1.0, 0.9))
+        capture, _, info = photograph_finger(ridges, rig, optics, light=light, films=films)
+        assert [band.polarisation for band in capture.bands.values()] == ["parallel", "crossed", ""]
+        parallel, crossed = (capture.bands[name].pixels.astype(float) for name in ("white", "white_crossed"))
+        assert info["films"]["kept"] == kept
+        found[kept] = parallel - crossed, parallel + crossed
+    # without it the difference is white but for the tint; with it, the skin's colour is in it as well
+    shine = found[0.0][0].mean(axis=(0, 1, 2))
+    assert shine / shine[0] == pytest.approx([1.0, 1.0, 0.81], rel=0.01)
+    assert found[0.4][0].sum() / found[0.4][1].sum() > 1.05 * found[0.0][0].sum() / found[0.0][1].sum()
+
+
+def test_regression_takes_noise_away_and_keeps_what_the_relief_explains():
+    rng = np.random.default_rng(1)
+    ridges = patch(np.broadcast_to(0.03 * np.cos(np.arange(80) * 0.7), (60, 80)))
+    shading = 1.0 + 0.3 * ridges.normals[..., 0] + 2.0 * ridges.height_mm
+    clean = np.repeat((0.1 * shading[None, ..., None]).astype(np.float32), 7, axis=0)
+    clean *= np.linspace(0.8, 1.2, 7, dtype=np.float32)[:, None, None, None]
+    noisy = clean * (1.0 + 0.04 * rng.standard_normal((1, 60, 80, 1))).astype(np.float32)  # common to all lights
+    light = finger.FingerLight({"white": noisy}, {"white": noisy}, {})
+    found = finger.without_walk_noise(light, ridges).diffuse["white"]
+    kept = finger.without_walk_noise(replace(light, diffuse={"white": clean}), ridges).diffuse["white"]
+    assert np.std(found / clean) < 0.25 * np.std(noisy / clean)
+    np.testing.assert_allclose(kept, clean, rtol=2e-3)
 
 
 @needs_numba

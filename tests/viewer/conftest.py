@@ -12,7 +12,7 @@ from viewer_server import Asking
 from handmade import capture_of, finger
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.report.result import write_results
-from splitknit.viewer.server import ViewerServer, open_paths, start
+from splitknit.viewer.server import _ViewerServer, open_paths, start
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +32,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def asking() -> Iterator[Callable[..., Asking]]:
     """Return a function that serves paths and gives what asks the server."""
-    servers: list[tuple[ViewerServer, threading.Thread]] = []
+    servers: list[tuple[_ViewerServer, threading.Thread]] = []
 
     def make(*paths: Path, capture: Path | None = None) -> Asking:
         server = start(open_paths(paths, capture), 0)

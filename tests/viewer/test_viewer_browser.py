@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -264,6 +265,29 @@ def test_a_result_without_a_scale_is_in_pixels(shown: Path, asking: Serve, page:
     seen.wait("return location.hash.includes('dropped0')")
     seen.drawn()
     assert seen.run("return document.querySelector('.scale').textContent").endswith(" px")
+    assert seen.complaints() == []
+
+
+def test_a_specular_image_lies_on_the_surface(shown: Path, asking: Serve, page: PageMaker, tmp_path: Path) -> None:
+    folder = tmp_path / "polarised"
+    shutil.copytree(shown / "ea", folder)
+    size = cv2.imread(str(folder / "albedo.png"), 0).shape
+    cv2.imwrite(str(folder / "specular.png"), np.where(np.indices(size)[1] % 24 < 12, 255, 1).astype(np.uint8))
+    seen = page(900, 700)
+    seen.open(asking(folder).server.url)
+    clay = cv2.imread(str(seen.picture("clay")))
+    seen.choose("#colour", "specular")
+    seen.wait("return document.getElementById('legend').getAttribute('aria-label').includes('specular image')")
+    time.sleep(0.5)
+    seen.drawn()
+    striped = cv2.imread(str(seen.picture("specular")))
+    middle = np.s_[250:450, 250:450]
+    assert striped[middle].std() > clay[middle].std() + 40
+    drop(seen, folder)
+    seen.wait("return location.hash.includes('dropped0')")
+    assert not seen.run("return document.querySelector('option[value=specular]').disabled")
+    seen.open(asking(shown / "ea").server.url)
+    assert seen.run("return document.querySelector('option[value=specular]').disabled")
     assert seen.complaints() == []
 
 

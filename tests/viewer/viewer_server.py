@@ -9,7 +9,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from splitknit.viewer.server import ViewerServer
+from splitknit.viewer.server import _ViewerServer
 
 
 def started(*arguments: object) -> tuple[subprocess.Popen[str], dict[str, Any]]:
@@ -28,7 +28,7 @@ def started(*arguments: object) -> tuple[subprocess.Popen[str], dict[str, Any]]:
 class Asking:
     """A server in a thread, and how to ask it."""
 
-    server: ViewerServer
+    server: _ViewerServer
 
     def get(self, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
         """Ask for a path below the token; names of headers have _ for -."""

@@ -74,6 +74,12 @@ def photographs(folder: Path) -> Iterator[Step]:
     (mine / "seventh").replace(mine / "white_6.png")
     yield Step(f"reconstruct {images} --out pixels", says="scale", makes="pixels/report.html")
     yield Step("print pixels --out wrong", 2, "--px-per-mm")  # no scale, no print
+    crossed = folder / "crossed"
+    crossed.mkdir()
+    for file in sorted(mine.glob("white_*.png"))[1:]:
+        shutil.copy(file, crossed)
+    yield Step(f"import {images} --crossed crossed --out wrong", 2, "crossed 6")  # one photograph is missing
+    yield Step("separate polarised photos --out wrong", 2, "polarised PARALLEL CROSSED")
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out photos", 2, "photos")  # nothing of the user's is replaced
     yield Step(f"reconstruct {images} --px-per-mm 22.7 --out surface", makes="surface/phalange.ply")
     (folder / "ball").mkdir()
@@ -162,6 +168,9 @@ def rig(folder: Path) -> Iterator[Step]:
     """Parts to the first finger, on the simulated rig."""
     yield Step("rig circuit --out board", makes="board/parts.csv")
     yield Step("rig circuit --out board --set circuit.white.current_a=0.3", 2, "white")  # more than the LED stands
+    yield Step("rig circuit --films servo --out filmed", makes="filmed/films.svg")
+    yield Step("rig circuit --rig filmed/rig.json --films hand --out wrong", 2, "'servo'")  # it has films already
+    yield Step("capture --device twin --rig filmed/rig.json --out wrong", 2, "provenance.films")  # the twin has none
     yield Step("rig target --out targets", makes="targets")
     yield Step("simulate --bench --seed 7 --scale 0.35 --out bench", makes="bench/plane.png")
     camera = "calibrate camera bench/board --board 9x6 --plane bench/plane.png --rig bench/rig_drawn.json"

@@ -458,16 +458,18 @@ def scatter(
 
 @njit(parallel=True, cache=True, fastmath=True)
 def gather(
-    sides: Any, lean: Any, mottle: Any, entering: Any, grids: Any, layer_px: Any, lights: Any, strength: Any,
-    medium: Any, pixels: Any, rays: Any, seed: Any, sums: Any,
+    sides: Any, lean: Any, mottle: Any, entering: Any, grids: Any, first: Any, layer_px: Any, lights: Any,
+    strength: Any, medium: Any, pixels: Any, rays: Any, seed: Any, sums: Any, once: Any,
 ) -> None:  # fmt: skip
     """Add to `sums` (N, 2, L) the light that `rays` rays from each of N pixels collect in each half of the fluence.
+
+    To `once` (N, L): the part that was scattered once, between two refractions at the boundary, in both halves.
 
     Parameters
     ----------
     sides : (H, W, 2) heights; lean : (H, W) cosine of the smooth shape's slope; mottle : (H, W) factor of absorption
     entering : (2, H - 1, W - 1, L) light that enters each cell of each side
-    grids : (2, H, W, layers, L) fluence, in layers `layer_px` thick
+    grids, first : (2, H, W, layers, L) fluence, and that of unscattered light, in layers `layer_px` thick
     lights : (L, 3) places; strength : (L,) their intensity, over the squared distance in pixels
     medium : scattering, absorption of the dermis and of the epidermis, its thickness, fraction of diffused light,
         standard deviation of the micro-facets' slopes, refractive index, diffuse reflectance from inside
@@ -479,10 +481,10 @@ def gather(
     full, passing_all = STEP / scattering, (1.0 - inside) * index * index
     for i in prange(pixels.shape[0]):
         state = _stream(seed, pixels[i, 0] * sides.shape[1] + pixels[i, 1])
-        found = np.zeros((2, count))
-        state, first = _random(state)
-        state, second = _random(state)
-        state, third = _random(state)
+        found, single = np.zeros((2, count)), np.zeros(count)
+        state, start_a = _random(state)
+        state, start_b = _random(state)
+        state, start_c = _random(state)
         for number in range(2 * rays):
             half = number // rays
             state, u = _random(state)
@@ -495,8 +497,10 @@ def gather(
             nx, ny, nz = _outward(sides, x, y, 0)
             weight = (1.0 - _fresnel(nz, index)) / (index * index)
             least = 1e-3 * weight
-            along, around = (first + number * R2[0]) % 1.0, (second + number * R2[1]) % 1.0
-            if (third + number * R2[2]) % 1.0 < spread:
+            along, around = (start_a + number * R2[0]) % 1.0, (start_b + number * R2[1]) % 1.0
+            refracted = 1.0 - spread
+            if (start_c + number * R2[2]) % 1.0 < spread:
+                refracted = 0.0
                 # evenly within the cone of what can leave, cosine-weighted
                 sine = math.sqrt(along) / index
                 a, b = sine * math.cos(2.0 * math.pi * around), sine * math.sin(2.0 * math.pi * around)
@@ -527,6 +531,7 @@ def gather(
                         if layer < grids.shape[3]:
                             for k in range(count):
                                 found[half, k] += part * grids[half, r, c, layer, k]
+                                single[k] += refracted * part * first[half, r, c, layer, k]
                 weight *= kept
                 x, y, z, room = x + length * dx, y + length * dy, z + length * dz, after
                 if side < 0:
@@ -557,3 +562,5 @@ def gather(
         for half in range(2):
             for k in range(count):
                 sums[i, half, k] += found[half, k]
+        for k in range(count):
+            once[i, k] += single[k]

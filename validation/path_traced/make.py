@@ -1,10 +1,12 @@
-"""Eight fingers photographed by random walks in their volume: other light and skin than the fast twin's.
+"""Fingers photographed by random walks in their volume: other light and skin than the fast twin's.
 
-    python validation/path_traced/make.py --out DIR            # a run that was stopped goes on
-    python validation/path_traced/make.py --out DIR --smoke    # two tiny fingers, half a minute
+    python validation/path_traced/make.py --out DIR              # a run that was stopped goes on
+    python validation/path_traced/make.py --out DIR --smoke      # two tiny fingers, half a minute
+    python validation/path_traced/make.py --out DIR --polarised  # behind linear films; --names p01 p02 for some
 
 Needs the extra ``reference`` (numba). Each finger becomes a capture folder with ``truth.npz`` and ``info.json``, which
-has all optics and the noise of the walks. The same arguments give the same bytes, whatever the number of threads.
+has all optics and the noise of the walks; of polarised fingers these lie beside the folder, as ``NAME_truth.npz`` and
+``NAME_info.json``. The same arguments give the same bytes, whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -13,15 +15,20 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from walked_finger import FingerOptics, photograph_finger
+import numpy as np
+from walked_finger import FingerLight, FingerOptics, photograph_finger, walk_finger, without_walk_noise
 
-from splitknit.errors import BadInput
+from splitknit.errors import BadInput, require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import write_capture
+from splitknit.io.npz import read_npz, write_npz
+from splitknit.model import Rig, default_rig
+from splitknit.simulator.finger.finger import FingerPose, draw_finger
+from splitknit.simulator.light.films import FilmSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.surface import SimulatedSurface
 from splitknit.simulator.twin import lay_down
@@ -52,6 +59,58 @@ CASES = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class PolarisedCase:
+    """One finger behind films, cut out of the picture."""
+
+    name: str
+    seed: int
+    pattern: str
+    ridge_um: float
+    optics: FingerOptics
+    films: FilmSettings
+    ridges: bool = True
+    moved_mm: tuple[float, float] = (0.0, 0.0)
+    as_walked: str = ""
+    """Case whose walks it shares."""
+    size_px: tuple[int, int] = (540, 640)
+    """Rows and columns of its pictures at scale 0.5."""
+    width_mm: float = 15.0
+    """Of the finger, at most."""
+    entering: int = 1
+    """Rays along each side of a cell, see :func:`walked_finger.render_finger`."""
+
+
+def _films(kept: float, axis_deg: float, extinction: float, off_deg: float, *tint: float) -> FilmSettings:
+    return FilmSettings("analyser", axis_deg, off_deg, extinction, tint or (0.85, 0.85, 0.82), kept)  # type: ignore[arg-type]
+
+
+_P01 = PolarisedCase(
+    "p01", 9201, "whorl", 60.0, FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.12, 1.0, 0.30, 1.0, 0.004),
+    _films(0.25, 0, 1000, 0.5), size_px=(640, 700), width_mm=16.5, entering=2,
+)  # fmt: skip
+POLARISED = (
+    _P01,
+    PolarisedCase("p02", 9202, "loop", 55.0, FingerOptics(0.0, 0.8, 0.15, 0.012, 0.008, 0.15, 1.5, 0.13, 1.0, 0.005),
+                  _films(0.20, 90, 500, 0.5)),
+    PolarisedCase("p03", 9203, "loop", 30.0, FingerOptics(0.0, 1.1, 0.10, 0.0015, 0.005, 0.10, 1.0, 0.45, 1.0, 0.004),
+                  _films(0.40, 45, 2000, 1.0)),
+    PolarisedCase("p04", 9204, "whorl", 85.0, FingerOptics(0.0, 0.7, 0.15, 0.003, 0.008, 0.15, 0.8, 0.20, 1.0, 0.004),
+                  _films(0.10, 20, 5000, 0.3)),
+    PolarisedCase("p05", 9205, "loop", 60.0, FingerOptics(0.0, 0.9, 0.12, 0.002, 0.006, 0.20, 0.6, 0.35, 1.0, 0.004),
+                  _films(0.25, 0, 1000, 0.5), ridges=False),
+    PolarisedCase("p06", 9206, "loop", 45.0, FingerOptics(THIRD, 1.0, 0.20, 0.002, 0.004, 0.15, 1.0, 0.50, 1.0, 0.005),
+                  _films(0.0, 60, 300, 1.0, 0.82, 0.85, 0.78)),
+    PolarisedCase("p07", 9207, "whorl", 90.0, FingerOptics(0.0, 0.8, 0.12, 0.002, 0.007, 0.15, 1.2, 0.36, 1.0, 0.004),
+                  _films(0.30, -30, 1000, 0.5)),
+    PolarisedCase("p08", 9208, "loop", 25.0, FingerOptics(0.0, 1.0, 0.10, 0.003, 0.006, 0.10, 1.0, 0.25, 1.0, 0.004),
+                  _films(0.15, 10, 1000, 0.5)),
+    replace(_P01, name="p01_ext", films=_films(0.25, 0, 100, 0.5), as_walked="p01"),
+    replace(_P01, name="p01_angle", films=_films(0.25, 0, 1000, 3.0), as_walked="p01"),
+    replace(_P01, name="p01_motion", moved_mm=(0.15, -0.13), as_walked="p01"),
+)  # fmt: skip
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Fingers photographed by random walks in their volume.")
     parser.add_argument("--out", type=Path, required=True, help="folder of the captures")
@@ -60,10 +119,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--walks", type=float, default=16.0, help="for each pixel and channel")
     parser.add_argument("--threads", type=int, default=2, help="the result does not depend on it")
     parser.add_argument("--smoke", action="store_true", help="two tiny fingers of few walks")
+    parser.add_argument("--polarised", action="store_true", help="fingers behind films, at scale 0.5")
+    parser.add_argument("--names", nargs="+", help="which of them")
     options = parser.parse_args(arguments)
     if options.smoke:
         options.fingers, options.scale, options.walks = 2, 0.08, 2.0
     try:
+        if options.polarised:
+            known = {case.name: case for case in POLARISED}
+            names, scale = options.names or list(known), 0.08 if options.smoke else 0.5
+            require(set(names) <= set(known), f"--names are some of {', '.join(known)}, not {', '.join(names)}.")
+            for name in names:
+                if not (options.out / f"{name}_info.json").exists():
+                    make_polarised(known[name], options.out, scale, options.walks, options.threads)
+            return 0
         for case in CASES[: options.fingers]:
             folder = options.out / case.name
             if not (folder / "info.json").exists():
@@ -94,6 +163,55 @@ def make(case: Case, folder: Path, scale: float, walks: float, threads: int) -> 
         (target / "info.json").write_text(json.dumps(info, indent=1) + "\n")
     worst = max(channel["noise"]["common"] for channel in info["channels"].values())
     print(f"{case.name}: {time.perf_counter() - started:.0f} s, noise of the walks {100 * worst:.1f} %", flush=True)
+
+
+def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, threads: int) -> None:
+    """Photograph one finger behind films; write its folder, and truth and info beside it."""
+    started = time.perf_counter()
+    rows, columns = case.size_px
+    size = round(rows * 2 * scale), round(columns * 2 * scale)
+    camera = replace(default_rig(scale).camera, image_size=size)
+    white = [led for led in default_rig(scale, None).leds if led.band == "white"]
+    rig = Rig(camera, (*white, *(replace(led, band="nir") for led in white)))
+    finger = draw_finger(case.seed, case.pattern)
+    width = min(finger.shape.width_mm, case.width_mm)
+    finger = replace(
+        finger, shape=replace(finger.shape, width_mm=width), skin=replace(finger.skin, ridge_depth_um=case.ridge_um)
+    )
+    settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=round(size[0] * camera.pitch_mm - 1.1, 1)))
+    surface = lay_down(case.seed, None, settings, finger=finger).surface
+    surface = surface if case.ridges else without_ridges(surface)
+
+    def walk() -> FingerLight:
+        rays = max(round(0.6 * walks), 2)
+        return walk_finger(
+            surface, rig, case.optics, walks=walks, rays=rays, threads=threads, seed=case.seed, entering=case.entering
+        )
+
+    light = without_walk_noise(_walked(case, out, walk), surface)
+    capture, truth, info = photograph_finger(
+        surface, rig, case.optics, walks=walks, seed=case.seed, light=light, films=case.films, moved_mm=case.moved_mm
+    )
+    info |= {"name": case.name, "pattern": case.pattern, "ridges": case.ridges, "ridge_depth_um": case.ridge_um}
+    with atomic_folder(out / case.name) as target:
+        write_capture(capture, target, overwrite=True)
+    write_npz(out / f"{case.name}_truth.npz", truth)
+    (out / f"{case.name}_info.json").write_text(json.dumps(info, indent=1) + "\n")
+    print(f"{case.name}: {time.perf_counter() - started:.0f} s", flush=True)
+
+
+def _walked(case: PolarisedCase, out: Path, walk: Callable[[], FingerLight]) -> FingerLight:
+    """The light of a case, kept in a file that cases share."""
+    kept, parts, bands = out / f".{case.as_walked or case.name}_light.npz", ("diffuse", "once"), ("white", "nir")
+    if kept.exists():
+        found = read_npz(kept)
+        diffuse, once = ({name: found[f"{part}_{name}"] for name in bands} for part in parts)
+        return FingerLight(diffuse, once, json.loads(str(found["channels"])))
+    light = walk()
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f"{part}_{name}": getattr(light, part)[name] for part in parts for name in bands}
+    write_npz(kept, {"channels": np.array(json.dumps(dict(light.channels))), **arrays})
+    return light
 
 
 def without_ridges(surface: SimulatedSurface) -> SimulatedSurface:

@@ -14,8 +14,8 @@ where the picture ends. Cast shadows are not traced: the LEDs stand 69 degrees a
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
 import cv2
@@ -26,6 +26,8 @@ from splitknit.errors import BadInput, require
 from splitknit.model import Band, Camera, Capture, FloatArray, Led, Progress, Rig, no_progress
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.sensor import SensorSettings, record
+from splitknit.simulator.light.films import Films, FilmSettings, mounted_films, moved
+from splitknit.simulator.light.lighting import towards
 from splitknit.simulator.light.skin import (
     BAND_CHANNELS,
     CHANNELS,
@@ -54,6 +56,8 @@ SCATTERED, STARTS = (0.05, 0.4), (0.15, 0.6)
 light, and for unscattered light where walks begin; where it is seen, it is not smoothed."""
 MOST_PX = 3.0
 """Largest standard deviation of these Gaussians."""
+REGRESSION_MM = (0.3, 0.15)
+"""Windows of :func:`without_walk_noise`: of what all lights have in common, and of what each has of its own."""
 RAYS = 2
 """Along each side of a cell: rays of unscattered light into it, diffused and of each light, in each half."""
 
@@ -101,6 +105,8 @@ class _ChannelLight:
 
     halves: FloatArray
     """(2, L, H, W) radiance from two independent halves of the walks, zero outside the finger."""
+    once: FloatArray
+    """(L, H, W) the part of it that was scattered once and refracted in and out."""
 
     @property
     def radiance(self) -> FloatArray:
@@ -123,6 +129,7 @@ def _rms(values: NDArray[Any]) -> float:
 def render_finger(
     surface: SimulatedSurface, leds: Sequence[Led], channel: Channel, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+    entering: int | None = None,
 ) -> _ChannelLight:  # fmt: skip
     """Light from within the skin under each LED, by random walks in one channel.
 
@@ -136,6 +143,7 @@ def render_finger(
     threads : the result does not depend on it
     seed : of walks and mottles
     progress : called after each part of the walks
+    entering : rays of unscattered light along each side of a cell; None: `RAYS`
 
     Raises
     ------
@@ -162,7 +170,7 @@ def render_finger(
     mottle = _mottles(solid.lean.shape, pitch, optics, seed)
     return walk_solid(
         solid, surface, mottle, medium, walks=walks, rays=rays, threads=threads,
-        seed=[seed, CHANNELS.index(channel)], progress=progress,
+        seed=[seed, CHANNELS.index(channel)], progress=progress, entering=entering,
     )  # fmt: skip
 
 
@@ -242,6 +250,7 @@ def _mottles(size: tuple[int, int], pitch_mm: float, optics: FingerOptics, seed:
 def walk_solid(
     solid: _Solid, surface: SimulatedSurface, mottle: FloatArray, medium: Array,
     *, walks: float, rays: int, threads: int, seed: Sequence[int], progress: Progress = no_progress,
+    entering: int | None = None,
 ) -> _ChannelLight:  # fmt: skip
     """Walk from all pixels that see the finger."""
     numba, kernels = _load()
@@ -251,7 +260,7 @@ def walk_solid(
     layer_px = 0.2 / medium[0]
     optics = solid.sides, solid.lean, mottle
     first = np.zeros((2, rows, columns, LAYERS, count), dtype=np.float32)
-    kernels.first_light(*optics, solid.entering, solid.lights, medium, layer_px, RAYS, seeds[0], first)
+    kernels.first_light(*optics, solid.entering, solid.lights, medium, layer_px, entering or RAYS, seeds[0], first)
     _share_border(first, 2.0)
     starts = first.copy()
     _smooth(starts, solid.sides, layer_px, STARTS)
@@ -271,15 +280,17 @@ def walk_solid(
     _smooth(fluence, solid.sides, layer_px, SCATTERED)
     fluence += first
     progress("scattering", 0.7)
-    sums = np.zeros((len(pixels), 2, count))
+    sums, once = np.zeros((len(pixels), 2, count)), np.zeros((len(pixels), count))
     kernels.gather(
-        *optics, solid.entering, fluence, layer_px, solid.lights, solid.strength, medium, pixels - solid.corner,
-        rays, seeds[2], sums,
+        *optics, solid.entering, fluence, first, layer_px, solid.lights, solid.strength, medium,
+        pixels - solid.corner, rays, seeds[2], sums, once,
     )  # fmt: skip
     progress("gathering", 1.0)
     halves = np.zeros((2, count, *surface.mask.shape), dtype=np.float32)
     halves[:, :, pixels[:, 0], pixels[:, 1]] = np.transpose(sums, (1, 2, 0)) / rays
-    return _ChannelLight(halves)
+    single = np.zeros(halves.shape[1:], dtype=np.float32)
+    single[:, pixels[:, 0], pixels[:, 1]] = once.T / (2 * rays)
+    return _ChannelLight(halves, single)
 
 
 def _share_border(fluence: FloatArray, factor: float) -> None:
@@ -316,21 +327,47 @@ def _load() -> tuple[Any, Any]:
 # Light that the surface alone reflects.
 
 
-def specular(surface: SimulatedSurface, led: Led, roughness: float) -> FloatArray:
+def specular(surface: SimulatedSurface, led: Led, roughness: float, samples: int = 1) -> FloatArray:
     """(H, W) radiance of the GGX reflection at the ridged skin, without shadows and inter-reflection.
+
+    `samples`: places along each side of a pixel whose mean it is; the skin between the pixels' centres is interpolated.
 
     References
     ----------
     Walter, Marschner, Li and Torrance 2007, equations (20), (33), (34).
     """
-    camera = surface.camera
-    x, y = _pixel_places(camera)
-    way = np.asarray(led.position_mm) - np.stack([x, y, np.where(surface.mask, surface.height_mm, 0.0)], axis=-1)
+    rows, columns = surface.mask.shape
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    normals, height = surface.normals, np.where(surface.mask, surface.height_mm, 0.0).astype(np.float32)
+    total = np.zeros((rows, columns))
+    for down in offsets:
+        for right in offsets:
+            shift = np.float32([[1, 0, right], [0, 1, down]])
+
+            def at(field: FloatArray, shift: Any = shift) -> Array:
+                if samples == 1:
+                    return field.astype(np.float64)
+                how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+                moved = cv2.warpAffine(field, shift, (columns, rows), flags=how, borderMode=cv2.BORDER_REPLICATE)
+                return np.asarray(moved, dtype=np.float64)
+
+            here = at(normals)
+            if samples > 1:
+                here /= np.maximum(np.linalg.norm(here, axis=-1, keepdims=True), 1e-9)
+            total += _specular_at(surface, led, roughness, (here, at(height)), (right, down))
+    return np.asarray(total / samples**2, dtype=np.float32)
+
+
+def _specular_at(
+    surface: SimulatedSurface, led: Led, roughness: float, skin: tuple[Array, Array], off: tuple[float, float]
+) -> Array:
+    """(H, W) reflection of skin with normals (H, W, 3) and heights (H, W), off the pixels' centres (columns, rows)."""
+    (normals, height), (x, y), pitch = skin, _pixel_places(surface.camera), surface.camera.pitch_mm
+    way = np.asarray(led.position_mm) - np.stack([x + off[0] * pitch, y - off[1] * pitch, height], axis=-1)
     squared = np.sum(way * way, axis=-1)
     towards = way / np.sqrt(squared)[..., None]
     half = towards + np.array([0.0, 0.0, 1.0])
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    normals = surface.normals.astype(np.float64)
     n_l, n_v, n_h = np.sum(normals * towards, -1), normals[..., 2], np.sum(normals * half, -1)
     seen = surface.mask & (n_l > 1e-3) & (n_v > 1e-3)
     n_l, n_v, square = np.maximum(n_l, 1e-3), np.maximum(n_v, 1e-3), roughness**2
@@ -339,7 +376,7 @@ def specular(surface: SimulatedSurface, led: Led, roughness: float) -> FloatArra
     for cosine in (n_l, n_v):
         shadow = shadow * 2.0 * cosine / (cosine + np.sqrt(square + (1.0 - square) * cosine**2))
     light = led.intensity * UNIT / squared * facets * shadow * fresnel(np.sum(half * towards, -1)) / (4.0 * n_v)
-    return np.where(seen, light, 0.0).astype(np.float32)
+    return np.where(seen, light, 0.0)
 
 
 def _pixel_places(camera: Camera) -> tuple[Array, Array]:
@@ -354,9 +391,142 @@ def _pixel_places(camera: Camera) -> tuple[Array, Array]:
 # Photographs.
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FingerLight:
+    """Light that came through the skin under every LED of a rig, and the noise of its walks."""
+
+    diffuse: Mapping[str, FloatArray]
+    """For each band (L, H, W, 3)."""
+    once: Mapping[str, FloatArray]
+    """For each band (L, H, W, 3) the part that was scattered once and refracted in and out."""
+    channels: Mapping[str, Any]
+    """For each channel level, noise and coefficients."""
+
+
+def walk_finger(
+    surface: SimulatedSurface, rig: Rig, optics: FingerOptics,
+    *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+    entering: int | None = None,
+) -> FingerLight:  # fmt: skip
+    """Walk in a finger under every LED of `rig`; arguments and errors as in :func:`photograph_finger` and
+    :func:`render_finger`.
+    """
+    diffuse, once, channels = {}, {}, {}
+    todo = [(name, channel) for name, names in BAND_CHANNELS.items() for channel in names]
+    seen = cv2.erode(surface.mask.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
+    seen &= surface.shape_normals[..., 2] > 0.5
+    for name, names in BAND_CHANNELS.items():
+        leds = [led for led in rig.leds if led.band == name]
+        if not leds:
+            continue
+        light, single = [], []
+        for channel in names:
+            done = todo.index((name, channel))
+
+            def report(_: str, fraction: float, channel: str = channel, done: int = done) -> None:
+                progress(channel, (done + fraction) / len(todo))
+
+            found = render_finger(
+                surface, leds, channel, optics, walks=walks, rays=rays, threads=threads, seed=seed, progress=report,
+                entering=entering,
+            )  # fmt: skip
+            light.append(found.radiance)
+            single.append(found.once)
+            channels[channel] = {
+                "level": float(np.median(found.radiance[:, seen])),
+                "once_scattered": float(np.median(found.once[:, seen])),
+                "noise": found.noise(seen),
+                **_coefficients(channel, optics),
+            }
+        diffuse[name], once[name] = (
+            np.stack([one[min(c, len(one) - 1)] for c in range(3)], axis=-1) for one in (light, single)
+        )
+    return FingerLight(diffuse, once, channels)
+
+
+def without_walk_noise(light: FingerLight, surface: SimulatedSurface) -> FingerLight:
+    """The light with most of the walks' noise taken away by regression on the true surface.
+
+    Around every pixel each image is explained, by weighted least squares within a Gaussian window, by place, relief and
+    slopes, as they are and smoothed; the pixel then has what these explain. What all lights have in common is noisier
+    and has a wider window than what each has of its own.
+
+    References
+    ----------
+    Bitterli et al. 2016, Nonlinearly weighted first-order regression for denoising Monte Carlo renderings.
+    """
+    common, own = (_Regression(surface, width) for width in REGRESSION_MM)
+
+    def smooth(images: FloatArray, regressions: tuple[_Regression, _Regression]) -> FloatArray:
+        found = np.empty_like(images)
+        for c in range(images.shape[3]):
+            mean = images[..., c].mean(axis=0, dtype=np.float64)
+            level = regressions[0](mean)
+            for k, image in enumerate(images[..., c]):
+                found[k, ..., c] = np.maximum(level + regressions[1](image - mean), 0.0)
+        return found
+
+    diffuse = {name: smooth(images, (common, own)) for name, images in light.diffuse.items()}
+    once = {name: smooth(images, (own, own)) for name, images in light.once.items()}
+    return FingerLight(diffuse, once, light.channels)
+
+
+class _Regression:
+    """Local linear regression of images on the geometry of a surface."""
+
+    def __init__(self, surface: SimulatedSurface, width_mm: float) -> None:
+        """`width_mm`: standard deviation of the window."""
+        self.mask, self.sigma = surface.mask, width_mm / surface.camera.pitch_mm
+        pitch = surface.camera.pitch_mm
+        weight = self.mask.astype(np.float64)
+
+        def smooth(field: Array, by_mm: float) -> Array:
+            blur = [cv2.GaussianBlur(one, (0, 0), by_mm / pitch) for one in (field * weight, weight)]
+            return np.asarray(blur[0] / np.maximum(blur[1], 1e-3), dtype=np.float64)
+
+        relief = 10.0 * np.where(self.mask, surface.height_mm - surface.shape_mm, 0.0).astype(np.float64)
+        slopes = [surface.normals[..., axis].astype(np.float64) for axis in range(2)]
+        self.features = np.stack(
+            [
+                *_pixel_places(surface.camera), relief, smooth(relief, 0.06), smooth(relief, 0.13),
+                *slopes, *(smooth(slope, 0.06) for slope in slopes),
+            ]
+        )  # fmt: skip
+        self.weight = self._window(np.ones(self.mask.shape))
+        self.means = [self._mean(field) for field in self.features]
+        count = len(self.features)
+        spread = np.empty((self.weight.size, count, count))
+        for i, first in enumerate(self.features):
+            for j, second in enumerate(self.features[: i + 1]):
+                spread[:, i, j] = self._mean(first * second) - self.means[i] * self.means[j]
+                spread[:, j, i] = spread[:, i, j]
+        spread[:, range(count), range(count)] += 1e-5
+        here = self.features[:, self.mask].T - np.stack(self.means, axis=1)
+        self.factors = np.linalg.solve(spread, here[..., None])[..., 0]
+
+    def __call__(self, image: NDArray[Any]) -> Array:
+        """(H, W) what the geometry explains of an image."""
+        image = image.astype(np.float64)
+        mean = self._mean(image)
+        found = mean.copy()
+        for k, field in enumerate(self.features):
+            found += self.factors[:, k] * (self._mean(field * image) - self.means[k] * mean)
+        result = np.zeros(self.mask.shape)
+        result[self.mask] = found
+        return result
+
+    def _window(self, field: Array) -> Array:
+        inside = np.where(self.mask, field, 0.0)
+        return np.asarray(cv2.GaussianBlur(inside, (0, 0), self.sigma, borderType=cv2.BORDER_REFLECT)[self.mask])
+
+    def _mean(self, field: Array) -> Array:
+        return self._window(field) / self.weight
+
+
 def photograph_finger(
     surface: SimulatedSurface, rig: Rig, optics: FingerOptics,
     *, walks: float = 16.0, rays: int = 12, threads: int = 2, seed: int = 0, progress: Progress = no_progress,
+    light: FingerLight | None = None, films: FilmSettings | None = None, moved_mm: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Capture, dict[str, NDArray[Any]], dict[str, Any]]:  # fmt: skip
     """Photograph a finger under every LED of `rig` by random walks.
 
@@ -369,6 +539,10 @@ def photograph_finger(
     threads : the result does not depend on it
     seed : of walks, mottles and noise
     progress : called with the channel and the fraction of all walks
+    light : of :func:`walk_finger` with the same arguments; None: walk
+    films : before the white LEDs and the camera: the white band becomes a parallel and a crossed series of the same
+        LEDs (``analyser``)
+    moved_mm : by which the finger has moved (x, y up) after the parallel series; its light is taken as unchanged
 
     Returns
     -------
@@ -381,42 +555,43 @@ def photograph_finger(
     BadInput
         As :func:`render_finger`.
     """
-    bands, channels = {}, {}
+    require(films is None or films.kind == "analyser", "the reference knows films before the same LEDs only.")
+    light = light or walk_finger(
+        surface, rig, optics, walks=walks, rays=rays, threads=threads, seed=seed, progress=progress
+    )
+    bands = {}
     noise_seeds = np.random.SeedSequence([seed, 0x4C0]).spawn(len(rig.leds))
-    todo = [(name, channel) for name, names in BAND_CHANNELS.items() for channel in names]
-    seen = cv2.erode(surface.mask.astype(np.uint8), np.ones((7, 7), np.uint8)) > 0
-    seen &= surface.shape_normals[..., 2] > 0.5
-    for name, names in BAND_CHANNELS.items():
+    for name, diffuse in light.diffuse.items():
         members = [k for k, led in enumerate(rig.leds) if led.band == name]
-        leds = [rig.leds[k] for k in members]
-        if not leds:
-            continue
-        light = []
-        for channel in names:
-            done = todo.index((name, channel))
-
-            def report(_: str, fraction: float, channel: str = channel, done: int = done) -> None:
-                progress(channel, (done + fraction) / len(todo))
-
-            found = render_finger(
-                surface, leds, channel, optics, walks=walks, rays=rays, threads=threads, seed=seed, progress=report
-            )
-            light.append(found.radiance)
-            channels[channel] = {
-                "level": float(np.median(found.radiance[:, seen])),
-                "noise": found.noise(seen),
-                **_coefficients(channel, optics),
-            }
-        diffuse = np.stack([light[min(c, len(light) - 1)] for c in range(3)], axis=-1)  # (L, H, W, 3)
-        exposure = EXPOSURE / max(float(np.percentile(diffuse[:, surface.mask], 99.9)), 1e-12)
-        shots = []
-        for k, led in enumerate(leds):
-            frame = diffuse[k] + optics.gloss * specular(surface, led, optics.roughness)[..., None]
-            frame += np.where(surface.mask, 0.0, _background(rig.camera, led))[..., None].astype(np.float32)
-            frame = cv2.GaussianBlur(frame * np.float32(exposure), (0, 0), LENS_PX)
-            shots.append(record(frame, name, noise_seeds[members[k]], _sensor(optics)))
-        none = np.zeros(len(leds))
-        bands[name] = Band(name, np.stack(shots).astype(np.uint16), tuple((k,) for k in members), none + 1.0, none)
+        if name == "white" and films is not None:
+            mount_seed = np.random.SeedSequence([seed, 0x4C2])
+            mounted = mounted_films(films, len(members), np.random.default_rng(mount_seed))
+            frames = _polarised(surface, rig, optics, light, mounted)
+            series = [name, "white_crossed"]
+            seeds = [*noise_seeds, *np.random.SeedSequence([seed, 0x4C1]).spawn(len(members))]
+            numbers = [members, [len(rig.leds) + k for k in range(len(members))]]
+        else:
+            frames = np.empty((1, *diffuse.shape), dtype=np.float32)
+            for k, member in enumerate(members):
+                led = rig.leds[member]
+                frames[0, k] = diffuse[k] + optics.gloss * specular(surface, led, optics.roughness)[..., None]
+                frames[0, k] += _background_beside(surface, led)
+            series, seeds, numbers = [name], noise_seeds, [members]
+        level = diffuse if len(frames) == 1 else frames[0]
+        exposure = EXPOSURE / max(float(np.percentile(level[:, surface.mask], 99.9)), 1e-12)
+        for key, shots, seeds_of in zip(series, frames, numbers, strict=True):
+            shift = rig.camera.px_per_mm * np.array([moved_mm[0], -moved_mm[1]]) * (key != "white")
+            images = []
+            for k, frame in enumerate(shots):
+                seen = cv2.GaussianBlur(moved(frame * np.float32(exposure), shift), (0, 0), LENS_PX)
+                images.append(record(seen, name, seeds[seeds_of[k]], _sensor(optics)))
+            none = np.zeros(len(members))
+            bands[key] = Band(key, np.stack(images).astype(np.uint16), tuple((k,) for k in members), none + 1.0, none)
+    if "white_crossed" in bands:
+        bands = {
+            "white": replace(bands["white"], polarisation="parallel"),
+            "white_crossed": replace(bands["white_crossed"], polarisation="crossed"),
+        } | {name: band for name, band in bands.items() if name == "nir"}
     truth = {
         "height_mm": surface.height_mm,
         "shape_mm": surface.shape_mm,
@@ -426,12 +601,41 @@ def photograph_finger(
     }
     info = {
         "optics": asdict(optics),
-        "channels": channels,
+        "channels": dict(light.channels),
         "walks": walks,
         "seed": seed,
         "finger_pixels": int(surface.mask.sum()),
     }
+    if films is not None:
+        info |= {"films": asdict(films), "moved_mm": list(moved_mm)}
     return Capture(rig=rig, bands=bands), truth, info
+
+
+def _polarised(
+    surface: SimulatedSurface, rig: Rig, optics: FingerOptics, light: FingerLight, mounted: Films
+) -> FloatArray:
+    """(2, L, H, W, 3) radiance behind the films, parallel and crossed, under every white LED."""
+    leds = [led for led in rig.leds if led.band == "white"]
+    diffuse, once, passing = light.diffuse["white"], light.once["white"], mounted.transmitted()
+    x, y = _pixel_places(surface.camera)
+    z = np.where(surface.mask, surface.height_mm, 0.0)
+    frames = np.empty((2, *diffuse.shape), dtype=np.float32)
+    for k, led in enumerate(leds):
+        gloss = optics.gloss * specular(surface, led, optics.roughness, samples=3)
+        lx, ly, lz, _ = towards(led, x, y, z)
+        background = _background_beside(surface, led)
+        for series in range(2):
+            mirrored = gloss * mounted.specular(series, k, (lx, ly, lz), (0.0, 0.0, 1.0))
+            kept = mounted.once_scattered(series, k, (lx, ly, lz), (0.0, 0.0, 1.0))
+            frame = mounted.depolarised * (diffuse[k] + background) + kept[..., None] * once[k] + mirrored[..., None]
+            frame = frame * passing
+            frames[series, k] = moved(frame.astype(np.float32), series * mounted.shift_px)
+    return frames
+
+
+def _background_beside(surface: SimulatedSurface, led: Led) -> FloatArray:
+    """(H, W, 1) radiance of the black background, none where the finger is."""
+    return np.where(surface.mask, 0.0, _background(surface.camera, led))[..., None].astype(np.float32)
 
 
 def _coefficients(channel: Channel, optics: FingerOptics) -> dict[str, float]:

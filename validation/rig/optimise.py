@@ -24,10 +24,11 @@ RESULTS = HERE / "optimise.json"
 
 sys.path.insert(0, str(HERE))
 
+from thesis_study import ThesisStudy  # noqa: E402
+
 from splitknit.rig.candidates import (  # noqa: E402
     BuildSettings,
     RigCandidate,
-    Study,
     grid,
 )
 from splitknit.rig.optimise import summarise, sweep_rigs  # noqa: E402
@@ -44,25 +45,27 @@ class Sweep:
     """One question."""
 
     asks: str
-    study: Study
+    study: ThesisStudy
     candidates: tuple[RigCandidate, ...]
 
 
 def _plane(fingers: int, heights: Sequence[float] = HEIGHTS, radii: Sequence[float] = RADII, **study: Any) -> Sweep:
-    return Sweep("height and radius", Study(fingers=fingers, **study), grid(heights, radii, (1.0,), (None,), (PX,)))
+    return Sweep(
+        "height and radius", ThesisStudy(fingers=fingers, **study), grid(heights, radii, (1.0,), (None,), (PX,))
+    )
 
 
 def _powers(fingers: int, powers: Sequence[float], **study: Any) -> Sweep:
-    return Sweep("power", Study(fingers=fingers, **study), grid((140.0,), (52.5,), powers, (None,), (PX,)))
+    return Sweep("power", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), powers, (None,), (PX,)))
 
 
 def _tilts(fingers: int, **study: Any) -> Sweep:
     tilts = (0.0, 10.0, 20.0, 30.0, None)
-    return Sweep("tilt", Study(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), tilts, (PX,)))
+    return Sweep("tilt", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), tilts, (PX,)))
 
 
 def _resolutions(fingers: int, values: Sequence[float], **study: Any) -> Sweep:
-    return Sweep("resolution", Study(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), (None,), values))
+    return Sweep("resolution", ThesisStudy(fingers=fingers, **study), grid((140.0,), (52.5,), (1.0,), (None,), values))
 
 
 POWERS = (0.005, 0.01, 0.03, 0.1, 0.4, 1.0, 3.0)
@@ -83,7 +86,7 @@ SWEEPS: dict[str, Sweep] = {
     "renderer_power": _powers(4, (0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.5, 2.0, 3.0, 10.0), camera="renderer"),
     "renderer": Sweep(
         "height, radius and power under one fixed exposure",
-        Study(fingers=3, camera="renderer"),
+        ThesisStudy(fingers=3, camera="renderer"),
         grid((100.0, 140.0, 180.0), (35.0, 52.5, 70.0), (0.3, 1.0, 3.0), (None,), (PX,)),
     ),
 }
@@ -120,7 +123,7 @@ def _run(name: str, out: Path, workers: int) -> dict[str, Any]:
 
     records = sweep_rigs(out, asked.candidates, asked.study, workers=workers, progress=say)
     print(file=sys.stderr)
-    summaries = {objective: summarise(records, asked.study, objective) for objective in ("hausdorff", "whole", "rms")}
+    summaries = {objective: summarise(records, f"{objective}_mm") for objective in ("hausdorff", "whole", "rms")}
     rows = []
     for one in records:
         row = {name: value for name, value in one["candidate"].items() if name != "name"}

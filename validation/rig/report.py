@@ -6,12 +6,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splitknit.report.charts import Cell, Dot, heat_map, scatter, standalone
-from splitknit.report.rig_study import AXES, SHORT
+from plots import Cell, Dot, heat_map, scatter
+
+from splitknit.report.charts import standalone
 
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 COMPARED = ("low", "high", "worse_by", "worse_low", "worse_high", "as_good")
 FIGURE = {"hausdorff": "hausdorff_mm", "whole": "whole_mm", "rms": "rms_mm"}
+AXES = {
+    "height_mm": "height of camera and LEDs (mm)",
+    "radius_mm": "radius of the circle of LEDs (mm)",
+    "power_w": "power of one LED (W)",
+    "tilt_deg": "tilt of the beams (deg)",
+    "px_per_mm": "resolution (px/mm)",
+}
+SHORT = {
+    "leds_in_view": "LEDs in view",
+    "direct_light": "light in lens",
+    "room": "no room",
+    "printer": "printer",
+    "beam": "beam",
+    "glare": "glare",
+    "exposure_white": "exposure",
+    "exposure_nir": "exposure",
+}
 PLANES = {
     "ea_opaque": "thesis's method, opaque finger",
     "ea_poisson_opaque": "its normals, integrated within the mask, opaque finger",

@@ -14,6 +14,8 @@
 population, the store, the options or the version changed since (or with --again); within a part finished captures and
 comparisons are kept in --scratch.
 
+A population with polarised captures has the case ``snk-crossed`` besides: ``snk`` on the crossed images (crossed.py).
+
 STORE is what ``splitknit batch`` made of POPULATION, a folder of ``splitknit simulate population``. A store that is not
 finished is taken as far as it goes: a table has the comparisons that all of its cases have, and says so.
 """
@@ -22,13 +24,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from chain import run_chain
+from chain import crossed_of, run_chain
+from crossed import CASE, WithCrossed
 from experiments import PARTS, WITHOUT_STORE, run_part
 from tables import Row
 from variants import FINGER_LIMIT_DEG, GATE, PAIR_LIMIT_DEG
@@ -45,6 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     if options.part == "chain":
         run_chain(options)
+    if options.store is not None and crossed_of(options.store).is_dir() and CASE not in options.cases:
+        options.cases.append(CASE)
     options.out = options.out or (options.scratch / "small" if options.small else HERE)
     parts = PARTS if options.part in ("all", "chain") else (options.part,)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -78,8 +84,9 @@ def _inputs(options: argparse.Namespace, part: str) -> str:
     names = ("cases", "people", "fraction", "small")
     given = {name: str(getattr(options, name)) for name in names}
     store = options.store if part not in WITHOUT_STORE else None
-    files = [] if store is None else sorted(path for path in store.rglob("*.parquet") if path.is_file())
-    sizes = [[path.relative_to(store).as_posix(), path.stat().st_size] for path in files]
+    stores = [] if store is None else [store, crossed_of(store)]
+    files = [path for one in stores for path in sorted(one.rglob("*.parquet")) if path.is_file()]
+    sizes = [[Path(os.path.relpath(path, store)).as_posix(), path.stat().st_size] for path in files]
     captures = len(list(options.population.glob("*/session_*/*/impression.json")))
     return settings_hash([given, _origin(options), sizes, captures])
 
@@ -119,7 +126,8 @@ def _store(options: argparse.Namespace) -> Any:
 
     if options.store is None:
         raise SystemExit("--store is needed: the folder that splitknit batch wrote.")
-    return Store(options.store)
+    store, apart = Store(options.store), crossed_of(options.store)
+    return WithCrossed(store, Store(apart)) if apart.is_dir() else store
 
 
 def _parser() -> argparse.ArgumentParser:

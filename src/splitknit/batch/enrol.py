@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from splitknit.gallery.enrol import (
     MINUTIAE_HASH,
     Enrolling,
     Made,
-    gallery_facts,
+    content_of,
     known_finger,
     made_or_failed,
     new_capture,
@@ -92,7 +92,7 @@ def enroll_population(
                 if not made.template:
                     failures.append({"path": str(place.path), "reason": made.failure})
             progress(f"{place.person} {place.finger}", done / len(waiting))
-        facts: dict[str, Any] = {} if target is None else gallery_facts(target, created=created)
+        facts: dict[str, Any] = {} if target is None else asdict(content_of(target, created=created))
     facts |= {
         "population": str(folder),
         "found": len(places),

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from splitknit.batch.chunks import load
 from splitknit.errors import BadInput, require, with_given_folders
+from splitknit.io.provenance import provenance
 from splitknit.networks.unet import running, use_device
 
 Task = TypeVar("Task")
@@ -150,12 +151,8 @@ def _on_one_thread(device: str) -> None:
 
 def _in_cluster_worker(work: Callable[[Task], Done], task: Task, version: str, device: str) -> Done:
     """Do a task in a worker of a cluster, which must have the same software."""
-    import splitknit
-
-    require(
-        version == splitknit.__version__,
-        f"a worker of the cluster has splitknit {splitknit.__version__}, and this is {version}; use one version.",
-    )
+    own = provenance()["version"]
+    require(version == own, f"a worker of the cluster has splitknit {own}, and this is {version}; use one version.")
     _on_one_thread(device)
     return work(task)
 
@@ -254,7 +251,7 @@ def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any
     The scheduler holds a few tasks for each thread of its workers, however many there are in all.
     """
     distributed = load("distributed", "cluster")
-    version = load("splitknit", "batch").__version__
+    version = provenance()["version"]
     rest = iter(tasks)
     waiting: dict[str, Any] = {}
 

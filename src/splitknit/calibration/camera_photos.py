@@ -61,26 +61,34 @@ class CameraJob:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _FoundCamera:
-    """All that was found."""
+class MeasuredCamera:
+    """A camera as photographs of targets show it, None for what they do not."""
 
+    job: CameraJob
+    """What was asked for."""
     camera: Camera
+    """As it is in the rig file."""
     fit: CameraCalibration | None
-    poses: dict[str, PlanePose]
+    """Of lens and photographs of a checkerboard."""
+    poses: Mapping[str, PlanePose]
     """Pose of the finger plane by the image that shows it."""
     pose: PlanePose | None
+    """Their mean."""
     scale: PlaneScale | None
     """Of an orthographic camera."""
     sharpness: DepthOfField | None
     binning: float
+    """Sensor pixels along a pixel of the image."""
     warnings: tuple[str, ...]
+    leds_nominal: bool = False
+    """Whether the rig file's LEDs are the drawing's, as no rig was given."""
     boardless: tuple[str, ...] = ()
     """Photographs in which no board is in full view."""
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
-def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[str, Any]:
-    """Calibrate, write the rig file, return the facts.
+def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> MeasuredCamera:
+    """Calibrate, and write the rig file.
 
     Raises
     ------
@@ -89,7 +97,7 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[s
     """
     require(
         job.folder is not None or len(job.plane) > 0 or job.disc is not None,
-        "give a FOLDER of photographs of a checkerboard, --plane or --disc: there is nothing to calibrate from.",
+        "give a FOLDER of photographs of a checkerboard, `plane` or `disc`: there is nothing to calibrate from.",
     )
     check_rig_file(job.out)
     base = read_rig(job.rig) if job.rig is not None else None
@@ -97,14 +105,14 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> dict[s
     progress("writing", 0.97)
     leds = base.leds if base is not None else default_rig().leds
     before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
-    facts = _facts_of(job, found, nominal_leds=base is None)
+    found = replace(found, leds_nominal=base is None, warnings=(*found.warnings, *_warnings(found)))
     mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
-    provenance = {**before, "camera": _rig_provenance(facts, found.hashes)}
+    provenance = {**before, "camera": _rig_provenance(camera_facts(found), found.hashes)}
     write_rig(Rig(found.camera, leds, provenance, mirrors, films), job.out)
-    return facts
+    return found
 
 
-def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> _FoundCamera:
+def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> MeasuredCamera:
     """Everything but the file."""
     board = Board.named(job.board, job.square_mm)
     fit: CameraCalibration | None = None
@@ -138,7 +146,7 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> _Found
 
 def _assembled(
     job: CameraJob, base: Rig | None, size: tuple[int, int], fit: CameraCalibration | None, marks: dict[str, Any]
-) -> _FoundCamera:
+) -> MeasuredCamera:
     """Camera, plane, depth of field."""
     old = base.camera if base is not None else Camera(75.7, size)
     warnings = list(fit.warnings) if fit is not None else []
@@ -168,11 +176,11 @@ def _assembled(
                 warnings.append(f"the camera is {height:.0f} mm high, by {job.rig} {old.height_mm:.0f} mm: {given}.")
         camera = replace(camera, height_mm=height, px_per_mm=focal / height)
         pixel_um = job.sensor_pixel_um * _binning(job, size[1])
-        require(0.1 <= job.sensor_pixel_um <= 100, "--sensor-pixel-um must be from 0.1 to 100 micrometres.")
-        require(0.3 <= job.f_number <= 128, "--aperture must be an f-number from 0.3 to 128.")
-        require(0 < job.finger_depth_mm < height, "--finger-depth-mm must be positive and below the camera's height.")
+        require(0.1 <= job.sensor_pixel_um <= 100, "`sensor_pixel_um` must be from 0.1 to 100 micrometres.")
+        require(0.3 <= job.f_number <= 128, "`f_number` must be an f-number from 0.3 to 128.")
+        require(0 < job.finger_depth_mm < height, "`finger_depth_mm` must be positive and below the camera's height.")
         sharpness = depth_of_field(focal, pixel_um, job.f_number, height, finger_depth_mm=job.finger_depth_mm)
-    return _FoundCamera(camera, fit, poses, pose, scale, sharpness, _binning(job, size[1]), tuple(warnings))
+    return MeasuredCamera(job, camera, fit, poses, pose, scale, sharpness, _binning(job, size[1]), tuple(warnings))
 
 
 def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
@@ -189,7 +197,7 @@ def _mean_scale(scales: list[PlaneScale]) -> PlaneScale:
 def _binning(job: CameraJob, columns: int) -> float:
     """Sensor pixels along a pixel of the image: the IMX219 bins below 1920 columns, and crops above."""
     if job.binning is not None:
-        require(1 <= job.binning <= 64, "--binning must be from 1 to 64.")
+        require(1 <= job.binning <= 64, "`binning` must be from 1 to 64.")
         return job.binning
     return 1.0 if columns >= _UNBINNED_COLUMNS else max(1.0, float(round(_SENSOR_COLUMNS / columns)))
 
@@ -339,7 +347,7 @@ def _refuse_other_size(files: Sequence[Path], board: Board) -> None:
         squares = asked == (size[0] + 1, size[1] + 1)
         raise BadInput(
             f"{files[0]} shows a checkerboard of {size[0]} x {size[1]} inner corners, not of {board.columns} x "
-            f"{board.rows}; give --board {size[0]}x{size[1]}"
+            f"{board.rows}; give `board` {size[0]}x{size[1]}"
             + (" (corners where four squares meet, not squares)." if squares else ", or photograph the whole board.")
         )
 
@@ -351,11 +359,10 @@ _POSES_HEIGHT, _POSES_TILT_DEG = 0.003, 0.3
 """Photographs of one plane that differ by more are warned about."""
 
 
-def _facts_of(job: CameraJob, found: _FoundCamera, nominal_leds: bool) -> dict[str, Any]:
-    """Return everything that was found, plain."""
-    camera = found.camera
-    measured, nominal = _origins(found, nominal_leds)
-    warnings = [*found.warnings, *_warnings(found)]
+def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
+    """Return what ``--json`` prints: all that was measured, as plain JSON."""
+    camera, job = found.camera, found.job
+    measured, nominal = _origins(found)
     return {
         "out": str(job.out),
         "calibrated_at": job.calibrated_at,
@@ -371,7 +378,7 @@ def _facts_of(job: CameraJob, found: _FoundCamera, nominal_leds: bool) -> dict[s
         "depth_of_field": _sharpness(found),
         "measured": measured,
         "nominal": nominal,
-        "warnings": warnings,
+        "warnings": list(found.warnings),
     }
 
 
@@ -383,7 +390,7 @@ def _rig_provenance(facts: Mapping[str, Any], hashes: Mapping[str, str]) -> dict
     return {**{name: facts[name] for name in kept}, "residuals": residuals, **origin}
 
 
-def _fit(found: _FoundCamera) -> dict[str, Any] | None:
+def _fit(found: MeasuredCamera) -> dict[str, Any] | None:
     if found.fit is None:
         return None
     fit, lens = found.fit, found.fit.lens
@@ -405,7 +412,7 @@ def _fit(found: _FoundCamera) -> dict[str, Any] | None:
     }
 
 
-def _plane(found: _FoundCamera) -> dict[str, Any] | None:
+def _plane(found: MeasuredCamera) -> dict[str, Any] | None:
     if found.scale is not None:
         scale = found.scale
         return {
@@ -434,7 +441,7 @@ def _plane(found: _FoundCamera) -> dict[str, Any] | None:
     }
 
 
-def _sharpness(found: _FoundCamera) -> dict[str, Any] | None:
+def _sharpness(found: MeasuredCamera) -> dict[str, Any] | None:
     field = found.sharpness
     if field is None:
         return None
@@ -457,7 +464,7 @@ def _sharpness(found: _FoundCamera) -> dict[str, Any] | None:
     }
 
 
-def _tilt_deviation(found: _FoundCamera, pose: PlanePose) -> float:
+def _tilt_deviation(found: MeasuredCamera, pose: PlanePose) -> float:
     """With what the principal point's uncertainty adds: an axis that is off by one pixel is off by 1 / f."""
     lens = found.fit.lens if found.fit is not None else None
     if lens is None:
@@ -466,7 +473,7 @@ def _tilt_deviation(found: _FoundCamera, pose: PlanePose) -> float:
     return float(np.hypot(pose.deviations["tilt_deg"], np.degrees(axis)))
 
 
-def _origins(found: _FoundCamera, nominal_leds: bool) -> tuple[list[str], list[str]]:
+def _origins(found: MeasuredCamera) -> tuple[list[str], list[str]]:
     """What is measured, and what is taken over."""
     measured: list[str] = []
     nominal: list[str] = []
@@ -474,12 +481,12 @@ def _origins(found: _FoundCamera, nominal_leds: bool) -> tuple[list[str], list[s
         measured += ["camera.matrix", "camera.distortion", "camera.image_size"]
     (measured if found.pose is not None or found.scale is not None else nominal).append("camera.px_per_mm")
     (measured if found.pose is not None else nominal).append("camera.height_mm")
-    if nominal_leds:
+    if found.leds_nominal:
         nominal += ["leds"]
     return measured, nominal
 
 
-def _warnings(found: _FoundCamera) -> list[str]:
+def _warnings(found: MeasuredCamera) -> list[str]:
     words = []
     fit, camera = found.fit, found.camera
     if fit is not None and found.pose is None:
@@ -497,7 +504,7 @@ def _warnings(found: _FoundCamera) -> list[str]:
     return words
 
 
-def _plane_warnings(found: _FoundCamera, pose: PlanePose) -> list[str]:
+def _plane_warnings(found: MeasuredCamera, pose: PlanePose) -> list[str]:
     words = []
     camera = found.camera
     if pose.tilt_deg > _TILT_LIMIT_DEG:

@@ -90,12 +90,45 @@ class LightsAsked:
     """Whether the camera is."""
 
 
+@dataclass(frozen=True, slots=True)
+class CalibratedLed:
+    """Where an LED is, and how far that can be trusted."""
+
+    band: str
+    led: int
+    direction: tuple[float, float, float]
+    """Unit, towards the LED."""
+    position_mm: tuple[float, float, float] | None
+    """In the rig's frame; None for a distant light."""
+    disagreement_deg: float | None
+    """Largest angle between the directions of two nail positions; None where one was measured."""
+    verdict: str
+    """``ok``, ``disagrees``, ``copied``, ``off the circle``, ``unchecked``, or ``nominal`` for the drawing's."""
+    kept: bool
+    interval_deg: float | None = None
+    """Half of the 95 % interval, of the joint fit; so `interval_mm`."""
+    interval_mm: float | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class LightCalibration:
-    """What was found."""
+class CalibratedLights:
+    """Where the lights of a rig are."""
 
     method: str
-    judged: tuple[_JudgedLed, ...]
+    """``circle`` or ``joint`` (a nail's shadows), ``chrome`` or ``grey`` (a ball), or ``geometry`` (the drawing)."""
+    leds: tuple[CalibratedLed, ...]
+    rig: Rig
+    """With these lights, as it is written."""
+    warnings: tuple[str, ...]
+    facts: Mapping[str, Any]
+    """What ``splitknit calibrate lights --json`` prints: also each step, plain."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NailLights:
+    """The LEDs of a table of nail and shadow tips."""
+
+    method: str
     chosen: Mapping[LedName, LedEstimate]
     facts: dict[str, Any]
     """For ``--json``."""
@@ -110,7 +143,7 @@ def find_leds(
     settings: LightSettings,
     *,
     how: LightsAsked,
-) -> LightCalibration:
+) -> NailLights:
     """Find and judge every LED of a table.
 
     The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
@@ -155,7 +188,7 @@ def find_leds(
         + ([f"kept although {sentence}"] if keep and sentence else []),
         "refused": None if keep else sentence,
     }
-    return LightCalibration(method, judged, chosen, facts, None if keep else sentence)
+    return NailLights(method, chosen, facts, None if keep else sentence)
 
 
 def rig_of(

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from splitknit.calibration.light_table import BANDS, LEDS_PER_BAND, Tip, read_tips
 from splitknit.calibration.lights import Circle, combine
-from splitknit.calibration.lights_found import LightsAsked, LightSettings, find_leds, rig_of
+from splitknit.calibration.lights_found import (
+    CalibratedLed,
+    CalibratedLights,
+    LightsAsked,
+    LightSettings,
+    find_leds,
+    rig_of,
+)
 from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
 from splitknit.errors import BadInput, Refused, read_bytes, require
@@ -65,8 +72,8 @@ class _RigInputs:
     base: Rig | None
 
 
-def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> dict[str, Any]:
-    """Find the LEDs, write the rig file where one is named; return the facts.
+def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
+    """Find the LEDs, and write the rig file where one is named.
 
     Raises
     ------
@@ -99,17 +106,15 @@ def _checked_source(job: LightsJob) -> str:
     sources = [name for name, wanted in asked.items() if wanted]
     require(
         len(sources) == 1,
-        f"calibrate lights needs one of --table CSV, --images FOLDER, --sphere KIND with --images, and --geometry, but "
-        f"{'none was' if not sources else ' and '.join('--' + name for name in sources) + ' were'} given.",
+        f"calibrate lights needs one of `table`, `images`, `sphere` with `images`, and `geometry`, but "
+        f"{'none was' if not sources else ' and '.join(f'`{name}`' for name in sources) + ' were'} given.",
     )
-    require(
-        sources[0] != "sphere" or job.images is not None, "--sphere needs --images FOLDER, photographs of the ball."
-    )
+    require(sources[0] != "sphere" or job.images is not None, "`sphere` needs `images`, photographs of the ball.")
     if _is_list(job.out):
         check_file(job.out, "a list of lights", lambda data: data.startswith(LIST_TITLE.encode()))
     else:
         check_rig_file(job.out)
-    require(sources[0] != "geometry" or job.out is not None, "--geometry writes a rig file; name it with --out FILE.")
+    require(sources[0] != "geometry" or job.out is not None, "`geometry` writes a rig file; name it by `out`.")
     return sources[0]
 
 
@@ -118,19 +123,18 @@ def _rig_inputs(job: LightsJob) -> _RigInputs:
     if job.rig is not None:
         for name in ("px_per_cm", "image_size"):
             given = getattr(job, name) is None
-            require(given, f"--{name.replace('_', '-')} and --rig set the same thing; give one of them.")
+            require(given, f"`{name}` and `rig` set the same thing; give one of them.")
         base = read_rig(job.rig)
         return _RigInputs(base.camera, base)
     needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]
     require(
         not needed,
-        f"calibrate lights needs {' and '.join('--' + name.replace('_', '-') for name in needed)}, or --rig FILE "
-        f"with a camera.",
+        f"calibrate lights needs {' and '.join(f'`{name}`' for name in needed)}, or `rig` with a camera.",
     )
     assert job.px_per_cm is not None and job.image_size is not None and job.led_height_cm is not None
-    rows, columns = _pair(job.image_size, "--image-size", "rows,columns, such as 2200,3200")
+    rows, columns = _pair(job.image_size, "`image_size`", "rows,columns, such as 2200,3200")
     whole = rows == int(rows) and columns == int(columns) and min(rows, columns) >= 1 and rows * columns <= 2e8
-    require(whole, f"--image-size must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
+    require(whole, f"`image_size` must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
     height = job.led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
     return _RigInputs(Camera(job.px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), None)
 
@@ -140,7 +144,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     places = [led.position_mm for led in inputs.base.leds if led.position_mm is not None] if inputs.base else []
     radius, height = job.led_radius_cm, job.led_height_cm
     missing = [
-        f"--led-{what}-cm" for what, value in (("radius", radius), ("height", height)) if value is None and not places
+        f"`led_{what}_cm`" for what, value in (("radius", radius), ("height", height)) if value is None and not places
     ]
     require(
         not missing,
@@ -149,7 +153,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     )
     centre = (0.0, 0.0)
     if job.led_centre_px is not None:
-        x, y = _pair(job.led_centre_px, "--led-centre-px", "x,y in pixels, such as 1575,1174")
+        x, y = _pair(job.led_centre_px, "`led_centre_px`", "x,y in pixels, such as 1575,1174")
         point = plane_points(inputs.camera, np.array([[x, y]]))[0]
         centre = (float(point[0]), float(point[1]))
     array = np.array(places).reshape(-1, 3)
@@ -160,7 +164,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     )
 
 
-def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> dict[str, Any]:
+def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> CalibratedLights:
     """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
     found, facts = {}, []
     for nir, band in enumerate(BANDS):
@@ -191,8 +195,8 @@ def _is_list(out: Path | None) -> bool:
     return out is not None and out.suffix.lower() == ".txt"
 
 
-def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write the rig, or a list of its lights, where a name is given; return the facts as plain JSON."""
+def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> CalibratedLights:
+    """Write the rig, or a list of its lights, where a name is given."""
     if out is not None and _is_list(out):
         bands = {led.band for led in rig.leds}
         require(
@@ -203,7 +207,18 @@ def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> dict[str, 
         write_light_list(rig.leds, out, [str(one.get("image", f"LED {one['led']}")) for one in facts["leds"]])
     elif out is not None:
         write_rig(rig, out)
-    return _plain({**facts, "written": out is not None, "out": None if out is None else str(out)})
+    plain = _plain({**facts, "written": out is not None, "out": None if out is None else str(out)})
+    leds = tuple(_led_of(one) for one in plain["leds"])
+    return CalibratedLights(plain["method"], leds, rig, (*plain.get("warnings", ()), *plain.get("notes", ())), plain)
+
+
+def _led_of(facts: Mapping[str, Any]) -> CalibratedLed:
+    x, y, z = facts["direction"]
+    place = facts["position_mm"]
+    return CalibratedLed(
+        facts["band"], facts["led"], (x, y, z), None if place is None else (place[0], place[1], place[2]),
+        facts["disagreement_deg"], facts["verdict"], facts["kept"], facts.get("interval_deg"), facts.get("interval_mm"),
+    )  # fmt: skip
 
 
 def _plain(value: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,7 +238,7 @@ def _pair(text: str, name: str, form: str) -> tuple[float, float]:
     return values[0], values[1]
 
 
-def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> dict[str, Any]:
+def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
     """Calibrate from a typed table of nail and shadow tips."""
     assert job.table is not None
     data = read_bytes(job.table, 16_000_000)
@@ -237,14 +252,14 @@ def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Prog
     return _of_tips(job, inputs, circle, tips, hashes)
 
 
-def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> dict[str, Any]:
+def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
     """Find nail and shadow tips in photographs, write the picture and the table of them, and go on as with a table.
 
     Picture and table are written also where the LEDs are refused after that, for they show why.
     """
     folder, nail = job.images, job.settings.nail
     assert folder is not None
-    require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave --nail-seen base away.")
+    require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
     # what is found in photographs is better than what is clicked
     better = replace(nail, nail_sd_mm=min(nail.nail_sd_mm, FOUND_SD_MM))
     job = replace(job, settings=replace(job.settings, nail=better))
@@ -258,11 +273,11 @@ def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Pro
         "shadows_out_of_the_picture": lost,
     }
     try:
-        facts = _of_tips(job, inputs, circle, tips, hashes)
+        found = _of_tips(job, inputs, circle, tips, hashes)
     except Refused as error:
         seen = "" if show is None else f" ({show} shows what was found)"
         raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
-    return {**facts, **shown}
+    return replace(found, facts={**found.facts, **shown})
 
 
 def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
@@ -271,7 +286,7 @@ def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
 
 def _of_tips(
     job: LightsJob, inputs: _RigInputs, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str]
-) -> dict[str, Any]:
+) -> CalibratedLights:
     """Find the LEDs, refuse or write."""
     name = str(job.table or job.images)
     asked = LightsAsked(name, job.method, job.keep, calibrated=inputs.base is not None)
@@ -293,7 +308,7 @@ class _Photograph:
     path: Path
 
 
-def _of_sphere(job: LightsJob) -> dict[str, Any]:
+def _of_sphere(job: LightsJob) -> CalibratedLights:
     """Find the direction of the light of every image in a folder.
 
     Without ``--rig`` or ``--px-per-cm`` no scale is known, and none is needed: the directions go into a rig without
@@ -307,8 +322,8 @@ def _of_sphere(job: LightsJob) -> dict[str, Any]:
     near = job.led_height_cm is not None
     require(
         known or not near or job.out is None or _is_list(job.out),
-        "--led-height-cm gives places in mm, and a rig file with places needs the scale: give --px-per-cm and "
-        "--image-size, or --rig, or write a list of lights (--out lights.txt).",
+        "`led_height_cm` gives places in mm, and a rig file with places needs the scale: give `px_per_cm` and "
+        "`image_size`, or `rig`, or write a list of lights (`out` lights.txt).",
     )
     dummy = Camera(1.0, size) if near else camera_without_scale(size)
     inputs = _rig_inputs(job) if known else _RigInputs(dummy, None)

@@ -55,8 +55,8 @@ def calibrate_to_file(
     limit_percent: float | None = None,
     residuals: Path | None = None,
     progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Calibrate the rig with the card in `folder` and write it to `out`; return the facts.
+) -> RadiometricCalibration:
+    """Calibrate the rig with the card in `folder` and write it to `out`.
 
     Parameters
     ----------
@@ -94,13 +94,12 @@ def calibrate_to_file(
         **provenance({"radiometry": settings}, {**capture.hashes, **camera.hashes}),
     }
     progress("writing", 0.9)
-    written = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
+    rig = replace(found.rig, provenance={**found.rig.provenance, PROVENANCE: facts})
     if residuals is not None:
         write_image(residuals, _residual_picture(found))
-    write_rig(written, out)
+    write_rig(rig, out)
     progress("done", 1.0)
-    files = [str(out)] + ([str(residuals)] if residuals is not None else [])
-    return {**facts, "out": str(out), "files": files}
+    return replace(found, rig=rig, facts=facts, warnings=tuple(warnings))
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:

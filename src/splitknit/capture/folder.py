@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.capture.enrolment import Enrolment, PlannedCapture
-from splitknit.capture.session import Session, SessionSettings, WatchFocus, run_session
+from splitknit.capture.session import Session, SessionSettings, Turn, WatchFocus, run_session
 from splitknit.devices import Camera, LightBank
 from splitknit.errors import BadInput, Refused
 from splitknit.io.atomic import atomic_folder
@@ -40,6 +40,8 @@ class Opened:
     truth: Mapping[str, Any] | None = None
     """What the twin knows of the finger."""
     notes: tuple[str, ...] = ()
+    turn: Turn | None = None
+    """Of the analyser, where the devices turn it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,8 @@ class CaptureOptions:
     overwrite: bool = False
     """Replace an earlier capture."""
     watch_focus: WatchFocus | None = None
+    turn: Turn | None = None
+    """Has the analyser turned by hand, where the devices do not turn it; None: nobody is there."""
     ask: Ask | None = None
     """Of an enrolment: asks for each finger, and again after a verdict; None takes them as they come and stops at the
     first verdict."""
@@ -78,6 +82,7 @@ def capture_to_folder(
             devices.rig,
             options.settings,
             watch_focus=options.watch_focus,
+            turn=devices.turn or options.turn,
             progress=lambda stage, fraction: progress(stage, 0.8 * fraction),
         )
         verdict = "; ".join(session.verdict)
@@ -113,6 +118,7 @@ def _facts(devices: Opened, session: Session, options: CaptureOptions) -> dict[s
             for band, one in session.exposures.items()
         },
         "focus": asdict(session.focus),
+        **({} if session.crossed_over_parallel is None else {"crossed_over_parallel": session.crossed_over_parallel}),
         "shots": [asdict(shot) for shot in session.shots],
         "frames_taken": session.frames_taken,
         "seconds": session.seconds,

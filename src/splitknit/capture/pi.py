@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.capture.pins import pins_of
+from splitknit.capture.pins import RigFilms, pins_of, rig_films
 from splitknit.capture.streams import BAYER, StreamCamera, developed, open_genicam, open_uvc, preview_pixels
 from splitknit.devices import Camera, Closing, ExposureRange, Frame, GuardedLights
 from splitknit.errors import BadInput, importing, require
@@ -141,6 +141,34 @@ class PiLightBank(GuardedLights):
         lines, self._lines = self._lines, []
         for line in lines:
             line.close()  # gpiozero makes it an input: the base resistor's pull-down holds the LED off
+
+
+_TURN_S = 0.4
+"""Twice what a small servo needs for a quarter turn without load (0.1 s for 60 degrees at 4.8 V)."""
+
+
+class PiAnalyser(Closing):
+    """The film before the camera on a servo; without pulses between its turns, so that it does not tremble."""
+
+    def __init__(
+        self, films: RigFilms, make_servo: Callable[..., Any], sleep: Callable[[float], None] = time.sleep
+    ) -> None:
+        """Take the servo's line; `make_servo`: ``gpiozero.Servo``, or what behaves like it; `sleep`: lets time pass."""
+        short, long = sorted(films.pulses_ms)
+        self._sleep = sleep
+        self._crossed = 1.0 if films.pulses_ms[1] == long else -1.0
+        widths = {"min_pulse_width": 1e-3 * short, "max_pulse_width": 1e-3 * long}
+        self._servo = make_servo(films.servo, initial_value=None, **widths)
+
+    def __call__(self, position: str) -> None:
+        """Turn to ``parallel`` or ``crossed`` and wait until it is there."""
+        self._servo.value = self._crossed if position == "crossed" else -self._crossed
+        self._sleep(_TURN_S)
+        self._servo.detach()
+
+    def close(self) -> None:
+        """See :class:`splitknit.devices.Closing`."""
+        self._servo.close()
 
 
 _WHITE_GAINS = (1.11, 2.13)
@@ -466,6 +494,32 @@ def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
         raise BadInput(f"picamera2, which drives the camera, cannot be imported ({reason}); {INSTALL}.") from error
     maker: Any = picamera2.Picamera2
     return PiCamera(maker, settings)
+
+
+def open_analyser(rig: Rig) -> PiAnalyser | None:
+    """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where it has no servo.
+
+    Raises
+    ------
+    BadInput
+        If the line is in use.
+    """
+    films = rig_films(rig)
+    if films is None or films.kind != "servo":
+        return None
+    import gpiozero  # the LEDs have it already
+
+    try:
+        with (
+            warnings.catch_warnings()
+        ):  # some releases warn that pulses tremble, which they do not while images are taken
+            warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
+            return PiAnalyser(films, gpiozero.Servo)
+    except (gpiozero.GPIOZeroError, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise BadInput(
+            f"the analyser's servo cannot be driven ({reason}); close programs that use GPIO lines."
+        ) from error
 
 
 def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[Camera, PiLightBank]:

@@ -1,5 +1,8 @@
 """One capture: focus, exposure, an ambient frame and the lit frames of every band, each checked while there is time.
 
+A rig with polarising films has a parallel and a crossed series of white frames, with one exposure: it is found on the
+parallel one, where specular reflections saturate first.
+
 Pictures are kept in memory and written after the last shot: while the finger lies there nothing but light, camera and
 checks takes time. All LEDs are off when a session ends, in whatever way.
 """
@@ -29,15 +32,19 @@ from splitknit.capture.exposure import (
     survey,
     typical_level,
 )
+from splitknit.capture.pins import rig_films
 from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Devices, Examiner, Shooting, Shot
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
 from splitknit.finger.mask import finger_mask
 from splitknit.imaging.geometry import bounding_box
-from splitknit.model import Band, BoolArray, Capture, FloatArray, Progress, Rig, no_progress
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Progress, Rig, no_progress, spectral_band
 
 WatchFocus = Callable[[Focus, FocusWatch], bool]
 """Shown every measurement; true ends the live measurement."""
+
+Turn = Callable[[str], None]
+"""Turns the analyser to ``parallel`` or ``crossed``; returns when it is there."""
 
 BANDS = ("white", "nir")
 _FOCUS_FIELD_MM = 10.0
@@ -67,6 +74,8 @@ class Session:
     """Why the finger must be captured again; empty if it need not."""
     frames_taken: int
     """Full-size frames of the shots, retries included."""
+    crossed_over_parallel: float | None = None
+    """Light of the crossed images over that of the parallel ones where the finger shines; None without films."""
 
     @property
     def seconds(self) -> float:
@@ -79,7 +88,8 @@ class Session:
 
 
 def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
-    """Return band to LEDs, white first; refuse a rig file of another camera or another bank of LEDs.
+    """Return band to LEDs, white first, and after it ``white_crossed`` of a rig with films; refuse a rig file of
+    another camera or another bank of LEDs.
 
     Raises BadInput.
     """
@@ -102,6 +112,11 @@ def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[i
             f"the rig file has {len(leds)} {band} LEDs, but photometric stereo needs three at least; add the missing "
             "ones.",
         )
+    films = rig_films(rig)
+    if films is not None:
+        parallel = [k for k in bands["white"] if k not in films.crossed or films.kind != "neighbours"]
+        bands = {"white": tuple(parallel), "white_crossed": films.crossed, "nir": bands["nir"]}
+        require(len(parallel) >= 3, f"the rig file has {len(parallel)} white LEDs a series, but needs three at least.")
     return {band: leds for band, leds in bands.items() if leds}
 
 
@@ -112,6 +127,7 @@ def run_session(
     settings: SessionSettings | None = None,
     *,
     watch_focus: WatchFocus | None = None,
+    turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
     """Photograph one finger under all LEDs.
@@ -122,6 +138,7 @@ def run_session(
     rig : the rig file's
     settings : of exposure, focus and checks
     watch_focus : shown live measurements until it returns stop; None measures once
+    turn : of the analyser, where the rig has one that turns
     progress : called with stage and fraction
 
     Returns
@@ -132,13 +149,22 @@ def run_session(
     Raises
     ------
     BadInput
-        If nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits.
+        If nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
+        analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)
     devices, px_per_mm = Devices(camera, lights, rig), rig.camera.px_per_mm
+    turn = turn if bands.get("white_crossed") == bands["white"] else None
+    require(
+        turn is not None or bands.get("white_crossed") != bands["white"],
+        "the rig file has an analyser that turns between the two series, but nothing turns it here: run this on the "
+        "Raspberry Pi, and on a terminal if it is turned by hand.",
+    )
     try:
         lights.off()
+        if turn is not None:
+            turn("parallel")
         progress("finding the exposure", 0.0)
         metering = _meter(devices, bands, settings, lambda fraction: progress("finding the exposure", 0.3 * fraction))
         progress("focus", 0.3)
@@ -150,10 +176,13 @@ def run_session(
             progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
         for band, leds in bands.items():
+            if band == "white_crossed" and turn is not None:
+                turn("crossed")
             shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
     finally:
         lights.off()
     shooting.check_drift()
+    crossed_over_parallel = shooting.check_films() if settings.find_finger and "white_crossed" in bands else None
     verdict = list(shooting.verdict)
     judged = settings.find_finger and px_per_mm >= MIN_PX_PER_MM
     if judged and focus.snr < MIN_SNR:
@@ -165,6 +194,7 @@ def run_session(
         focus=focus,
         verdict=tuple(verdict),
         frames_taken=shooting.taken,
+        crossed_over_parallel=crossed_over_parallel,
     )
 
 
@@ -225,23 +255,28 @@ def _meter(
     region: BoolArray | None = None
     exposures: dict[str, Exposure] = {}
     for done, (band, leds) in enumerate(bands.items()):
+        if band == "white_crossed" and leds == bands["white"]:
+            exposures[band] = exposures["white"]
+            continue
 
-        def look(led: int, exposure_s: float, gain: float, band: str = band) -> Frame:
+        def look(led: int, exposure_s: float, gain: float, band: str = spectral_band(band)) -> Frame:
             camera.lock(exposure_s, gain, band)
             lights.on(led)
             return camera.preview()
 
         seen = survey(look, leds, camera.exposures, settings.exposure)
         lights.off()
-        camera.lock(seen.exposure_s, seen.gain, band)
+        camera.lock(seen.exposure_s, seen.gain, spectral_band(band))
         room = camera.preview()
-        _check_light(band, seen, room)
+        _check_light(band.replace("_", " "), seen, room)
         if region is None:
             region = _region(seen, room, devices) if settings.find_finger else np.ones(_previews(seen), dtype=np.bool_)
         dark = typical_level(room, region, typical)
         lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
         _check_lit(lit, dark, devices.names)
-        exposures[band] = find_exposure(look, seen, region, camera.exposures, settings.exposure).promising(seen, lit)
+        found = exposures.get(band.removesuffix("_crossed"))  # both series have the parallel one's
+        found = found or find_exposure(look, seen, region, camera.exposures, settings.exposure)
+        exposures[band] = found.promising(seen, lit)
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import cv2
@@ -15,7 +15,7 @@ from splitknit.capture.pins import led_names
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
 from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
-from splitknit.model import Band, BoolArray, FloatArray, PixelArray, Rig
+from splitknit.model import Band, BoolArray, FloatArray, PixelArray, Rig, spectral_band
 from splitknit.settings import Checked, Limits
 
 _MAX_SATURATED = 0.05
@@ -28,6 +28,11 @@ MIN_RELATIVE = 0.12
 """An LED did not light if, in the previews, it gives less than this fraction of the median LED of its band."""
 MAX_AMBIENT = 0.3
 """Light with all LEDs off, relative to the median lit shot, above which the lid is open."""
+_MAX_CROSSED = 0.93
+"""Crossed images have at most this fraction of the parallel ones' light where the finger shines. Simulated fingers
+behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film that is missing or did not turn."""
+_SHINE = 99.5
+"""Percentile of the finger's pixels that its specular reflections reach."""
 _WORKING_PX_PER_MM = 10.0
 """Scale of the copies in which motion is measured."""
 
@@ -91,6 +96,11 @@ class Examiner:
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
         sparse = cv2.resize(self.region.astype(np.uint8), full.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
         return Look(grey, details, level, _clipped_fraction(full, np.asarray(sparse)))
+
+    def shine(self, look: Look, dark: Look) -> float:
+        """Level of the finger's specular reflections in a shot, less that without LEDs, 1 = full scale."""
+        inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
+        return float(np.percentile((look.grey - dark.grey)[inside], _SHINE))
 
     @property
     def moved_mm(self) -> float:
@@ -194,6 +204,8 @@ class Shooting:
         self._camera, self._lights, self._names, self._examiner = (
             devices.camera, devices.lights, devices.names, examiner,
         )  # fmt: skip
+        self._intensities = [led.intensity for led in devices.rig.leds]
+        self._series = ""
         self._settings, self._watch_motion, self._progress = examiner.settings, watch_motion, progress
         self.bands: dict[str, Band] = {}
         self.shots: list[Shot] = []
@@ -201,25 +213,32 @@ class Shooting:
         self.taken = 0
         self._before: tuple[str, Look] | None = None
         self._steady = True
-        self._looks: list[tuple[str, Sequence[int], list[Look], Look]] = []
+        self._looks: dict[str, tuple[Sequence[int], list[Look], Look]] = {}
 
     def band(self, band: str, leds: Sequence[int], exposure: Exposure, total: int) -> None:
         """Take a band's ambient frame and its lit ones; `total` is the number of frames of all bands."""
-        self._camera.lock(exposure.exposure_s, exposure.gain, band)
+        self._camera.lock(exposure.exposure_s, exposure.gain, spectral_band(band))
         self._lights.off()
+        self._series = " crossed" if band == "white_crossed" else ""
         room, dark = self._take()
-        self._note(f"{band} ambient", None, (room, dark))
+        self._note(f"{spectral_band(band)}{self._series} ambient", None, (room, dark))
         pixels: Any = np.empty((len(leds), *room.pixels.shape), dtype=room.pixels.dtype)
         frames, looks = [], []
         for k, led in enumerate(leds):
-            self._progress(self._names[led], len(self.shots) / total)
+            self._progress(self._name(led), len(self.shots) / total)
             frame, look = self._lit(led, dark, exposure.expected[led])
             pixels[k] = frame.pixels
             frames.append(Frame(frame.pixels[:0], frame.exposure_s, frame.gain, frame.black_level))
             looks.append(look)
         self._lights.off()
-        self._looks.append((band, leds, looks, dark))
+        self._looks[band] = leds, looks, dark
         self.bands[band] = _as_band(band, pixels, leds, frames, room)
+        if self._series:
+            self.bands["white"] = replace(self.bands["white"], polarisation="parallel")
+            self.bands[band] = replace(self.bands[band], polarisation="crossed")
+
+    def _name(self, led: int) -> str:
+        return self._names[led] + self._series
 
     def _lit(self, led: int, dark: Look, expected: float) -> tuple[Frame, Look]:
         """Photograph the finger under one LED, again where it went wrong."""
@@ -236,9 +255,9 @@ class Shooting:
         for trouble in troubles:
             self.verdict.append(trouble.words)
             self._steady = self._steady and trouble.kind != "moved"
-        self._note(self._names[led], led, (frame, look), moved, attempt)
+        self._note(self._name(led), led, (frame, look), moved, attempt)
         if not any(trouble.kind == "unlit" for trouble in troubles):
-            self._before = (self._names[led], look)
+            self._before = (self._name(led), look)
         return frame, look
 
     def _take(self) -> tuple[Frame, Look]:
@@ -248,7 +267,7 @@ class Shooting:
 
     def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[_Trouble]]:
         """Motion in mm, and what is wrong."""
-        name = self._names[led]
+        name = self._name(led)
         if look.level - dark.level < _MIN_LIGHT * expected:
             words = f"{name} did not light: check its wiring and capture again"
             return None, [_Trouble("unlit", words)]
@@ -278,12 +297,30 @@ class Shooting:
         """Look for slow motion, which no two neighbours show; after the last shot, because it takes time."""
         if not self._watch_motion or not self._steady:
             return
-        for band, leds, looks, dark in self._looks:
+        for band, (leds, looks, dark) in self._looks.items():
             away = self._examiner.drift(looks, dark, self._camera.image_size[1])
             worst = int(np.argmax(away))
             if away[worst] > self._examiner.drifted_mm:
-                where = f"under the {band} LEDs (most at {self._names[leds[worst]]})"
+                series = ", crossed" if band == "white_crossed" else ""
+                where = f"under the {spectral_band(band)} LEDs{series} (most at {self._names[leds[worst]]})"
                 self.verdict.append(f"the finger drifted by {away[worst]:.1f} mm {where}: hold still and capture again")
+
+    def check_films(self) -> float:
+        """Light of the crossed images over that of the parallel ones where the finger shines; not less: a verdict."""
+        parallel, crossed = (
+            sum(
+                self._examiner.shine(look, dark) / self._intensities[led] for led, look in zip(leds, looks, strict=True)
+            )
+            for leds, looks, dark in (self._looks["white"], self._looks["white_crossed"])
+        )
+        ratio = crossed / max(parallel, 1e-9)
+        if ratio > _MAX_CROSSED:
+            self.verdict.append(
+                f"where the finger shines, the crossed images have {100 * ratio:.0f} % of the parallel ones' light, "
+                f"not {100 * _MAX_CROSSED:.0f} % or less: the analyser did not turn, or a film is missing or swapped; "
+                "check them and capture again"
+            )
+        return ratio
 
     def _note(
         self, name: str, led: int | None, taken: tuple[Frame, Look], moved: float | None = None, retries: int = 0

@@ -61,12 +61,12 @@ def _add_camera(kinds: Any) -> None:
 
 def _calibrate_camera(options: argparse.Namespace) -> Outcome:
     """Calibrate."""
-    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig  # only this verb pays
+    from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig, camera_facts  # only this verb pays
 
     now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
     job = from_options(CameraJob, options, plane=tuple(options.plane), f_number=options.aperture, calibrated_at=now)
     with Progress(options) as progress:
-        facts = calibrate_to_rig(job, progress.update)
+        facts = camera_facts(calibrate_to_rig(job, progress.update))
     return facts, _camera_lines(facts)
 
 
@@ -204,7 +204,7 @@ def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
                 )
             facts = check_folder(options.folder, options.check, limit_percent=options.limit, progress=progress.update)
             return facts, _check_lines(facts)
-        facts = calibrate_to_file(
+        found = calibrate_to_file(
             options.folder,
             options.out,
             rig_file=options.rig,
@@ -213,6 +213,8 @@ def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
             residuals=options.residuals,
             progress=progress.update,
         )
+    files = [str(file) for file in (options.out, options.residuals) if file is not None]
+    facts = {**found.facts, "out": str(options.out), "files": files}
     return facts, _radiometry_lines(facts, options.card_tilt_deg is None)
 
 
@@ -377,7 +379,7 @@ def _calibrate_lights(options: argparse.Namespace) -> Outcome:
     settings = override(settings, {name: value for name, value in given.items() if value is not None})
     job = from_options(LightsJob, options, settings=settings)
     with Progress(options) as progress:
-        facts = lights_to_rig(job, progress.update)
+        facts = dict(lights_to_rig(job, progress.update).facts)
     return facts, _light_lines(facts)
 
 

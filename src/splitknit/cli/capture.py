@@ -76,6 +76,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         keep=options.keep,
         overwrite=options.overwrite,
         watch_focus=_FocusBar() if sys.stderr.isatty() and not options.json else None,
+        turn=_turn if options.device == "pi" and sys.stdin.isatty() else None,
         ask=_ask if options.device == "pi" and sys.stdin.isatty() else None,
     )
     if options.enrolment is not None:
@@ -151,7 +152,11 @@ def _exposure_lines(facts: dict[str, Any]) -> list[str]:
         f"  {band}: {1e3 * one['exposure_s']:.1f} ms at gain {one['gain']:.1f}, LED {one['brightest_led']}, the "
         f"brightest, at {100 * one['level']:.0f} % of full scale"
         for band, one in facts["exposure"].items()
+        if band != "white_crossed"  # as white
     ]
+    if "crossed_over_parallel" in facts:
+        part = 100 * facts["crossed_over_parallel"]
+        lines.append(f"  where the finger shines, the crossed images have {part:.0f} % of the parallel ones' light")
     return [*lines, f"  sharpness {facts['focus']['sharpness']:.2f} %"]
 
 
@@ -199,6 +204,14 @@ def _ask(place: PlannedCapture, why: str | None) -> str:
     if answer == "" or answer.strip().lower().startswith("q"):
         return "stop"
     return "skip" if answer.strip().lower().startswith("s") else "go"
+
+
+def _turn(position: str) -> None:
+    """Have the analyser turned by hand."""
+    from splitknit.errors import require
+
+    print(f"\nTurn the analyser to {position}, then press Enter: ", end="", file=sys.stderr, flush=True)
+    require(sys.stdin.readline() != "", "the analyser was not turned: nobody answered on the terminal.")
 
 
 class _FocusBar:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.gallery_options import add_gallery, count
 from splitknit.cli.verb import (
@@ -18,6 +18,9 @@ from splitknit.cli.verb import (
     natural,
     new_verb,
 )
+
+if TYPE_CHECKING:
+    from splitknit.gallery.enrol import EnrolledCapture
 from splitknit.errors import require
 
 
@@ -56,6 +59,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     from splitknit.cli.options import read_changes
     from splitknit.gallery.enrol import Enrolling, enroll_files  # verbs import what they need
     from splitknit.gallery.key import key_of
+    from splitknit.io.provenance import known_json
     from splitknit.matching.surface import MatchingSettings
     from splitknit.settings import override
 
@@ -69,11 +73,12 @@ def _run(options: argparse.Namespace) -> Outcome:
             require(options.workers is None, "--workers is for --population.")
             if options.person is None or options.finger is None:
                 require(False, "name whose finger it is: --person NAME --finger right_index (or --population FOLDER).")
-            facts = enroll_files(
+            found = enroll_files(
                 options.gallery, options.sources, options.person, options.finger, options.session,
                 settings=settings, key=key, progress=progress.update,
             )  # fmt: skip
-            lines = [_words(one) for one in facts["enrolled"]]
+            facts = {**known_json(found.content), "enrolled": known_json(found.enrolled)}
+            lines = [_words(one) for one in found.enrolled]
     locked = ", encrypted" if facts["encrypted"] else ""
     lines.append(
         f"{facts['gallery']} holds {count(facts['captures'], 'capture')} of {count(facts['fingers'], 'finger')} of "
@@ -102,13 +107,13 @@ def _population(options: argparse.Namespace, settings: Any, key: Any, progress: 
     return facts, lines
 
 
-def _words(one: dict[str, Any]) -> str:
-    who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
-    if not one["new"]:
+def _words(one: EnrolledCapture) -> str:
+    who = f"{one.person}, {one.finger.replace('_', ' ')}, session {one.session}"
+    if not one.new:
         return f"{who} was enrolled from the same source already."
-    if not one["acquired"]:
+    if not one.acquired:
         lacks = "too few ridges or minutiae (failure to acquire)"
         return f"Please note: {who} holds {lacks}; it is kept as such and will match nobody."
-    kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its images"}[one["images"]]
-    held = f"{one['area_mm2']:.0f} mm² of skin" if one["area_mm2"] else "minutiae"
-    return f"Enrolled {who}: {held}, {one['template_bytes'] / 1000:.1f} kB{kept}."
+    kept = {"none": "", "thumbnail": ", with a small print", "raw": ", with its images"}[one.images]
+    held = f"{one.area_mm2:.0f} mm² of skin" if one.area_mm2 else "minutiae"
+    return f"Enrolled {who}: {held}, {one.template_bytes / 1000:.1f} kB{kept}."

@@ -64,9 +64,9 @@ def add_evaluate(verbs: Any) -> None:
 def _run(options: argparse.Namespace) -> Outcome:
     """Evaluate, write, and report what came out."""
     from splitknit.evaluation.intervals import BootstrapSettings
-    from splitknit.evaluation.study import FORMAT, EvaluationSettings, evaluate_scores
+    from splitknit.evaluation.study import EvaluationSettings, evaluate_scores
     from splitknit.io.targets import check_target
-    from splitknit.report.evaluation import interval, write_evaluation
+    from splitknit.report.evaluation import FORMAT, interval, write_evaluation
 
     settings = EvaluationSettings(
         dissimilarity=options.dissimilarity,
@@ -84,8 +84,7 @@ def _run(options: argparse.Namespace) -> Outcome:
             exclusions=options.exclude, gallery=gallery, progress=progress.update,
         )  # fmt: skip
         progress.update("report", 1.0)
-        write_evaluation(found, options.out)
-    facts = found.facts
+        facts = write_evaluation(found, options.out)
     lines = []
     for name, one in facts["systems"].items():
         counts = one["comparisons"]

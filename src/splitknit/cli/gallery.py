@@ -73,17 +73,31 @@ def _kind(
 def _list(options: argparse.Namespace, key: Any) -> Outcome:
     from splitknit.gallery.manage import list_gallery  # verbs import what they need
 
-    facts = list_gallery(options.gallery, options.person, key=key)
+    rows = list_gallery(options.gallery, options.person, key=key)
     lines = [f"{'row':>5}  {'person':24} {'finger':13} {'session':8} {'from':9} skin"]
-    for one in facts["captures"]:
-        skin = (
-            f"{one['area_mm2']:.0f} mm²" if one["acquired"] else f"failure to acquire ({one['failure'] or 'unknown'})"
+    captures = []
+    for one in rows:
+        entry, acquired = one.entry, one.template_bytes > 0
+        skin = f"{entry.area_mm2:.0f} mm²" if acquired else f"failure to acquire ({entry.failure or 'unknown'})"
+        kept = f", with {entry.images} image" if entry.images else ""
+        lines.append(f"{one.row:>5}  {entry.person:24} {entry.finger:13} {entry.session:8} {entry.kind:9} {skin}{kept}")
+        captures.append(
+            {
+                "row": one.row,
+                "person": entry.person,
+                "finger": entry.finger,
+                "session": entry.session,
+                "kind": entry.kind,
+                "area_mm2": entry.area_mm2,
+                "acquired": acquired,
+                "failure": entry.failure,
+                "template_bytes": one.template_bytes,
+                "images": entry.images or "none",
+                "enrolled_at": entry.enrolled_at or None,
+                "source_sha256": entry.source_sha256,
+            }
         )
-        kept = "" if one["images"] == "none" else f", with {one['images']} image"
-        lines.append(
-            f"{one['row']:>5}  {one['person']:24} {one['finger']:13} {one['session']:8} {one['kind']:9} {skin}{kept}"
-        )
-    return facts, lines
+    return {"gallery": str(options.gallery), "captures": captures}, lines
 
 
 def _info(options: argparse.Namespace, key: Any) -> Outcome:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.gallery_options import add_gallery, count
 from splitknit.cli.match import add_raw, basis_words, one_in
@@ -19,6 +19,9 @@ from splitknit.cli.verb import (
     natural,
     new_verb,
 )
+
+if TYPE_CHECKING:
+    from splitknit.gallery.identify import Identification
 
 
 def add_identify(verbs: Any) -> None:
@@ -65,73 +68,70 @@ def _run(options: argparse.Namespace) -> Outcome:
     from splitknit.cli.options import read_changes
     from splitknit.gallery.identify import IdentifySettings, Question, identify_file
     from splitknit.gallery.key import key_of  # verbs import what they need
+    from splitknit.io.provenance import known_json
     from splitknit.settings import override
 
     settings = override(IdentifySettings(), read_changes(options.settings, options.assignments))
     question = from_options(Question, options)
     key = key_of(options.key_file)
     with Progress(options) as progress:
-        facts = identify_file(
+        found = identify_file(
             options.gallery, options.probe, question, settings,
             key=key, preset=options.preset, progress=progress.update, input_ppi=options.input_ppi,
             shards=options.shards,
         )  # fmt: skip
-    return facts, _words(facts, options.raw)
+    return known_json(found), _words(found, options.raw)
 
 
-def _words(facts: dict[str, Any], raw: bool) -> list[str]:
-    lines, basis = [_verdict(facts)], facts["fmr_basis"]
-    for one in facts["candidates"]:
-        who = f"{one['person']}, {one['finger'].replace('_', ' ')}, session {one['session']}"
-        rate = "not known" if basis is None else one_in(one["fmr"], basis)
-        score = f", score {one['similarity']:.5g}" if raw or basis is None else ""
-        lines.append(f"{one['rank']:>3}. {who}: estimated false match rate {rate}{score}")
-    if facts["candidates"] and basis is not None:
+def _words(found: Identification, raw: bool) -> list[str]:
+    lines, basis, decision = [_verdict(found)], found.fmr_basis, found.decision
+    for one in found.candidates:
+        who = f"{one.person}, {one.finger.replace('_', ' ')}, session {one.session}"
+        rate = "not known" if basis is None or one.fmr is None else one_in(one.fmr, basis)
+        score = f", score {one.similarity:.5g}" if raw or basis is None else ""
+        lines.append(f"{one.rank:>3}. {who}: estimated false match rate {rate}{score}")
+    if found.candidates and basis is not None:
         lines.append(f"Rates were measured on {basis_words(basis)}.")
-    if raw and facts["decision"] is not None:
-        lines.append(f"A match has a score of {facts['decision']['threshold']:.5g} or more.")
-    searched = facts["searched"]
-    whose, how = (
-        "",
-        {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(searched["compared_by"], "ridge by ridge"),
-    )
-    if searched["people"] is not None:
-        whose = f" ({count(searched['fingers'], 'finger')} of {count(searched['people'], 'person', 'people')})"
+    if raw and decision is not None:
+        lines.append(f"A match has a score of {decision.threshold:.5g} or more.")
+    searched = found.searched
+    how = {"fusion": "by ridges and minutiae", "minutiae": "by minutiae"}.get(searched.compared_by, "ridge by ridge")
+    whose = ""
+    if searched.people is not None and searched.fingers is not None:
+        whose = f" ({count(searched.fingers, 'finger')} of {count(searched.people, 'person', 'people')})"
     lines.append(
-        f"Searched: {count(searched['captures'], 'capture')}{whose}, {searched['compared']} compared {how}"
-        + (" (chosen by their codes)." if searched["method"] in ("codes", "shards") else ".")
+        f"Searched: {count(searched.captures, 'capture')}{whose}, {searched.compared} compared {how}"
+        + (" (chosen by their codes)." if searched.method in ("codes", "shards") else ".")
     )
-    if facts["candidates"] and facts["candidates"][0]["fmr"] is not None:
-        first, decision = facts["candidates"][0], facts["decision"]
-        others = count(searched["captures"], "capture")
+    if found.candidates and decision is not None:
         lines.append(
-            f"Among {others} of other fingers {first['expected_false_matches']:.2g} are to be expected as similar as "
-            f"the first candidate, and {decision['expected_false_matches']:.2g} beyond the limit."
+            f"Among {count(searched.captures, 'capture')} of other fingers "
+            f"{found.candidates[0].expected_false_matches:.2g} are to be expected as similar as the first candidate, "
+            f"and {decision.expected_false_matches:.2g} beyond the limit."
         )
-    if searched["without_code"]:
+    if searched.without_code:
         lines.append(
-            f"Please note: {searched['without_code']} captures had no code of this version, or none in the shards; "
+            f"Please note: {searched.without_code} captures had no code of this version, or none in the shards; "
             "'splitknit gallery index' keeps them for the next search."
         )
-    if searched["failures"]:
-        lines.append(f"Please note: {searched['failures']} failures to acquire in the gallery match nobody.")
+    if searched.failures:
+        lines.append(f"Please note: {searched.failures} failures to acquire in the gallery match nobody.")
     return lines
 
 
-def _verdict(facts: dict[str, Any]) -> str:
-    decision = facts["decision"]
-    if not facts["probe"]["acquired"]:
-        lacks = "too few minutiae" if facts["by"] == "minutiae" else "no ridges"
-        return f"No match: {facts['probe']['path']} holds {lacks} (failure to acquire)."
-    if facts["searched"]["captures"] == 0:
+def _verdict(found: Identification) -> str:
+    decision = found.decision
+    if not found.probe.acquired:
+        lacks = "too few minutiae" if found.by == "minutiae" else "no ridges"
+        return f"No match: {found.probe.path} holds {lacks} (failure to acquire)."
+    if found.searched.captures == 0:
         return "No match: there is nothing to compare with."
     if decision is None:
         return "No decision: with other settings than the shipped ones false match rates are not known."
-    at = f"decided at a false match rate of {one_in(decision['fmr'])} a comparison"
-    best = facts["candidates"][0]
-    if facts["mode"] == "verification":
-        said = "Verified" if decision["match"] else "Not verified"
-        return f"{said}: {facts['person']} ({at})."
-    if not decision["match"]:
+    at = f"decided at a false match rate of {one_in(decision.fmr)} a comparison"
+    if found.mode == "verification":
+        return f"{'Verified' if decision.match else 'Not verified'}: {found.person} ({at})."
+    if not decision.match:
         return f"No match: nobody is similar enough ({at})."
-    return f"Match: {best['person']}, {best['finger'].replace('_', ' ')} ({at})."
+    best = found.candidates[0]
+    return f"Match: {best.person}, {best.finger.replace('_', ' ')} ({at})."

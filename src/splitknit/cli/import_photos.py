@@ -18,7 +18,7 @@ from splitknit.errors import naming, require
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
-_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background", "max_size")
+_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background", "max_size", "crossed", "mosaic")
 
 
 def add_import(verbs: Any) -> None:
@@ -92,6 +92,26 @@ def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
         help="stored value that every pixel has without light, or a photograph with all lights off",
     )
     group.add_argument(
+        "--crossed",
+        type=Path,
+        metavar="DIR",
+        help="folder of the same photographs in the same order through crossed polarising films; those of --images "
+        "are then the ones through parallel films; one exposure for all",
+    )
+    group.add_argument(
+        "--mosaic",
+        choices=("mono", "colour"),
+        help="the photographs are raw frames of a camera with films on its pixels (90, 45 / 135, 0 degrees; mono: "
+        "Sony IMX250MZR, colour: IMX250MYR); each holds the parallel and the crossed image",
+    )
+    group.add_argument(
+        "--film-angle",
+        type=float,
+        default=90.0,
+        metavar="DEG",
+        help="of --mosaic: direction of the film before the LEDs, 0 along the rows (default: 90)",
+    )
+    group.add_argument(
         "--light-frame",
         metavar="FRAME",
         help="where x and y of the lights' directions point in the image, where not right-up: right-down (y down), "
@@ -129,6 +149,7 @@ def check_photo_options(options: argparse.Namespace) -> None:
         options.max_size is None or 0.01 <= options.max_size <= 1000,
         f"--max-size must be megapixels from 0.01 to 1000, not {options.max_size}.",
     )
+    require(abs(options.film_angle) <= 360, "--film-angle must be an angle from -360 to 360 degrees, 0 along the rows.")
     check_scale_options(options)
 
 
@@ -171,6 +192,9 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
             background,
             options.tip_direction,
             options.max_size,
+            options.crossed,
+            options.mosaic,
+            options.film_angle,
         ),
         announce=lambda words: print(f"splitknit: note: {words}", file=sys.stderr),
     )
@@ -214,7 +238,8 @@ def _import_photos(options: argparse.Namespace) -> Outcome:
     from splitknit.io.targets import check_capture
 
     check_photo_options(options)
-    check_capture(options.out, overwrite=options.overwrite, keep=options.images)
+    for folder in (options.images, *([options.crossed] if options.crossed else [])):
+        check_capture(options.out, overwrite=options.overwrite, keep=folder)
     with Progress(options) as progress:
         progress.update("reading", 0.1)
         capture, notes = capture_of_photographs(options)
@@ -225,6 +250,7 @@ def _import_photos(options: argparse.Namespace) -> Outcome:
     facts: dict[str, Any] = {
         "out": str(options.out),
         "images": count,
+        "polarised": "white_crossed" in capture.bands,
         "image_size": [rows, columns],
         "channels": channels,
         "encoding": capture.encoding,
@@ -234,6 +260,8 @@ def _import_photos(options: argparse.Namespace) -> Outcome:
         "notes": notes,
     }
     kind = "colour" if channels == 3 else "grey"
+    if facts["polarised"]:
+        kind = f"parallel and {count} crossed {kind}"
     scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
     covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
     lines = [

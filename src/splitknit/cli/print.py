@@ -23,9 +23,10 @@ def add_print(verbs: Any) -> None:
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the print into")
     verb.add_argument(
         "--method",
-        choices=("relief", "unroll", "curvature", "photo", "rolled"),
+        choices=("relief", "unroll", "curvature", "photo", "specular", "rolled"),
         help="unroll: the relief on the skin laid flat (the default); relief: seen straight from above (the thesis's); "
-        "curvature: the shape index; photo: the photograph (needs a capture); rolled: around the finger, by front "
+        "curvature: the shape index; photo: the photograph (needs a capture); specular: what the surface "
+        "reflects (needs polarising films); rolled: around the finger, by front "
         "and its mirrors (needs a capture with mirrors)",
     )
     verb.add_argument(

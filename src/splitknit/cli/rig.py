@@ -11,6 +11,8 @@ from splitknit.cli.verb import Outcome, Progress, add_settings, group, natural, 
 from splitknit.errors import BadInput, require
 
 _SHEET = "target.pdf"
+_SHOWN = 10
+"""Rigs of a sweep that are listed."""
 _BUDGETS: dict[str, dict[str, Any]] = {
     "quick": {
         "heights": (100.0, 140.0, 180.0),
@@ -127,23 +129,13 @@ def _add_optimise(kinds: Any) -> None:
     axes.add_argument("--resolutions", metavar="LIST", help="of the camera, pixels per mm on the finger, 3 to 75.7")
     study = verb.add_argument_group("how they are compared")
     study.add_argument("--fingers", type=natural, metavar="N", help="simulated fingers a rig")
-    study.add_argument(
-        "--method", choices=("ea", "ea-poisson", "metric"), default="ea", help="of reconstruction (default: ea)"
-    )
-    study.add_argument("--material", choices=("opaque", "skin"), default="opaque", help="(default: opaque)")
-    study.add_argument(
-        "--camera",
-        choices=("sensor", "renderer"),
-        default="sensor",
-        help="sensor: photons and shutter (default); renderer: a fixed exposure without noise, as in Blender",
-    )
+    study.add_argument("--method", choices=("ea", "metric"), default="ea", help="of reconstruction (default: ea)")
     study.add_argument("--view", choices=("perspective", "orthographic"), default="perspective", help="of the camera")
     study.add_argument(
         "--objective",
-        choices=("hausdorff", "hausdorff95", "rms", "whole", "normals"),
-        default="hausdorff",
-        help="what is minimised: Hausdorff distance of the print (the default), its 95 %% variant, the rms distance, "
-        "the Hausdorff distance of the whole phalange, or the error of the normals",
+        choices=("rms", "ridges", "normals"),
+        default="rms",
+        help="error that is minimised: of the surface (rms, the default), of the ridges, or of the normals",
     )
     study.add_argument("--f-number", type=float, metavar="N", help="of the lens (default: 4)")
     study.add_argument("--half-angle-deg", type=float, metavar="N", help="of the LEDs' beams (default: 30)")
@@ -155,9 +147,8 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     """Sweep, write, and report what came out."""
     from splitknit.io.atomic import write_file
     from splitknit.io.provenance import json_text, plain_json
-    from splitknit.report.rig_study import rig_in_words, verdict, write_all
     from splitknit.rig.candidates import grid
-    from splitknit.rig.optimise import summarise, sweep_rigs
+    from splitknit.rig.optimise import OBJECTIVES, results_csv, summarise, sweep_rigs
 
     started = time.perf_counter()
     budget = _BUDGETS[options.budget]
@@ -171,49 +162,52 @@ def _optimise(options: argparse.Namespace) -> Outcome:
     study = _study(options, budget)
     with Progress(options) as progress:
         records = sweep_rigs(options.out, candidates, study, workers=options.workers, progress=progress.update)
-    summary = summarise(records, study, options.objective)
-    files = write_all(options.out, records, summary, study)
+    summary = summarise(records, OBJECTIVES[options.objective])
+    compared = summary.pop("compared")
     best = next(one for one in records if one["candidate"]["name"] == summary["best"])
     facts = {
-        "counts": summary["counts"],
-        "objective": summary["objective"],
-        "best": {**best["candidate"], **best["mean"], **summary["compared"][summary["best"]]},
-        "thesis": summary["thesis"],
-        "as_good": summary["as_good"],
-        "pareto": summary["pareto"],
-        "reasons": summary["reasons"],
+        **summary,
+        "objective": options.objective,
+        "best": {**best["candidate"], **best["mean"], **compared[summary["best"]]},
     }
-    document = {"format": "splitknit-rig-results", "version": 1, "study": plain_json(study), **facts}
-    full = {**document, "compared": summary["compared"], "records": records}
-    write_file(options.out / "results.json", json_text(full).encode("ascii"))
-    files["results.json"] = "all figures, finger by finger"
+    document = {"format": "splitknit-rig-results", "version": 2, "study": plain_json(study), **facts}
+    write_file(options.out / "results.csv", results_csv(records, compared, summary["pareto"]))
+    write_file(
+        options.out / "results.json",
+        json_text({**document, "compared": compared, "records": records}).encode("ascii"),
+    )
     counts = summary["counts"]
     seconds = time.perf_counter() - started
     lines = [
         f"{len(records)} rigs in {seconds:.0f} s: {counts['done']} measured, {counts['refused']} refused by a "
-        f"constraint, {counts['failed']} failed.",
-        f"Best: {rig_in_words(best)} ({best['mean'][summary['figure']]:.3g} {summary['figure'].split('_')[-1]}).",
-        verdict(summary),
+        f"constraint, {counts['failed']} failed. Error {summary['figure']}, smallest first; x: on the Pareto front of "
+        "error, power and size.",
+        "  height  radius  power     beams  px/mm    error",
     ]
+    done = {one["candidate"]["name"]: one["candidate"] for one in records if one["mean"] is not None}
+    for name in sorted(done, key=lambda name: (compared[name]["value"], name))[:_SHOWN]:
+        one, error = done[name], compared[name]["value"]
+        tilt = "at centre" if one["tilt_deg"] is None else f"{one['tilt_deg']:g} deg"
+        size = (
+            f"{one['height_mm']:3g} mm {one['radius_mm']:4g} mm {one['power_w']:4g} W {tilt:>9} {one['px_per_mm']:6g}"
+        )
+        lines.append(f"  {size} {error:8.3g}{' x' if name in summary['pareto'] else ''}")
     if study.fingers > 1:
         lines.append(f"{len(summary['as_good'])} of {counts['done']} rigs are indistinguishable from the best.")
     lines += [f"{number} left out: {words}" for words, number in list(summary["reasons"].items())[:3]]
-    lines.append(f"Open {options.out / 'index.html'} in a browser; figures are in results.csv and results.json.")
-    return {**facts, "out": str(options.out), "files": sorted(files), "total_s": seconds}, lines
+    lines.append(f"All figures: {options.out / 'results.csv'}; finger by finger: {options.out / 'results.json'}.")
+    return {**facts, "out": str(options.out), "files": ["results.csv", "results.json"], "total_s": seconds}, lines
 
 
 def _study(options: argparse.Namespace, budget: dict[str, Any]) -> Any:
-    from splitknit.rig.candidates import BuildSettings, Study
-    from splitknit.rig.photography import PhotonSettings
+    from splitknit.rig.candidates import BuildSettings, PhotonSettings
+    from splitknit.rig.optimise import Study
 
+    build = _given(half_angle_deg=options.half_angle_deg, led_drop_mm=options.led_drop_mm)
     return Study(
         method=options.method,
-        material=options.material,
-        camera=options.camera,
         fingers=budget["fingers"] if options.fingers is None else options.fingers,
-        build=BuildSettings(
-            view=options.view, **_given(half_angle_deg=options.half_angle_deg, led_drop_mm=options.led_drop_mm)
-        ),
+        build=BuildSettings(view=options.view, **build),
         photons=PhotonSettings(**_given(f_number=options.f_number)),
     )
 
@@ -255,6 +249,7 @@ def _add_circuit(kinds: Any) -> None:
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, metavar="RIG", help="rig file (default: the thesis's 14 LEDs)")
+    _add_films(verb)
     verb.add_argument(
         "--topology",
         choices=("sink", "switch"),
@@ -264,6 +259,15 @@ def _add_circuit(kinds: Any) -> None:
     add_settings(verb)
 
 
+def _add_films(verb: Any) -> None:
+    verb.add_argument(
+        "--films",
+        choices=("servo", "hand", "neighbours"),
+        help="polarising films: an analyser that a servo or a hand turns, or crossed film on further white LEDs beside "
+        "the first ones (default: as the rig file has it, else none)",
+    )
+
+
 def _design_circuit(options: argparse.Namespace) -> Outcome:
     """Design the board and write it."""
     from splitknit.cli.options import read_changes
@@ -271,6 +275,7 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
     from splitknit.model import default_rig
     from splitknit.rig.circuit import CircuitSettings
     from splitknit.rig.circuit_files import circuit_to_folder
+    from splitknit.rig.films import with_films
     from splitknit.settings import flatten, override
 
     given = _given(topology=options.topology, supply_v=options.supply_v)
@@ -278,7 +283,8 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
     changes = flatten(read_changes(options.settings, options.assignments))
     named = {name.removeprefix("circuit."): value for name, value in changes.items()}
     settings = override(CircuitSettings(), {**given, **named})
-    facts = circuit_to_folder(options.out, read_rig(options.rig) if options.rig else default_rig(), settings)
+    rig = with_films(read_rig(options.rig) if options.rig else default_rig(), options.films)
+    facts = circuit_to_folder(options.out, rig, settings)
     lines = [f"LED board of {len(facts['leds'])} stages ({settings.topology}, {settings.supply_v:g} V):"]
     for band, stage in facts["stages"].items():
         low, middle, high = stage["current_ma"]
@@ -299,7 +305,8 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
         lines.append(
             f"  {hazard['leds']:5s} {hazard['hazard']:26s} {hazard['value']:9.4g} of {hazard['limit']:.4g} "
             f"{hazard['unit']}, margin {hazard['margin']:.3g} ({hazard['margin_with_a_shorted_transistor']:.3g} with a "
-            "shorted transistor)"
+            "shorted transistor"
+            + (f", {hazard['margin_without_films']:.3g} without films)" if "films" in facts else ")")
         )
     lines.append(f"Written to {options.out}: {', '.join(facts['files'])}; rig.json holds the pin map.")
     return facts, lines
@@ -310,6 +317,7 @@ def _add_cad(kinds: Any) -> None:
     verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _draw_parts)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)")
+    _add_films(verb)
     verb.add_argument("--below", action="store_true", help="put the assembly together with the camera below the finger")
     verb.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
     add_settings(verb)
@@ -327,6 +335,7 @@ def _draw_parts(options: argparse.Namespace) -> Outcome:
             rig_file=options.rig,
             changes=changes,
             below=options.below,
+            films=options.films,
             pictures=not options.no_pictures,
             progress=progress.update,
         )

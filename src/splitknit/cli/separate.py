@@ -11,8 +11,17 @@ from splitknit.cli.verb import Outcome, Progress, natural, new_verb
 
 def add_separate(verbs: Any) -> None:
     """Add ``splitknit separate``."""
-    verb = new_verb(verbs, "separate", "split images under fine patterns into direct and global light", _run)
-    verb.add_argument("folder", type=Path, metavar="FOLDER", help="folder of images, with or without separation.json")
+    verb = new_verb(
+        verbs, "separate", "split images under fine patterns into direct and global light, or polarised ones", _run
+    )
+    verb.add_argument(
+        "folders",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="folder of images, with or without separation.json; or 'polarised PARALLEL CROSSED', two folders of the "
+        "same photographs through parallel and crossed films: specular and diffuse light",
+    )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the results into")
     verb.add_argument(
         "--method",
@@ -39,12 +48,31 @@ def add_separate(verbs: Any) -> None:
 
 def _run(options: argparse.Namespace) -> Outcome:
     """Write direct and global light."""
-    from splitknit.separation.folder import separate_to_folder
+    from splitknit.errors import require  # verbs import what they need
+    from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
 
     names = ("method", "alpha", "dark", "patterns", "encoding", "check_px", "block")
+    if len(options.folders) > 1:
+        plain = all(getattr(options, name) is None for name in names if name != "encoding")
+        require(
+            len(options.folders) == 3 and str(options.folders[0]) == "polarised" and plain,
+            "name one folder of images under patterns, or 'polarised PARALLEL CROSSED', with --out and --encoding "
+            "alone.",
+        )
+        with Progress(options) as progress:
+            _, parallel, crossed = options.folders
+            facts = separate_polarised_folders(
+                parallel, crossed, options.out, encoding=options.encoding, progress=progress.update
+            )
+        lines = [
+            f"{facts['images']} pairs of photographs separated: {100 * facts['specular_share']:.0f} % of the light "
+            "through parallel films is specular in the median.",
+            f"Written to {options.out}: specular_K.png and diffuse_K.png of each light, specular.png of all.",
+        ]
+        return facts, [*lines, *(f"Please note: {warning}" for warning in facts["warnings"])]
     with Progress(options) as progress:
         facts = separate_to_folder(
-            options.folder,
+            options.folders[0],
             options.out,
             changes={name: getattr(options, name) for name in names},
             progress=progress.update,

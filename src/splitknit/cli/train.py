@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,11 +147,12 @@ def _run_separation(options: argparse.Namespace) -> Outcome:
 def _run_relief(options: argparse.Namespace) -> Outcome:
     """Simulate the fingers and train the network for relief and glare."""
     from splitknit.training import relief
+    from splitknit.training.fields import train_fields
     from splitknit.training.relief_data import ReliefData
 
     data = ReliefData(**_chosen(options, _RELIEF_DATA))
     settings = relief.ReliefSettings(**_chosen(options, _RELIEF, "device", "precision"))
-    facts = _train(relief.train_relief, options, "relief", data, settings)
+    facts = _train(partial(train_fields, task=relief.TASK), options, "relief", data, settings)
     used, mean = facts["data"], facts["metrics"]["mean"]
     formats = {
         "correlation": "ridge correlation {:.3f}",
@@ -170,11 +172,12 @@ def _run_relief(options: argparse.Namespace) -> Outcome:
 def _run_shape(options: argparse.Namespace) -> Outcome:
     """Simulate and reconstruct the fingers, and train the network that refines the shape."""
     from splitknit.training import shape
+    from splitknit.training.fields import train_fields
     from splitknit.training.shape_data import ShapeData
 
     data = ShapeData(**_chosen(options, _SHAPE_DATA))
     settings = shape.ShapeNetSettings(**_chosen(options, _SHAPE, "device", "precision"))
-    facts = _train(shape.train_shape, options, "shape", data, settings)
+    facts = _train(partial(train_fields, task=shape.TASK), options, "shape", data, settings)
     mean = facts["metrics"]["mean"]
     lines = [
         f"A network was trained for {settings.iterations} iterations in {facts['total_s']:.0f} s "
@@ -195,7 +198,7 @@ def _train(
 
     with Progress(options) as progress:
         run = TrainingRun(options.out, options.resume, _command_line(options, network), progress.update, _curve_svg)
-        return train(run, data, settings)
+        return train(run, data=data, settings=settings)
 
 
 def _written(out: Path, files: Mapping[str, str]) -> list[str]:

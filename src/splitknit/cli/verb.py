@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -77,10 +78,21 @@ def _suggestion(word: str, choices: Iterable[str]) -> str:
 
 
 def one_line(error: object) -> str:
-    """Return an error's text on one line that moves no cursor: what it quotes may hold any character."""
+    """Return an error's text on one line that moves no cursor: what it quotes may hold any character.
+
+    Arguments of Python functions, which stand between backticks, become options.
+
+    >>> one_line("give `px_per_mm` 20, or `max_megapixels`.")
+    'give --px-per-mm 20, or --max-size.'
+    """
     from splitknit.errors import printable  # `--help` needs none of it
 
-    return printable(" ".join(str(error).split()) or "no further words")
+    text = re.sub("`([a-z_]+)`", lambda name: _OPTIONS.get(name[1], f"--{name[1].replace('_', '-')}"), str(error))
+    return printable(" ".join(text.split()) or "no further words")
+
+
+_OPTIONS = {"max_megapixels": "--max-size", "ridge_period_mm": "--ridge-period", "f_number": "--aperture"}
+"""Those with other names than the argument."""
 
 
 def new_verb(verbs: Any, name: str, does: str, run: Callable[[argparse.Namespace], Outcome]) -> argparse.ArgumentParser:

@@ -1,23 +1,21 @@
-"""What the report shows of each system, as plain facts: error rates, and 1:N identification (the CMC)."""
+"""One system of an evaluation: its intervals, 1:N identification (the CMC), and what a reader has to know of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.evaluation import rates
-from splitknit.evaluation.intervals import CONFIDENCE, FEW, BootstrapSettings, Interval, Intervals
-from splitknit.evaluation.protocol import by_session_pair
+from splitknit.evaluation.intervals import FEW, Interval, Intervals
 from splitknit.evaluation.rates import error_bound, rule_of_three
 from splitknit.evaluation.scores import Scores
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Cmc:
+class Cmc:
     """How often the right finger is among the best."""
 
     rate: NDArray[np.float64]
@@ -32,7 +30,7 @@ class _Cmc:
     """Probes that were not compared with their whole gallery, or have no finger in it."""
 
 
-def _cmc(scores: Scores) -> _Cmc | None:
+def cmc(scores: Scores) -> Cmc | None:
     """Cumulative match characteristic, closed set; None where the scores are not those of probes with galleries.
 
     Side b of a comparison is the gallery, one for each session b (the fingers seen there); side a is the
@@ -71,7 +69,7 @@ def _cmc(scores: Scores) -> _Cmc | None:
     rank = np.where(np.isfinite(genuine), 1 + ahead, 0)[used]
     smallest = int(sizes[gallery_of[starts]][used].min())
     found = np.bincount(rank[(rank > 0) & (rank <= smallest)], minlength=smallest + 1)[1:]
-    return _Cmc(
+    return Cmc(
         rate=np.cumsum(found) / rank.size,
         rank=rank,
         probe_finger=finger[order, 0][starts][used],
@@ -80,8 +78,8 @@ def _cmc(scores: Scores) -> _Cmc | None:
     )
 
 
-def _rank_one_interval(
-    result: _Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
+def rank_one_interval(
+    result: Cmc, *, replicates: int = 1000, confidence: float = 0.95, seed: int = 0
 ) -> tuple[float, float]:
     """Percentile interval of the fraction found at rank one; the probes' fingers are drawn, the gallery stays."""
     _, finger = np.unique(result.probe_finger, return_inverse=True)
@@ -113,82 +111,19 @@ class Result:
         """Those of the primary scheme."""
         return self.by_method[self.primary]
 
+    @property
+    def eer(self) -> Interval:
+        """Equal error rate; failures to acquire count as rejections."""
+        return self.intervals.figures["eer"]
 
-def system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
-    """Everything that is known of a system, ready for JSON."""
-    scores, figures = result.scores, result.intervals.figures
-    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
-    targets = settings.targets
-    missing = [int(np.isnan(side).sum()) for side in (genuine, impostor)]
-    equal = rates.equal_error(genuine, impostor)
-    facts: dict[str, Any] = {
-        "eer": asdict(figures["eer"]),
-        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in targets},
-        "fnmr_at_fmr": {f"{far:g}": asdict(_turned(figures[f"gar@{far:g}_made"])) for far in targets},
-        "eer_of_fmr_and_fnmr": asdict(figures["eer_made"]),
-        "auc": asdict(figures["auc"]),
-        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
-        "comparisons": {"genuine": genuine.size, "impostor": impostor.size},
-        "failures_to_acquire": {
-            "genuine": missing[0],
-            "impostor": missing[1],
-            "rate_genuine": missing[0] / genuine.size,
-            "rate_impostor": missing[1] / impostor.size,
-            "rate": sum(missing) / scores.score.size,
-        },
-        "equal_error": asdict(equal),
-        "operating_points": {f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far)) for far in targets},
-        "operating_points_made": {
-            f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far, counting="made")) for far in targets
-        },
-        "bootstrap": {
-            "method": result.primary,
-            "drawn": result.intervals.drawn,
-            "replicates": settings.replicates,
-            "confidence": CONFIDENCE,
-            "seed": settings.seed,
-        },
-        "intervals": {
-            method: {
-                "drawn": found.drawn,
-                "eer": asdict(found.figures["eer"]),
-                "gar_at_far": {f"{far:g}": asdict(found.figures[f"gar@{far:g}"]) for far in targets},
-            }
-            for method, found in result.by_method.items()
-        },
-        "roc": _curve(result),
-        "session_pairs": [_session_pair(names, part, settings) for names, part in by_session_pair(scores).items()],
-        "cmc": _cmc_facts(_cmc(scores), settings),
-    }
-    return facts
+    @property
+    def auc(self) -> Interval:
+        """Area under the ROC curve."""
+        return self.intervals.figures["auc"]
 
-
-def difference_facts(one: Any, settings: BootstrapSettings) -> dict[str, Any]:
-    """First minus second, with intervals."""
-    figures = one.figures
-    return {
-        "first": one.first,
-        "second": one.second,
-        "method": one.method,
-        "eer": asdict(figures["eer"]),
-        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in settings.targets},
-        "auc": asdict(figures["auc"]),
-        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
-    }
-
-
-def _cmc_facts(found: _Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
-    """Rank one and the curve, up to rank 100."""
-    if found is None:
-        return None
-    low, high = _rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
-    return {
-        "gallery": found.gallery,
-        "probes": found.rank.size,
-        "probes_left_out": found.left_out,
-        "rank_1": {"value": float(found.rate[0]), "low": low, "high": high},
-        "rate": found.rate[:100].tolist(),
-    }
+    def gar_at(self, far: float) -> Interval:
+        """Genuine accept rate at a FAR: 0.01, 0.001, 0.0001, or those that the bootstrap's settings name."""
+        return self.intervals.figures[f"gar@{far:g}"]
 
 
 def notes_of(result: Result, *, variant: bool) -> list[str]:
@@ -241,28 +176,3 @@ def _width_note(result: Result) -> list[str]:
         f"{result.scores.name}: drawn by subject the interval of the EER is {widths[0] / widths[1]:.1f} times as wide, "
         "so that fingers of one subject are similarly hard; trust the wider one."
     ]
-
-
-def _session_pair(names: tuple[str, str], part: Scores, settings: BootstrapSettings) -> dict[str, Any]:
-    genuine, impostor = np.sort(part.genuine), np.sort(part.impostor)
-    return {
-        "sessions": list(names),
-        "genuine": genuine.size,
-        "impostor": impostor.size,
-        "eer": rates.equal_error(genuine, impostor).value,
-        "gar_at_far": {f"{far:g}": rates.gar_at_far(genuine, impostor, far).gar for far in settings.targets},
-    }
-
-
-def _curve(result: Result) -> dict[str, Any]:
-    """The GAR at some FARs with its band; the whole staircase is in the page."""
-    found, scores = result.intervals, result.scores
-    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
-    gar = [rates.gar_at_far(genuine, impostor, float(far)).gar for far in found.curve_far]
-    low, high = np.minimum(found.curve_low, gar), np.maximum(found.curve_high, gar)
-    return {"far": found.curve_far.tolist(), "gar": gar, "low": low.tolist(), "high": high.tolist()}
-
-
-def _turned(interval: Interval) -> Interval:
-    """One minus a rate."""
-    return Interval(1.0 - interval.value, 1.0 - interval.high, 1.0 - interval.low)

@@ -56,6 +56,11 @@ class Fused:
     missing: tuple[int, ...]
     """Of each system, how many scores were missing."""
 
+    @property
+    def folds(self) -> int:
+        """How many folds hold a subject (finger)."""
+        return len(set(self.fold.tolist()) - {-1})
+
     def mean_weights(self) -> dict[str, float]:
         """Weight of each system's normalised score, averaged over the models."""
         mean = np.mean([model.weight for model in self.models.values()], axis=0)

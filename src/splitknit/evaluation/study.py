@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from splitknit.errors import BadInput, require
-from splitknit.evaluation.facts import Result, difference_facts, notes_of, system_facts
+from splitknit.evaluation.facts import Result, notes_of
 from splitknit.evaluation.fusion import Fused, FusionSettings, fuse
 from splitknit.evaluation.intervals import BootstrapSettings, Interval, bootstrap, differences
 from splitknit.evaluation.protocol import Exclusion, average_sessions, exclude, pair_up
 from splitknit.evaluation.scores import Ids, Scores, contradiction
-from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.scores import ScoreFile, read_exclusions, read_scores
 from splitknit.model import Progress, no_progress
 from splitknit.settings import Checked
@@ -27,8 +25,6 @@ from splitknit.settings import Checked
 if TYPE_CHECKING:
     from splitknit.evaluation.gallery_scores import GalleryScores
 
-FORMAT = "splitknit-evaluation"
-FILES = ("report.html", "report.json")
 SCORES_FILE = "scores.csv"
 """Where the scores of a gallery are written, beside the report."""
 MAX_SYSTEMS = 12
@@ -50,25 +46,33 @@ class EvaluationSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class _Difference:
+class Difference:
     """One system minus another."""
 
     first: str
     second: str
     method: str
-    figures: dict[str, Interval]
+    """The scheme of drawing."""
+    figures: Mapping[str, Interval]
+    """``eer``, ``auc``, ``d_prime``, ``gar@0.01`` and so on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
     """What an evaluation found."""
 
-    facts: dict[str, Any]
-    """For ``report.json``."""
-    results: list[Result]
-    """Of every system and variant: scores and intervals, for the charts."""
-    tables: dict[str, bytes]
+    results: tuple[Result, ...]
+    """Of every system and variant: scores, error rates and their intervals."""
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]
+    """For the reader."""
+    fused: Fused | None
+    """The systems' fusion, where it was asked for."""
+    settings: EvaluationSettings
+    inputs_sha256: Mapping[str, str]
+    tables: Mapping[str, bytes]
     """Files beside the report, by name."""
+    timings_s: Mapping[str, float]
 
 
 def evaluate_scores(
@@ -97,10 +101,10 @@ def evaluate_scores(
         listed, hashes[str(exclusions)] = _read_exclusion_list(exclusions, systems[0])
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
     notes += [] if gallery is None else gallery.notes
-    fusion: dict[str, Any] | None = None
+    fused: Fused | None = None
     if settings.fuse is not None:
-        joined, fusion, added = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
-        systems, notes = [*systems, joined], notes + added
+        fused = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
+        systems, notes = [*systems, fused.scores], notes + _notes(fused, settings.fuse)
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
     require(
@@ -113,14 +117,16 @@ def evaluate_scores(
     for result in results:
         notes += notes_of(result, variant=all(result.scores is not one for one in systems))
     notes += [f"{a} and {b} did not score the same pairs, so that they are not compared." for a, b in compared[1]]
-    facts = _facts(results, compared[0], settings, notes)
-    if fusion is not None:
-        facts["fusion"] = fusion
-    facts["inputs_sha256"] = dict(sorted(hashes.items()))
-    facts["timings_s"] = {"read": read_s, "total": time.perf_counter() - started}
-    tables = {} if gallery is None else {SCORES_FILE: gallery.table}
-    facts["files"] += list(tables)
-    return Evaluation(facts, results, tables)
+    return Evaluation(
+        results=tuple(results),
+        differences=tuple(compared[0]),
+        notes=tuple(dict.fromkeys(notes)),
+        fused=fused,
+        settings=settings,
+        inputs_sha256=dict(sorted(hashes.items())),
+        tables={} if gallery is None else {SCORES_FILE: gallery.table},
+        timings_s={"read": read_s, "total": time.perf_counter() - started},
+    )
 
 
 def _variants(systems: list[Scores], listed: list[Exclusion], average: bool) -> tuple[list[list[Scores]], list[str]]:
@@ -144,10 +150,10 @@ def _variants(systems: list[Scores], listed: list[Exclusion], average: bool) -> 
 
 def _figures(
     groups: list[list[Scores]], settings: EvaluationSettings, progress: Progress
-) -> tuple[list[Result], tuple[list[_Difference], list[tuple[str, str]]]]:
+) -> tuple[list[Result], tuple[list[Difference], list[tuple[str, str]]]]:
     """All intervals, and all differences between systems of a group (of many: to the first)."""
     results: list[Result] = []
-    found: list[_Difference] = []
+    found: list[Difference] = []
     apart: list[tuple[str, str]] = []
     steps = sum(len(_methods(one)) + len(group) - 1 for group in groups for one in group)
     done = 0
@@ -161,7 +167,7 @@ def _figures(
             wanted = settings.cluster
             require(
                 wanted == "auto" or wanted in methods,
-                f"--cluster {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
+                f"`cluster` {wanted} needs columns {wanted}_a and {wanted}_b with three of them at least, which "
                 f"{one.name} does not have.",
             )
             by_method = {}
@@ -178,7 +184,7 @@ def _figures(
                 continue
             method = next(result.primary for result in results if result.scores is first)
             settings_of = replace(settings.bootstrap, curve_points=0)
-            found.append(_Difference(first.name, second.name, method, differences(first, paired, method, settings_of)))
+            found.append(Difference(first.name, second.name, method, differences(first, paired, method, settings_of)))
             done += 1
             step(0.0)
     return results, (found, apart)
@@ -193,29 +199,6 @@ def _methods(scores: Scores) -> list[str]:
     return allowed
 
 
-def _facts(
-    results: list[Result], compared: list[_Difference], settings: EvaluationSettings, notes: list[str]
-) -> dict[str, Any]:
-    import datetime
-
-    systems = {result.scores.name: system_facts(result, settings.bootstrap) for result in results}
-    first = results[0]
-    return {
-        "format": FORMAT,
-        "version": 1,
-        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
-        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "system": first.scores.name,
-        "eer": systems[first.scores.name]["eer"],
-        "gar_at_far": systems[first.scores.name]["gar_at_far"],
-        "systems": systems,
-        "differences": [difference_facts(one, settings.bootstrap) for one in compared],
-        "notes": list(dict.fromkeys(notes)),
-        "settings": plain_json(settings),
-        "files": list(FILES),
-    }
-
-
 # The systems of a report, fused: one system more, and what a reader has to know of it.
 
 _MISSING = {
@@ -224,31 +207,16 @@ _MISSING = {
 }
 
 
-def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> tuple[Scores, dict[str, Any], list[str]]:
-    """Fuse all systems: their fused scores, facts for ``report.json``, and notes. Raises BadInput if there is one
-    system only, or as :func:`splitknit.evaluation.fusion.fuse`.
-    """
+def _fused_system(systems: Sequence[Scores], method: Literal["linear", "trained"], seed: int) -> Fused:
+    """Fuse all systems. Raises BadInput if there is one system only, or as :func:`splitknit.evaluation.fusion.fuse`."""
     require(
-        len(systems) >= 2, "--fuse needs two systems at least; give several score files, or one with a column system."
+        len(systems) >= 2, "`fuse` needs two systems at least; give several score files, or one with a column system."
     )
-    settings = FusionSettings(method=method, seed=seed)  # type: ignore[arg-type]
-    fused = fuse(systems, settings, name=f"fused, {method}")
-    folds = len(set(fused.fold.tolist()) - {-1})
-    weights = fused.mean_weights()
-    facts = {
-        "method": method,
-        "systems": list(fused.systems),
-        "dealt_by": fused.by,
-        "folds": folds,
-        "seed": seed,
-        "models": len(fused.models),
-        "mean_weights": weights,
-        "missing": dict(zip(fused.systems, fused.missing, strict=True)),
-    }
-    return fused.scores, facts, _notes(fused, method, folds, weights)
+    return fuse(systems, FusionSettings(method=method, seed=seed), name=f"fused, {method}")
 
 
-def _notes(fused: Fused, method: str, folds: int, weights: dict[str, float]) -> list[str]:
+def _notes(fused: Fused, method: str) -> list[str]:
+    weights, folds = fused.mean_weights(), fused.folds
     fractions = ", ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
     notes = [
         f"'{fused.scores.name}' joins {len(fused.systems)} systems. Each {fused.by} belongs to one of {folds} folds; "

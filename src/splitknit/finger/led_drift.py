@@ -163,7 +163,7 @@ _MODEL_ERROR = 0.003
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LedDrift:
+class _LedDrift:
     """Gains of the LEDs against their calibration, as far as they show."""
 
     gain: Array
@@ -188,7 +188,7 @@ class LedDrift:
     """Robust deviation of the images from a matt surface after the fit."""
 
 
-def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None) -> LedDrift:
+def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None) -> _LedDrift:
     """Relative brightness of every LED against its calibration, from one capture of any matt surface.
 
     Parameters
@@ -202,7 +202,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
 
     Returns
     -------
-    LedDrift
+    _LedDrift
 
     Raises
     ------
@@ -240,12 +240,12 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
     return _judge(samples, gain, weight)
 
 
-def drift_words(drift: LedDrift, names: Sequence[str]) -> list[str]:
+def drift_words(drift: _LedDrift, names: Sequence[str]) -> list[str]:
     """Report in sentences what departs; none where nothing does.
 
     Parameters
     ----------
-    drift : LedDrift
+    drift : _LedDrift
     names : of the LEDs, such as ``white 3``
     """
     limit = _LIMIT_PERCENT
@@ -266,7 +266,7 @@ def drift_words(drift: LedDrift, names: Sequence[str]) -> list[str]:
     ]
 
 
-def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
+def _judge(samples: _Samples, gain: Array, weight: Array) -> _LedDrift:
     state = _project_surface(samples, gain, weight)
     patterns, fractions = _gain_patterns(state)
     solver = _gain_solver(patterns, fractions)
@@ -279,7 +279,7 @@ def _judge(samples: _Samples, gain: Array, weight: Array) -> LedDrift:
     covariance = shown @ spread @ shown.T + _MODEL_ERROR**2 * np.eye(len(shown))
     suspect, value, error, explained = _single(shown, observed, covariance)
     drifted = abs(np.expm1(value)) > 0.01 * _LIMIT_PERCENT and abs(value) > 3 * error
-    return LedDrift(
+    return _LedDrift(
         gain=np.exp(shown.T @ observed),
         error=np.sqrt(np.maximum(np.diag(shown.T @ covariance @ shown), 0.0)),
         observable=shown,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, Note, require
 from splitknit.finger.led_drift import drift_words, led_drift
-from splitknit.finger.mask import NO_FINGER, MaskSettings, check_borders, finger_mask
+from splitknit.finger.mask import MaskSettings, NoFinger, check_borders, finger_mask
 from splitknit.finger.motion import MotionSettings, motion_warnings, shot_motion
 from splitknit.finger.orientation import Upright, as_it_lies, find_upright
 from splitknit.finger.phalange import Crease, find_crease, phalange_mask
@@ -184,14 +184,14 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: 
         image = without_mirrors(image, camera, mirrors, binning)
     try:
         outline = finger_mask(image, camera.px_per_mm / binning, settings)
-    except BadInput as error:
-        if str(error) != NO_FINGER or not camera.scale_known:
+    except NoFinger as error:
+        if not camera.scale_known:
             raise
         rows_mm, columns_mm = (side / camera.px_per_mm for side in capture.shape)
         scale = (
             f"and the scale, by whose {camera.px_per_mm:g} px/mm the images show {columns_mm:.3g} x {rows_mm:.3g} mm"
         )
-        raise BadInput(NO_FINGER.replace(" or give", f" {scale}, or give")) from error
+        raise BadInput(str(error).replace(" or give", f" {scale}, or give")) from error
     if capture.material == "skin":
         check_borders(outline)
     return outline
@@ -264,7 +264,7 @@ def _drift(
     capture: Capture, band: Band, stack: FloatArray, lights: NDArray[np.float64], outline: BoolArray
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """Whether the LEDs still are as bright as the rig's radiometric calibration found them."""
-    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.name]
+    members = [k for k, led in enumerate(capture.rig.leds) if led.band == band.spectral]
     groups = band.lights
     names = [" + ".join(f"{band.name} {members.index(k) if k in members else k}" for k in group) for group in groups]
     try:

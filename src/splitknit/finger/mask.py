@@ -26,8 +26,8 @@ from splitknit.finger.regions import (
     reduction,
     remove_specks,
     remove_spurs,
-    wide_blur,
 )
+from splitknit.imaging.geometry import wide_blur
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -297,11 +297,11 @@ def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) ->
     for _ in range(2):
         around = _Around.of(mask, margin)
         evidence, usable = _skin_evidence(image, around, margin, samples=samples)
-        require(usable, NO_FINGER)
+        require(usable, _NO_FINGER, NoFinger)
         mask = _clean(evidence > 1.0, around.depth)
     around = _Around.of(mask, 1.3 * margin)
-    require(2.0 * float(around.depth.max()) >= _MIN_WIDTH_MM * px_per_mm, NO_FINGER)
-    require(_rise_at_edge(image, around, margin) >= _MIN_STEP, NO_FINGER)
+    require(2.0 * float(around.depth.max()) >= _MIN_WIDTH_MM * px_per_mm, _NO_FINGER, NoFinger)
+    require(_rise_at_edge(image, around, margin) >= _MIN_STEP, _NO_FINGER, NoFinger)
     return mask
 
 
@@ -369,10 +369,14 @@ def check_borders(mask: BoolArray) -> tuple[str, ...]:
     return touched
 
 
-NO_FINGER = (
+_NO_FINGER = (
     "no finger was found in the white images: nothing stands out from the background in colour or brightness; "
     "check the exposure, the LEDs and the dark background, or give a mask."
 )
+
+
+class NoFinger(BadInput):
+    """Nothing in the images stands out as a finger does."""
 
 
 def _check_image(mean_image: FloatArray) -> FloatArray:
@@ -411,7 +415,7 @@ def _seed(image: FloatArray, sigma: float) -> BoolArray:
         if separation * purity > clearest:
             best, clearest = region, separation * purity
     if best is None or not best.any():
-        raise BadInput(NO_FINGER)
+        raise NoFinger(_NO_FINGER)
     return best
 
 
@@ -430,7 +434,7 @@ def _clean(candidate: BoolArray, depth: FloatArray) -> BoolArray:
     """One component that contains the middle of the seed, without spurs and holes; `depth`: inside the seed."""
     grown = fill_holes(candidate | (depth > 0.5 * float(depth.max())))
     cleaned = remove_spurs(largest_component(grown), _SPUR_FRACTION)
-    require(bool(cleaned.any()), NO_FINGER)
+    require(bool(cleaned.any()), _NO_FINGER, NoFinger)
     return fill_holes(cleaned)
 
 
@@ -448,7 +452,7 @@ def _fine_outline(
     skin = np.where(near, evidence > 1.0, guess)
     cleaned = remove_spurs(largest_component(fill_holes(skin)), _SPUR_FRACTION)
     cleaned = fill_holes(remove_specks(cleaned, _SPECK_MM * px_per_mm))
-    require(bool(cleaned.any()), NO_FINGER)
+    require(bool(cleaned.any()), _NO_FINGER, NoFinger)
     # above one exactly on `cleaned`; between the grid points the evidence itself gives where one is crossed
     field = np.where(cleaned, np.clip(evidence, 1.001, 2.0), np.clip(evidence, 0.0, 0.999))
     field = np.where(erode(cleaned, 1.5), 2.0, np.where(dilate(cleaned, 1.5), field, 0.0)).astype(np.float32)
@@ -547,7 +551,7 @@ def finger_outline(
     settings = settings or MaskSettings()
     image = _check_image(mean_image)
     height, width = image.shape[:2]
-    require(bool(rough.any()), NO_FINGER)
+    require(bool(rough.any()), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, scale)
     return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)

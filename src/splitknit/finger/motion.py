@@ -57,7 +57,7 @@ class MotionSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShotMotion:
+class _ShotMotion:
     """Shift of every shot against the common position of all."""
 
     shift_mm: NDArray[np.float64]
@@ -68,7 +68,7 @@ class ShotMotion:
 
 def shot_motion(
     stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: MotionSettings | None = None
-) -> ShotMotion:
+) -> _ShotMotion:
     """Measure by how much the finger shifted in each shot against the others.
 
     Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
@@ -86,7 +86,7 @@ def shot_motion(
 
     Returns
     -------
-    ShotMotion
+    _ShotMotion
         With fewer than five shots all zero, reliability zero.
 
     References
@@ -99,7 +99,7 @@ def shot_motion(
     box = bounding_box(mask, int((2.0 * _SURROUND_MM + 2.0 * _BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
     count = len(stack)
     if count < 5:
-        return ShotMotion(np.zeros((count, 2)), np.zeros(count))
+        return _ShotMotion(np.zeros((count, 2)), np.zeros(count))
     scale = reduction(mask[box].shape, px_per_mm, settings.working_px_per_mm, 600)
     stack = np.stack([reduce_image(image[box], scale) for image in stack])
     mask, px_per_mm = _reduced(mask[box], scale), px_per_mm * scale
@@ -114,10 +114,10 @@ def shot_motion(
             reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
             found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region, _ITERATIONS)
         shifts = _without_illumination(found / px, light)
-    return ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
+    return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
 
-def motion_warnings(motion: ShotMotion) -> tuple[str, ...]:
+def motion_warnings(motion: _ShotMotion) -> tuple[str, ...]:
     """Warnings for shots in which the finger moved by more than `WARN_MM`."""
     length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
     moved = np.flatnonzero((length > WARN_MM) & (motion.reliability >= MIN_RELIABILITY))

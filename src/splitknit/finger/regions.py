@@ -37,18 +37,6 @@ def blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
 
 
-def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
-    factor = int(sigma / 4.0)
-    if factor < 2:
-        return blur(image, sigma)
-    size = (image.shape[1], image.shape[0])
-    reduced = (-(-size[0] // factor), -(-size[1] // factor))
-    small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    smooth = cv2.resize(blur(small, sigma / factor), size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(smooth, dtype=np.float32)
-
-
 def quantile(values: NDArray[np.float32], fraction: float = 0.5) -> float:
     """The value that a fraction of the values lie below, one of them: sooner than `numpy.quantile`, which means two."""
     place = int(fraction * values.size)

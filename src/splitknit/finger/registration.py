@@ -142,7 +142,7 @@ def register_shots(
         band = (sigma, BAND_RATIO * sigma)
         level = details_of(stack, region, px_per_mm, band, WORKING_PX_PER_MM)
         here = lights_on(lights, level, mask.shape, px_per_mm)
-        problem = Problem(level, here, shown_by_surfaces(here), shots, reference, settings)
+        problem = _Problem(level, here, shown_by_surfaces(here), shots, reference, settings)
         flow = problem.settled(flow, finger_family(mask, px_per_mm, turns=step > 0))
         if fine and (settings.tilts or settings.elastic_mm > 0):
             family = finger_family(mask, px_per_mm, tilts=settings.tilts, hats_mm=settings.elastic_mm)
@@ -156,7 +156,7 @@ def without_glare(colours: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class _Problem:
     """Details of one size: which images belong together, and what they may show."""
 
     level: Level

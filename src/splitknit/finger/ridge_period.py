@@ -31,7 +31,7 @@ have one, on DiLiGenT's bear 0.08, on a ball none."""
 
 
 @dataclass(frozen=True, slots=True)
-class RidgePeriod:
+class _RidgePeriod:
     """Distance of the ridges along the skin."""
 
     period_px: float
@@ -41,7 +41,7 @@ class RidgePeriod:
     blocks: int
 
 
-def ridge_period(normals: FloatArray, mask: BoolArray) -> RidgePeriod:
+def ridge_period(normals: FloatArray, mask: BoolArray) -> _RidgePeriod:
     """Measure the distance of the ridges in a map of normals whose scale is unknown.
 
     The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must hold most of the
@@ -54,7 +54,7 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> RidgePeriod:
 
     Returns
     -------
-    RidgePeriod
+    _RidgePeriod
 
     Raises
     ------
@@ -89,12 +89,12 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> RidgePeriod:
     require(
         len(periods) > 0,
         "no ridges were found to take the scale from: they need 4 pixels from one to the next and good focus; give "
-        "--px-per-mm.",
+        "`px_per_mm`.",
     )
     middle = float(np.median(periods))
     spread = 1.4826 * float(np.median(np.abs(periods - middle)))
     apart = max(1.0, len(periods) * (_STEP / _BLOCK) ** 2)
-    return RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods))
+    return _RidgePeriod(middle, 1.25 * spread / float(np.sqrt(apart)), len(periods))
 
 
 def scale_of_ridges(
@@ -107,7 +107,7 @@ def scale_of_ridges(
     BadInput
         If `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
     """
-    require(px_per_mm is None, "--px-per-mm and --ridge-period both give the scale; choose one.")
+    require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check --ridge-period")
     found = ridge_period(normals, mask)
     known = float(np.hypot(found.error_px / found.period_px, PEOPLE))

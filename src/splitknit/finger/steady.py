@@ -3,7 +3,9 @@
 The shots of another band are brought onto the finger whose surface the white band has shown. Under near-infrared light
 skin hardly shows its ridges: what is seen of them is reflected at the surface, and that looks the same in both bands.
 So each shot is compared with what the first band's surface and specular reflection, both taken as one matt surface,
-would look like under its light, and with the finger's outline.
+would look like under its light, and with the finger's outline. Of a crossed series only light from within the skin is
+compared, in which nothing is reflected at the surface; where each of the two polarised series lies still, only the
+crossed one is brought back.
 """
 
 from __future__ import annotations
@@ -55,7 +57,7 @@ from splitknit.model import Band, BoolArray, Capture, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegisteredBand:
+class _RegisteredBand:
     """A band whose shots are registered: what the others are compared with."""
 
     stack: FloatArray
@@ -68,7 +70,7 @@ class RegisteredBand:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BandRegistration:
+class _BandRegistration:
     """Where the skin lies in every shot of another band."""
 
     flow: Flow
@@ -79,13 +81,13 @@ class BandRegistration:
 
 
 def _register_band(  # noqa: PLR0917
-    first: RegisteredBand,
+    first: _RegisteredBand,
     stack: FloatArray,
     lights: NDArray[np.float64],
     mask: BoolArray,
     px_per_mm: float,
     settings: RegistrationSettings | None = None,
-) -> BandRegistration:
+) -> _BandRegistration:
     """Find where the skin of the band `first` lies in every image of another band.
 
     `first`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
@@ -112,16 +114,20 @@ def _register_band(  # noqa: PLR0917
         flow = _followed(level, expected, flow, finger_family(mask, px_per_mm, turns=step > 0), settings.iterations)
     aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
-    return BandRegistration(flow, likeness, before)
+    better = likeness > before  # a shot that went astray stays as it was
+    flow = Flow(flow.nodes_mm * better[:, None, None, None])
+    return _BandRegistration(flow, np.maximum(likeness, before), before)
 
 
 def _expected(  # noqa: PLR0917
-    first: RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
+    first: _RegisteredBand, level: Level, known: Level, lights: Array, shape: tuple[int, ...], px_per_mm: float
 ) -> FloatArray:
     """(L, N) details under `lights` of the surface that the `known` details of the first band give."""
     taken = replace(known, columns=level.columns, rows=level.rows, weight=level.weight)
     shifts = first.flow.at(*level.places())[first.shots].astype(np.float32)
     details = taken.sampled(shifts)[:, 0]
+    if np.array_equal(lights, first.lights):  # a crossed series: what was seen is what is expected
+        return details
     before, now = (lights_on(part, level, shape, px_per_mm) for part in (first.lights, lights))
     before = np.moveaxis(before.astype(np.float64), 2, 0)  # (N or 1, K, 3)
     normal = before.transpose(0, 2, 1) @ before
@@ -179,6 +185,9 @@ def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> N
 
 HELPS = 0.95
 """Undoing motion must bring what no surface explains below this fraction of what it was."""
+_SERIES_MM = 0.01
+"""Motion between two polarised series in colour from here on is undone: of a still path-traced finger at most 0.004 mm
+is found. Grey images show it to 0.02 mm, as all shots together."""
 
 
 def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
@@ -203,24 +212,33 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
     suspect = capture.material == "skin" and seen_mm >= motion.correct_mm  # gloss of other things looks like motion
     wanted = motion.correct == "on" or (motion.correct == "auto" and suspect)
     enough = len(capture.bands["white"].lights) >= 5 and len(capture.bands["white"].pixels) >= 2
-    if not wanted or not enough:
-        return capture, finger
-    registered = register(capture, finger, settings)
-    if motion.correct == "auto" and not _worth_undoing(registered, seen_mm, settings):
+    registered = register(capture, finger, settings) if wanted and enough else None
+    if registered is not None and motion.correct == "auto" and not _worth_undoing(registered, seen_mm, settings):
+        registered = None
+    where = "shots"
+    if registered is None and capture.material == "skin" and "white_crossed" in capture.bands:
+        registered, where = register(capture, finger, settings, still_white=True), "parallel and the crossed series"
+        least = min(_SERIES_MM, motion.correct_mm) if has_colour(capture.bands["white"]) else motion.correct_mm
+        if motion.correct == "off" or registered.most_mm < least:
+            moved = Note(f"the finger moved by {{:.2f mm}} between the {where}.", registered.most_mm)
+            doubt = (moved,) if registered.most_mm >= WARN_MM else ()
+            facts = {**finger.facts, **registered.facts}
+            return capture, replace(finger, facts=facts, warnings=(*finger.warnings, *doubt))
+    if registered is None:
         return capture, finger
     _check(registered, settings)
     steadied = resampled(capture, finger, registered)
     again = find_finger(steadied, settings)
     facts = {**again.facts, **registered.facts}
     note = Note(
-        "the finger moved by {:.2f mm} between the shots; that was undone, and the images resampled.",
+        f"the finger moved by {{:.2f mm}} between the {where}; that was undone, and the images resampled.",
         registered.most_mm,
     )
     return steadied, replace(again, facts=facts, warnings=(note, *again.warnings))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Registered:
+class _Registered:
     """Motion of every band."""
 
     flows: dict[str, Flow]
@@ -234,53 +252,76 @@ class Registered:
 
 
 def seen_motion_mm(finger: Finger) -> float:
-    """Largest motion that the measurement between the shots believes in."""
+    """Largest motion that the measurement between the shots believes in, but of a crossed series, which
+    :func:`register` compares with the parallel one."""
     found = [0.0]
-    for figures in finger.quality.values():
+    for name, figures in finger.quality.items():
         reliable = np.asarray(figures.get("motion_reliability", [])) >= MIN_RELIABILITY
-        found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[reliable]]
+        if name != "white_crossed":
+            found += [float(v) for v in np.asarray(figures.get("motion_mm", []))[reliable]]
     return max(found)
 
 
-def register(capture: Capture, finger: Finger, settings: FingerSettings) -> Registered:
-    """Registration of the white band, of the others to it, and the report's facts on them."""
+def register(capture: Capture, finger: Finger, settings: FingerSettings, *, still_white: bool = False) -> _Registered:
+    """Registration of the white band, of the others to it, and the report's facts on them.
+
+    `still_white`: the shots of the white band lie still; only a crossed series is registered to them.
+    """
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
     px = px_per_mm / binning
     window = around(capture, finger)
     white = capture.bands["white"]
-    if has_colour(white) and capture.material == "skin":
-        channels = linear_channels(white, capture.encoding, ("grey", "red", "green", "blue"), window, binning)
-        grey, skin = channels[0], without_glare(channels[1:])
-    else:
-        skin = grey = linear_stack(white, capture.encoding, "grey", window, binning)
+    coloured = has_colour(white) and capture.material == "skin"
+    grey, skin = _light_of(capture, white, window, binning, coloured)
     mask = reduced(finger.wider[window], grey.shape[1:])
     lights = _lights_over(capture, white, window, BLOCK_MM)
     shots = _shots(white)
     reference = len(white.pixels) // 2
-    found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
     first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
-    flows = {"white": replace(found.flow, origin_mm=first)}
-    reported = _motion_facts(flows["white"], mask, px)
-    reported |= {"unexplained_before": _plain(found.before), "unexplained_after": _plain(found.after)}
-    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}, "motion_white": reported}
+    flows: dict[str, Flow] = {}
+    facts: dict[str, Any] = {"motion": {"reference": f"white {reference}"}}
+    before, after = np.zeros(1), np.zeros(1)
+    flow = still(len(white.pixels), (mask.shape[0], mask.shape[1]), px)
+    if not still_white:
+        found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
+        flow, before, after = found.flow, found.before, found.after
+        flows["white"] = replace(flow, origin_mm=first)
+        reported = _motion_facts(flows["white"], mask, px)
+        facts["motion_white"] = reported | {"unexplained_before": _plain(before), "unexplained_after": _plain(after)}
     for name, band in capture.bands.items():
-        if name == "white" or band.colours:
+        crossed = name == "white_crossed"
+        if name == "white" or band.colours or (still_white and not crossed):
             continue
-        stack = linear_stack(band, capture.encoding, "grey", window, binning)
+        alike, stack = (skin, _light_of(capture, band, window, binning, coloured)[1]) if crossed else (
+            grey, linear_stack(band, capture.encoding, "grey", window, binning))  # fmt: skip
         vectors = _lights_over(capture, band, window, BLOCK_MM)
-        other = _register_band(RegisteredBand(grey, lights, found.flow, shots), stack, vectors, mask, px, method)
-        flows[name] = replace(other.flow, origin_mm=first)
+        other = _register_band(_RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px, method)
+        nodes = other.flow.nodes_mm
+        if crossed and not coloured:  # gloss shifts each image by itself: their mean is what moved
+            nodes = np.broadcast_to(nodes.mean(axis=0), nodes.shape).copy()
+        flows[name] = replace(other.flow, nodes_mm=nodes, origin_mm=first)
         reported = _motion_facts(flows[name], mask, px)
         reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
-    return Registered(flows, most, _rms(found.before), _rms(found.after), facts)
+    return _Registered(flows, most, _rms(before), _rms(after), facts)
 
 
-def _worth_undoing(registered: Registered, seen_mm: float, settings: FingerSettings) -> bool:
+def _light_of(
+    capture: Capture, band: Band, window: Window, binning: int, coloured: bool
+) -> tuple[FloatArray, FloatArray]:
+    """(L, h, w) images in grey, and the light in them that came through the skin where colours show it."""
+    if not coloured:
+        grey = linear_stack(band, capture.encoding, "grey", window, binning)
+        return grey, grey
+    channels = linear_channels(band, capture.encoding, ("grey", "red", "green", "blue"), window, binning)
+    return channels[0], without_glare(channels[1:])
+
+
+def _worth_undoing(registered: _Registered, seen_mm: float, settings: FingerSettings) -> bool:
     """Whether motion was found that is to be undone, or refused; else the images are left as they are."""
     motion = settings.motion
     if registered.most_mm < motion.correct_mm:
@@ -296,7 +337,7 @@ _SWITCH = (
 )
 
 
-def _check(registered: Registered, settings: FingerSettings) -> None:
+def _check(registered: _Registered, settings: FingerSettings) -> None:
     """Refuse motion that cannot be undone."""
     motion = settings.motion
     require(
@@ -345,7 +386,7 @@ def _plain(values: NDArray[np.float64]) -> list[float]:
     return [round(float(v), 5) for v in values]
 
 
-def resampled(capture: Capture, finger: Finger, registered: Registered) -> Capture:
+def resampled(capture: Capture, finger: Finger, registered: _Registered) -> Capture:
     """The capture with every image taken from where its skin is, once, in the values that are stored."""
     px_per_mm = capture.rig.camera.px_per_mm
     window = around(capture, finger)

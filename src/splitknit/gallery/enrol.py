@@ -1,4 +1,4 @@
-"""Enrolment: captures, results, templates, prints or records of minutiae in, rows of a gallery out.
+"""GalleryEnrolment: captures, results, templates, prints or records of minutiae in, rows of a gallery out.
 
 A gallery appears with its first finger, or not at all. It keeps templates of ridges, or, where a record of minutiae
 came first, minutiae: the two cannot be compared.
@@ -54,6 +54,48 @@ class Enrolling:
     """Resolution of prints whose files do not state it."""
 
 
+@dataclass(frozen=True, slots=True)
+class GalleryContent:
+    """What a gallery holds after an enrolment."""
+
+    gallery: str
+    created: bool
+    encrypted: bool
+    captures: int
+    fingers: int
+    people: int
+    failures: int
+    """Failures to acquire, which match nobody."""
+    settings_sha256: str
+    """Of the settings by which its templates were made."""
+
+
+@dataclass(frozen=True, slots=True)
+class EnrolledCapture:
+    """One source that was enrolled."""
+
+    person: str
+    finger: str
+    session: str
+    kind: str
+    area_mm2: float
+    acquired: bool
+    template_bytes: int
+    images: str
+    """That are kept of it: ``none``, ``thumbnail`` or ``raw``."""
+    source_sha256: str
+    new: bool
+    """False: the very same source was there already."""
+
+
+@dataclass(frozen=True, slots=True)
+class GalleryEnrolment:
+    """What :func:`enroll_files` did."""
+
+    content: GalleryContent
+    enrolled: tuple[EnrolledCapture, ...]
+
+
 def enroll_files(
     gallery: Path,
     sources: Sequence[Path],
@@ -64,8 +106,8 @@ def enroll_files(
     settings: Enrolling,
     key: Key | None = None,
     progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Enrol sources of one finger, all or none; return facts for ``--json``.
+) -> GalleryEnrolment:
+    """Enrol sources of one finger, all or none.
 
     Parameters
     ----------
@@ -109,10 +151,10 @@ def enroll_files(
         target = found or stack.enter_context(Gallery.create(gallery, sha256, key))
         target.require_comparable(sha256)
         added = target.add(new, replace=settings.replace)
-        facts = gallery_facts(target, created=found is None)
+        content = content_of(target, created=found is None)
     progress("done", 1.0)
-    enrolled = [_entry_facts(one, is_new=is_new) for one, is_new in zip(new, added, strict=True)]
-    return {**facts, "enrolled": enrolled}
+    enrolled = tuple(_enrolled(one, is_new=is_new) for one, is_new in zip(new, added, strict=True))
+    return GalleryEnrolment(content, enrolled)
 
 
 def opened(gallery: Path, key: Key | None, settings: MatchingSettings, *, of_minutiae: bool = False) -> Gallery | None:
@@ -163,36 +205,28 @@ def new_capture(made: Made, person: str, finger: str, session: str, settings: En
     return NewCapture(entry, made.template, code, None if code is None else CODE_VERSION, made.images)
 
 
-def _entry_facts(one: NewCapture, *, is_new: bool) -> dict[str, Any]:
-    """Of an enrolled capture."""
-    return {
-        "person": one.entry.person,
-        "finger": one.entry.finger,
-        "session": one.entry.session,
-        "kind": one.entry.kind,
-        "area_mm2": one.entry.area_mm2,
-        "acquired": bool(one.template),
-        "template_bytes": len(one.template),
-        "images": one.entry.images or "none",
-        "source_sha256": one.entry.source_sha256,
-        "new": is_new,
-    }
+def _enrolled(one: NewCapture, *, is_new: bool) -> EnrolledCapture:
+    entry = one.entry
+    return EnrolledCapture(
+        entry.person, entry.finger, entry.session, entry.kind, entry.area_mm2, bool(one.template), len(one.template),
+        entry.images or "none", entry.source_sha256, is_new,
+    )  # fmt: skip
 
 
-def gallery_facts(gallery: Gallery, *, created: bool) -> dict[str, Any]:
-    """Of a gallery after an enrolment."""
+def content_of(gallery: Gallery, *, created: bool) -> GalleryContent:
+    """Return what a gallery holds after an enrolment."""
     rows = gallery.entries()
     entries = [one.entry for one in rows]
-    return {
-        "gallery": str(gallery.path),
-        "created": created,
-        "encrypted": gallery.encrypted,
-        "captures": len(entries),
-        "fingers": len({(one.person, one.finger) for one in entries}),
-        "people": len({one.person for one in entries}),
-        "failures": sum(one.template_bytes == 0 for one in rows),
-        "settings_sha256": gallery.settings_sha256,
-    }
+    return GalleryContent(
+        gallery=str(gallery.path),
+        created=created,
+        encrypted=gallery.encrypted,
+        captures=len(entries),
+        fingers=len({(one.person, one.finger) for one in entries}),
+        people=len({one.person for one in entries}),
+        failures=sum(one.template_bytes == 0 for one in rows),
+        settings_sha256=gallery.settings_sha256,
+    )
 
 
 def _session(taken: dict[str, str], source_sha256: str) -> str:

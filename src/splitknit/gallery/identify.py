@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,16 @@ from splitknit.gallery.shards import Shards
 from splitknit.matching.code import CODE_VERSION, code_of
 from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import read_side
-from splitknit.matching.methods import as_calibrated, false_match_rate, fmr_basis, side_minutiae, similarity_at
+from splitknit.matching.methods import (
+    ComparedSide,
+    FmrBasis,
+    MatchDecision,
+    as_calibrated,
+    false_match_rate,
+    fmr_basis,
+    side_minutiae,
+    similarity_at,
+)
 from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import Minutiae, unpack_minutiae
 from splitknit.matching.ridge import RidgeMatchSettings, prepared, ridge_match
@@ -68,10 +77,75 @@ class Question:
     """Which finger it is, where that is known; others are not compared."""
 
     def __post_init__(self) -> None:
-        require(self.top >= 1, f"--top must be at least 1, but it is {self.top}.")
-        require(self.merge in MERGES, f"--merge is one of {', '.join(MERGES)}, but it is '{self.merge}'.")
-        require(self.search in SEARCHES, f"--search is one of {', '.join(SEARCHES)}, but it is '{self.search}'.")
-        require(0 < self.fmr < 1, f"--fmr must lie between 0 and 1, but it is {self.fmr:g}.")
+        require(self.top >= 1, f"`top` must be at least 1, but it is {self.top}.")
+        require(self.merge in MERGES, f"`merge` is one of {', '.join(MERGES)}, but it is '{self.merge}'.")
+        require(self.search in SEARCHES, f"`search` is one of {', '.join(SEARCHES)}, but it is '{self.search}'.")
+        require(0 < self.fmr < 1, f"`fmr` must lie between 0 and 1, but it is {self.fmr:g}.")
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What a search went through."""
+
+    method: str
+    """``exhaustive``, ``codes`` or ``shards``."""
+    compared_by: str
+    """``ridge``, ``fusion`` or ``minutiae``."""
+    without_code: int
+    """Captures whose codes had to be made, or that the shards lack."""
+    fingers: int | None
+    """Of which the captures are; None where not all rows were read, so `people`."""
+    people: int | None
+    failures: int
+    """Failures to acquire in the gallery, which match nobody."""
+    captures: int
+    compared: int
+    """How many of them were compared, the others were left out by their codes."""
+
+
+@dataclass(frozen=True, slots=True)
+class RankedCandidate:
+    """One who may have left the finger."""
+
+    rank: int
+    person: str
+    finger: str
+    session: str
+    similarity: float
+    code_similarity: float | None
+    fmr: float | None
+    """False match rate at this similarity, None where it is not known."""
+    expected_false_matches: float | None
+    """Captures of other fingers, among those searched, that are as similar by chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchDecision(MatchDecision):
+    """Whether the best candidate is the finger's owner."""
+
+    expected_false_matches: float
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """What a search found; that nobody is found is no error."""
+
+    gallery: str
+    probe: ComparedSide
+    mode: str
+    """``identification``, or ``verification`` where a person was claimed."""
+    person: str | None
+    finger: str | None
+    by: str
+    """``ridges`` or ``minutiae``: what the gallery keeps."""
+    searched: Searched
+    merge: str
+    candidates: tuple[RankedCandidate, ...]
+    """Best first."""
+    fmr_basis: FmrBasis | None
+    decision: SearchDecision | None
+    """None where false match rates are not known for the settings."""
+    timings_s: Mapping[str, float]
 
 
 def identify_file(
@@ -85,8 +159,8 @@ def identify_file(
     progress: Progress = no_progress,
     input_ppi: float | None = None,
     shards: Path | None = None,
-) -> dict[str, Any]:
-    """Who is it? Returns facts for ``--json``; that nobody is found is a fact, no error.
+) -> Identification:
+    """Who is it? That nobody is found is a result, no error.
 
     Parameters
     ----------
@@ -108,13 +182,13 @@ def identify_file(
     mapped = None if shards is None else Shards(shards, key)
     require(
         mapped is None or (person is None and finger is None and question.search != "exhaustive"),
-        "--shards is for a search of the whole gallery by codes; leave out --person, --finger and --search.",
+        "`shards` is for a search of the whole gallery by codes; leave out `person`, `finger` and `search`.",
     )
     with Gallery.open(gallery, key) as opened:
         of_minutiae = opened.settings_sha256 == MINUTIAE_HASH
         opened.require_comparable(MINUTIAE_HASH if of_minutiae else templates_hash(settings.matching))
         require(
-            mapped is None or not of_minutiae, f"'{gallery}' keeps minutiae, which have no codes; leave out --shards."
+            mapped is None or not of_minutiae, f"'{gallery}' keeps minutiae, which have no codes; leave out `shards`."
         )
         calibrated = of_minutiae or as_calibrated(settings.matching)
         if calibrated:
@@ -134,35 +208,30 @@ def identify_file(
         started = time.perf_counter()
         found, facts = _search(opened, made, pool if mapped is None else mapped, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
-    by = {"minutiae": "minutiae_of_prints"}.get(facts["compared_by"], facts["compared_by"])
+    by = {"minutiae": "minutiae_of_prints"}.get(facts.compared_by, facts.compared_by)
     threshold = similarity_at(question.fmr, by) if calibrated else None
     candidates = _merged(found, question.merge)[: question.top]
     rated = by if calibrated else None
-    reported = [_candidate(rank, one, facts["captures"], rated) for rank, one in enumerate(candidates, start=1)]
-    best = candidates[0][0] if candidates else None
+    reported = (_candidate(rank, one, facts.captures, rated) for rank, one in enumerate(candidates, start=1))
     decision = None
     if threshold is not None:
-        decision = {
-            "match": bool(best is not None and best >= threshold),
-            "fmr": question.fmr,
-            "threshold": threshold,
-            "expected_false_matches": facts["captures"] * question.fmr,
-        }
+        match = bool(candidates and candidates[0][0] >= threshold)
+        decision = SearchDecision(match, question.fmr, threshold, facts.captures * question.fmr)
     progress("done", 1.0)
-    return {
-        "gallery": str(gallery),
-        "probe": {"path": str(side.path), "kind": side.kind, "area_mm2": area_mm2, "acquired": acquired},
-        "mode": "identification" if person is None else "verification",
-        "person": person,
-        "finger": finger,
-        "by": "minutiae" if of_minutiae else "ridges",
-        "searched": facts,
-        "merge": question.merge,
-        "candidates": reported,
-        "fmr_basis": fmr_basis(by) if calibrated else None,
-        "decision": decision,
-        "timings_s": {"search": seconds},
-    }
+    return Identification(
+        gallery=str(gallery),
+        probe=ComparedSide(str(side.path), side.kind, area_mm2, acquired),
+        mode="identification" if person is None else "verification",
+        person=person,
+        finger=finger,
+        by="minutiae" if of_minutiae else "ridges",
+        searched=facts,
+        merge=question.merge,
+        candidates=tuple(reported),
+        fmr_basis=fmr_basis(by) if calibrated else None,
+        decision=decision,
+        timings_s={"search": seconds},
+    )
 
 
 _Found = tuple[float, float | None, Enrolled]
@@ -194,67 +263,61 @@ def _search(
     *,
     settings: IdentifySettings,
     progress: Progress,
-) -> tuple[list[_Found], dict[str, Any]]:
+) -> tuple[list[_Found], Searched]:
     """Compare these, or those that codes (of shards, or of the gallery) choose.
 
     By ridges and minutiae where the probe and all of them have both.
     """
     codes: dict[int, NDArray[np.int8]] = {}
-    facts: dict[str, Any] = {
-        "method": "exhaustive",
-        "compared_by": "ridge",
-        "without_code": 0,
-        "fingers": None,
-        "people": None,
-    }
+    fingers, people = None, None
     score: dict[int, float] = {}
     if isinstance(pool, Shards):
         assert isinstance(probe, Template)
-        acquired, score = _by_shards(gallery, probe, pool, settings, facts)
+        rest = gallery.entries_at(gallery.without_code(CODE_VERSION))
+        failures = sum(one.template_bytes == 0 for one in rest.values())
+        without_code = max(0, len(gallery) - failures - len(pool))
+        acquired, score = _by_shards(gallery, probe, pool, settings)
     elif pool is None:
-        codes, facts["without_code"], facts["failures"] = _codes(gallery, progress)
+        codes, without_code, failures = _codes(gallery, progress)
         acquired = list(codes)
     else:
         names = [one.entry for one in pool if one.template_bytes > 0]
-        facts["fingers"] = len({(one.person, one.finger) for one in names})
-        facts["people"] = len({one.person for one in names})
-        facts["failures"] = len(pool) - len(names)
+        fingers, people = len({(one.person, one.finger) for one in names}), len({one.person for one in names})
+        without_code, failures = 0, len(pool) - len(names)
         acquired = [one.row for one in pool if one.template_bytes > 0]
-    facts["captures"], facts["compared"] = len(pool) if isinstance(pool, Shards) else len(acquired), 0
+    captures = len(pool) if isinstance(pool, Shards) else len(acquired)
+    method = "shards" if isinstance(pool, Shards) else "exhaustive"
+    facts = Searched(method, "ridge", without_code, fingers, people, failures, captures, 0)
     if isinstance(probe, Minutiae):
         assert isinstance(pool, list)
-        return _by_minutiae(gallery, probe, {one.row: one for one in pool}, acquired, facts)
+        found = _by_minutiae(gallery, probe, {one.row: one for one in pool}, acquired)
+        return found, replace(facts, compared_by="minutiae", compared=len(found))
     if probe.empty or not acquired:
         return [], facts
     if pool is None and len(acquired) > settings.search.candidates:
         index = CodeIndex([str(row) for row in codes], np.stack(list(codes.values())))
         best, scores = index.search(probe, settings.search.candidates, settings.search.probe)
         score = {int(row): value for row, value in zip(best, scores.tolist(), strict=True)}
-        acquired, facts["method"] = list(score), "codes"
+        acquired, facts = list(score), replace(facts, method="codes")
     rows = {one.row: one for one in pool} if isinstance(pool, list) else gallery.entries_at(acquired)
     ready = prepared(probe, settings.ridge)
-    found: list[_Found] = []
+    found = []
     payloads = gallery.templates(acquired)
-    if can_fuse(probe) and all(can_fuse(_unpacked(gallery, *one)) for one in payloads.items()):
-        facts["compared_by"] = "fusion"
+    fused = can_fuse(probe) and all(can_fuse(_unpacked(gallery, *one)) for one in payloads.items())
     for k, (row, payload) in enumerate(payloads.items()):
         progress("comparing", 0.5 + 0.5 * k / len(acquired))
         if row in rows:  # else removed just now
             other = prepared(_unpacked(gallery, row, payload), settings.ridge)
-            match = (fused_match if facts["compared_by"] == "fusion" else ridge_match)(ready, other)
+            match = (fused_match if fused else ridge_match)(ready, other)
             found.append((match.similarity, score.get(row), rows[row]))
-    facts["compared"] = len(found)
-    return sorted(found, key=_order), facts
+    by = "fusion" if fused else "ridge"
+    return sorted(found, key=_order), replace(facts, compared_by=by, compared=len(found))
 
 
 def _by_shards(
-    gallery: Gallery, probe: Template, shards: Shards, settings: IdentifySettings, facts: dict[str, Any]
+    gallery: Gallery, probe: Template, shards: Shards, settings: IdentifySettings
 ) -> tuple[list[int], dict[int, float]]:
     """Rows that codes, and of their best a glance at the ridges, let through; and the similarities of codes."""
-    rest = gallery.entries_at(gallery.without_code(CODE_VERSION))
-    facts["failures"] = sum(one.template_bytes == 0 for one in rest.values())
-    facts["without_code"] = max(0, len(gallery) - facts["failures"] - len(shards))
-    facts["method"] = "shards"
     if probe.empty:
         return [], {}
     hits = shards.search(probe, settings.search.shortlist, settings.search.probe)
@@ -267,9 +330,7 @@ def _by_shards(
     return sorted(ranks, key=lambda row: (-ranks[row], row))[: settings.search.candidates], score
 
 
-def _by_minutiae(
-    gallery: Gallery, probe: Minutiae, rows: dict[int, Enrolled], acquired: list[int], facts: dict[str, Any]
-) -> tuple[list[_Found], dict[str, Any]]:
+def _by_minutiae(gallery: Gallery, probe: Minutiae, rows: dict[int, Enrolled], acquired: list[int]) -> list[_Found]:
     """Compare with every row of a gallery of minutiae."""
     found: list[_Found] = []
     if probe.acquired:
@@ -278,8 +339,7 @@ def _by_minutiae(
                 found.append((minutiae_match(probe, unpack_minutiae(payload)), None, rows[row]))
             except BadInput as error:
                 raise BadInput(f"row {row} of '{gallery.path}': {error}") from error
-    facts |= {"compared": len(found), "compared_by": "minutiae"}
-    return sorted(found, key=_order), facts
+    return sorted(found, key=_order)
 
 
 def _codes(gallery: Gallery, progress: Progress) -> tuple[dict[int, NDArray[np.int8]], int, int]:
@@ -317,16 +377,9 @@ def _merged(found: Sequence[_Found], merge: str) -> list[_Found]:
     return kept
 
 
-def _candidate(rank: int, one: _Found, searched: int, rated: str | None) -> dict[str, Any]:
+def _candidate(rank: int, one: _Found, searched: int, rated: str | None) -> RankedCandidate:
     similarity, code_similarity, row = one
     fmr = false_match_rate(similarity, rated) if rated else None
-    return {
-        "rank": rank,
-        "person": row.entry.person,
-        "finger": row.entry.finger,
-        "session": row.entry.session,
-        "similarity": similarity,
-        "code_similarity": code_similarity,
-        "fmr": fmr,
-        "expected_false_matches": None if fmr is None else searched * fmr,
-    }
+    expected = None if fmr is None else searched * fmr
+    who = row.entry
+    return RankedCandidate(rank, who.person, who.finger, who.session, similarity, code_similarity, fmr, expected)

@@ -9,6 +9,7 @@ import csv
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, Refused, read_bytes, refusing, require
 from splitknit.gallery import KEY_VARIABLE, NEW_KEY_VARIABLE
-from splitknit.gallery.enrol import LARGEST_RAW, MINUTIAE_HASH, code_of_payload, gallery_facts
-from splitknit.gallery.entry import Entry, NewCapture, check_person, session_order
+from splitknit.gallery.enrol import LARGEST_RAW, MINUTIAE_HASH, code_of_payload, content_of
+from splitknit.gallery.entry import Enrolled, Entry, NewCapture, check_person, session_order
 from splitknit.gallery.file import describe
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
@@ -35,33 +36,13 @@ from splitknit.matching.template import VERSION, unpack
 from splitknit.model import Progress, no_progress
 
 
-def list_gallery(gallery: Path, person: str | None, *, key: Key | None = None) -> dict[str, Any]:
+def list_gallery(gallery: Path, person: str | None, *, key: Key | None = None) -> list[Enrolled]:
     """Whose fingers are in a gallery, person by person."""
     name = None if person is None else check_person(person)
     with Gallery.open(gallery, key) as opened:
         rows = opened.entries(name)
     require(name is None or len(rows) > 0, f"'{gallery}' holds nothing of person '{name}'.")
-    rows.sort(key=lambda one: (one.entry.person, one.entry.finger, session_order(one.entry.session)))
-    return {
-        "gallery": str(gallery),
-        "captures": [
-            {
-                "row": one.row,
-                "person": one.entry.person,
-                "finger": one.entry.finger,
-                "session": one.entry.session,
-                "kind": one.entry.kind,
-                "area_mm2": one.entry.area_mm2,
-                "acquired": one.template_bytes > 0,
-                "failure": one.entry.failure,
-                "template_bytes": one.template_bytes,
-                "images": one.entry.images or "none",
-                "enrolled_at": one.entry.enrolled_at or None,
-                "source_sha256": one.entry.source_sha256,
-            }
-            for one in rows
-        ],
-    }
+    return sorted(rows, key=lambda one: (one.entry.person, one.entry.finger, session_order(one.entry.session)))
 
 
 def gallery_info(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
@@ -291,7 +272,7 @@ def import_gallery(gallery: Path, folder: Path, *, key: Key | None = None, repla
     with opened:
         opened.require_comparable(about["settings_sha256"])
         added = opened.add(captures, replace=replace)
-        facts = gallery_facts(opened, created=created)
+        facts = asdict(content_of(opened, created=created))
     return {**facts, "folder": str(folder), "found": len(captures), "new": sum(added)}
 
 

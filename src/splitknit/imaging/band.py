@@ -270,14 +270,21 @@ def _lit_light(  # noqa: PLR0917
 ) -> FloatArray:
     """Linear light (h, w, C) of image k without the ambient light; of two polarised series their mean.
 
-    Light that clips in the parallel image is kept as it is stored, so that it still counts as clipped.
+    Where either image clips in two of its channels, the light of all is that at which the parallel one does, so that it
+    counts as clipped; one clipped channel leaves the others their shading.
     """
     if band.crossed is not None:
-        parallel = _lit_light(replace(band, crossed=None), k, encoding, window, binning, ambient)
-        dark = _ambient_light(band.crossed, encoding, window, binning)
-        both = parallel + _lit_light(band.crossed, k, encoding, window, binning, dark)
+        own, dark = replace(band, crossed=None), _ambient_light(band.crossed, encoding, window, binning)
+        lights, clipped = [], np.False_
+        for one, room in ((own, ambient), (band.crossed, dark)):
+            light = _lit_light(one, k, encoding, window, binning, room)
+            stored = light if room is None else light + room
+            full = (stored >= _clip_levels(one, encoding)[k]).sum(axis=-1, keepdims=True)
+            clipped = clipped | (full >= min(2, light.shape[-1]))
+            lights.append(light)
         let_go(band.crossed.pixels)
-        return np.where(parallel >= _clip_levels(band, encoding)[k], parallel, np.float32(0.5) * both)
+        level = np.float32(_clip_levels(band, encoding)[k])
+        return np.where(clipped, np.maximum(lights[0], level), np.float32(0.5) * (lights[0] + lights[1]))
     exposure, black = float(band.exposure[k]), float(band.black_level[k])
     light = linear_image(band.pixels[k][window], encoding, exposure, black, binning)
     if ambient is not None:

@@ -41,6 +41,11 @@ def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[s
     white = capture.bands["white"]
     if settings.compose == 0 or white.colours:
         return capture, ()
+    require(
+        not white.polarisation,
+        "coloured exposures are put together from images without polarising films, but this capture is polarised; "
+        "choose another preset, or --set lights.compose=0.",
+    )
     exposures = max(1, min(settings.compose, len(white.leds) // len(COLOURS)))
     words = "one coloured exposure was" if exposures == 1 else f"{exposures} coloured exposures were"
     return composed(capture, exposures), (f"{words} {COMPOSED}",)

@@ -125,3 +125,15 @@ def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray
     total = blurred(np.where(mask, values - middle, np.float32(0.0)).astype(np.float32))
     fraction = np.maximum(blurred(inside), np.float32(1e-6))
     return np.asarray(np.where(mask, total / fraction + middle, np.float32(0.0)), dtype=np.float32)
+
+
+def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Gaussian blur for large `sigma`, done on a copy on which it is about four pixels."""
+    factor = int(sigma / 4.0)
+    if factor < 2:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), max(sigma, 0.3)), dtype=np.float32)
+    size = (image.shape[1], image.shape[0])
+    reduced = (-(-size[0] // factor), -(-size[1] // factor))
+    small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    smooth = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(smooth, dtype=np.float32)

@@ -20,7 +20,7 @@ TOP_SHARE = 0.998
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class _Placed:
     """A surface in the rig's frame, on the window's pixels."""
 
     height_mm: FloatArray
@@ -41,7 +41,7 @@ def place(  # noqa: PLR0917
     camera: Camera,
     window: tuple[slice, slice],
     top_mm: float,
-) -> Placed:
+) -> _Placed:
     """Turn heights along the rays into z, and find the points and normals.
 
     Parameters
@@ -57,7 +57,7 @@ def place(  # noqa: PLR0917
     if camera.model == "orthographic":
         seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)
         normals = normals_from_gradients(*height_gradients(seen, camera.pitch_mm))
-        return Placed(height_mm, shape_mm, normals * mask[..., None])
+        return _Placed(height_mm, shape_mm, normals * mask[..., None])
     view = view_of(camera, *window, along_rays=True)
     shape = shape_mm + unevenness(shape_mm, mask, camera, window)
     for _ in range(4):  # lifting moves points along their rays
@@ -66,7 +66,7 @@ def place(  # noqa: PLR0917
     whole = shape + (height_mm - shape_mm)
     x, y, z = view.points(whole)
     _, _, below = view.points(shape)
-    return Placed(z, below, _normals(whole, mask, view, camera.pitch_mm), x, y)
+    return _Placed(z, below, _normals(whole, mask, view, camera.pitch_mm), x, y)
 
 
 def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tuple[slice, slice]) -> FloatArray:

@@ -17,7 +17,15 @@ import numpy as np
 
 from splitknit.errors import BadInput, check_mask, require
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.capture_file import BANDS, CAPTURE_FORMAT, CAPTURE_VERSION, BandPlan, CapturePlan, read_plan
+from splitknit.io.capture_file import (
+    BANDS,
+    CAPTURE_FORMAT,
+    CAPTURE_VERSION,
+    BandPlan,
+    CapturePlan,
+    check_pair,
+    read_plan,
+)
 from splitknit.io.content import check_content, mask_from_image
 from splitknit.io.images import ImageSettings, StackReader, encode_image
 from splitknit.io.npz import write_npz
@@ -120,6 +128,8 @@ def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
                 + (f"of the band '{rig.leds[index].band}' there." if index < len(rig.leds) else "not in it."),
             )
     bands = {key: _seen_by(rig, band) for key, band in capture.bands.items()}
+    if "white_crossed" in bands:
+        check_pair(bands["white"], bands["white_crossed"], name, rig)
     hashes = {**capture.hashes, f"replaced rig: {Path(path).name}": file_hash(path)}
     return replace(capture, rig=rig, bands=bands, hashes=hashes)
 
@@ -156,13 +166,20 @@ def write_capture(
     require(image_format in ("png", "tiff"), f"image_format must be 'png' or 'tiff', but it is '{image_format}'.")
     _check_parts(capture)
     suffix = "." + image_format
+    plain = {key: _is_plain(band) for key, band in capture.bands.items()}
+    if "white_crossed" in plain:  # two series state their exposures both or neither
+        plain["white"] = plain["white_crossed"] = plain["white"] and plain["white_crossed"]
     with atomic_folder(folder, overwrite=overwrite) as target:
         images: list[tuple[str, PixelArray]] = []
         document: dict[str, JsonValue] = {
             "format": CAPTURE_FORMAT,
             "version": CAPTURE_VERSION,
             "rig": "rig.json",
-            "bands": {key: _band_json(capture.bands[key], suffix, images) for key in BANDS if key in capture.bands},
+            "bands": {
+                key: _band_json(capture.bands[key], suffix, images, plain=plain[key])
+                for key in BANDS
+                if key in capture.bands
+            },
             "encoding": capture.encoding,
             "material": capture.material,
         }
@@ -269,15 +286,21 @@ def _check_parts(capture: Capture) -> None:
             f"the band '{key}' has {shape[0]} images but {len(band.leds)} LEDs, {len(band.exposure)} exposures "
             f"and {len(band.black_level)} black levels.",
         )
+    if "white_crossed" in capture.bands:
+        check_pair(capture.bands["white"], capture.bands["white_crossed"], "the capture", capture.rig)
     if capture.mask is not None:
         check_mask(capture.mask, size)
 
 
-def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]]) -> JsonValue:
+def _is_plain(band: Band) -> bool:
+    """Whether its images need no more than their names: the exposure is 1, the black level 0."""
+    plain = bool((band.exposure == 1.0).all() and (band.black_level == 0.0).all())
+    return plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
+
+
+def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *, plain: bool) -> JsonValue:
     """Return the band's entry in the document, and add its files to `images`."""
     entries: list[JsonValue] = []
-    plain = bool((band.exposure == 1.0).all() and (band.black_level == 0.0).all())
-    plain = plain and band.ambient_exposure == 1.0 and band.ambient_black_level == 0.0
 
     def entry(name: str, pixels: PixelArray, exposure: float, black_level: float) -> JsonValue:
         images.append((name, pixels))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_lights, naming, require
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.rig import rig_from_json
-from splitknit.model import Rig, spectral_band
+from splitknit.model import Band, Rig, spectral_band
 
 CAPTURE_FORMAT, CAPTURE_VERSION = "splitknit-capture", 1
 BANDS = ("white", "white_crossed", "nir")
@@ -20,6 +20,8 @@ POLARISATIONS = ("", "parallel", "crossed")
 ENCODINGS = ("linear", "srgb")
 MATERIALS = ("skin", "opaque")
 _MAX_IMAGES = 1000
+_AS_NEAR = 0.01
+"""Of cosines: a light halfway between two is as near to either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,12 @@ def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
     require(bands.has("white"), f"{fields.name}: bands.white is missing; every capture has images under white light.")
     plans = {key: _band(bands.child(key), folder, rig, spectral_band(key)) for key in BANDS if bands.has(key)}
     if "white_crossed" in plans:
-        _check_pair(plans["white"], plans["white_crossed"], fields.name, rig)
+        check_pair(plans["white"], plans["white_crossed"], fields.name, rig)
+        require(
+            plans["white"].exposed == plans["white_crossed"].exposed,
+            f"{fields.name}: bands.white and bands.white_crossed must state exposure_s for every image, both or "
+            "neither (then it is the same).",
+        )
     seen: set[Path] = set()
     for key, plan in plans.items():  # a file takes memory each time that it is named, by whatever spelling
         for name, file in zip(plan.names, plan.files, strict=True):
@@ -131,7 +138,7 @@ def _bands(fields: Fields, folder: Path, rig: Rig) -> dict[str, BandPlan]:
     return plans
 
 
-def _check_pair(parallel: BandPlan, crossed: BandPlan, name: str, rig: Rig) -> None:
+def check_pair(parallel: BandPlan | Band, crossed: BandPlan | Band, name: str, rig: Rig) -> None:
     """Refuse two polarised series that are not the same photographs through another film."""
     require(
         (parallel.polarisation, crossed.polarisation) == ("parallel", "crossed"),
@@ -139,18 +146,22 @@ def _check_pair(parallel: BandPlan, crossed: BandPlan, name: str, rig: Rig) -> N
         f'"crossed".',
     )
     require(
-        len(parallel.files) == len(crossed.files),
-        f"{name}: bands.white has {len(parallel.files)} images but bands.white_crossed {len(crossed.files)}; both "
+        len(parallel.leds) == len(crossed.leds),
+        f"{name}: bands.white has {len(parallel.leds)} images but bands.white_crossed {len(crossed.leds)}; both "
         "series need one image a light, in the same order.",
-    )
-    require(
-        parallel.exposed == crossed.exposed,
-        f"{name}: bands.white and bands.white_crossed must state exposure_s for every image, both or neither (then it "
-        "is the same).",
     )
     require(
         not any(any(names) for plan in (parallel, crossed) for names in rig.colours_of(plan.leds)),
         f"{name}: polarised series are lit by white LEDs, but the rig's are coloured.",
+    )
+    own, others = (rig.select(plan.leds).light_vectors() for plan in (parallel, crossed))
+    near = others @ (own / np.linalg.norm(own, axis=1, keepdims=True)).T
+    near /= np.linalg.norm(others, axis=1, keepdims=True)
+    away = np.flatnonzero(np.diag(near) < near.max(axis=1) - _AS_NEAR)
+    require(
+        away.size == 0,
+        f"{name}: image {away[0] if away.size else 0} of bands.white_crossed is lit from another side than that of "
+        "bands.white; list both series in the same order of lights.",
     )
 
 

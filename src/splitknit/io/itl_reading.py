@@ -100,7 +100,7 @@ class TransactionFacts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Transaction:
+class _Transaction:
     """What a transaction holds."""
 
     prints: tuple[TransactionPrint, ...]
@@ -184,7 +184,7 @@ _MAX_PARTS = 100_000
 _INCH_MM, _CM_MM = 25.4, 10.0
 
 
-def decode_transaction(data: bytes, name: str = "the transaction") -> Transaction:
+def decode_transaction(data: bytes, name: str = "the transaction") -> _Transaction:
     """Read the prints (Type-14 records) of a transaction; records of other types are passed over.
 
     Parameters
@@ -211,7 +211,7 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> Transactio
     require(len(named) > 0, f"{name} holds no print (no Type-14 record).")
     pixels = sum(_number(record, "VLL", words) * _number(record, "HLL", words) for record, words in named)
     require(pixels <= MAX_PIXELS, f"{name} claims {pixels} pixels, more than the {MAX_PIXELS} that are read; split it.")
-    return Transaction(tuple(_print(record, words) for record, words in named), _facts(records[0], name))
+    return _Transaction(tuple(_print(record, words) for record, words in named), _facts(records[0], name))
 
 
 def _check_frame(data: bytes, name: str) -> None:

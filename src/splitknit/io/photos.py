@@ -117,7 +117,7 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[
     require(
         len(found) == 1,
         "the photographs are of several kinds, some with a tone curve (JPEG, WEBP, HEIC, PNG that states sRGB) and "
-        "some without; give --encoding.",
+        "some without; give `encoding`.",
     )
     suffix, stated = files[0].suffix.lower(), found.pop()
     if stated:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, check_lights, require
+from splitknit.errors import BadInput, check_lights, naming, require
 from splitknit.imaging.band import block_means, decode_table, linear_image, shading_is_srgb
 from splitknit.imaging.light_field import few_lights
+from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
 from splitknit.io.content import check_content, mask_from_image
 from splitknit.io.images import STACK_BYTES
 from splitknit.io.light_list import read_light_list
@@ -66,6 +67,13 @@ class PhotographOptions:
     """Where a finger's tip points (0 = up, counter-clockwise)."""
     max_megapixels: float | None = None
     """Larger photographs are reduced to so many pixels, by means over areas of linear light."""
+    crossed: str | os.PathLike[str] | None = None
+    """Folder of the same photographs through a crossed analyser; the others are then the parallel series."""
+    mosaic: str | None = None
+    """``mono`` or ``colour``: of a camera with films on its pixels, see
+    :func:`splitknit.imaging.polarised.split_mosaic`."""
+    film_deg: float = 90.0
+    """Direction of the film before the LEDs, for a mosaic."""
 
     def __post_init__(self) -> None:
         require(
@@ -73,6 +81,17 @@ class PhotographOptions:
         )
         known = self.encoding in ("linear", "srgb", None)
         require(known, f"encoding must be 'linear' or 'srgb', but it is '{self.encoding}'.")
+        require(
+            self.mosaic in ("mono", "colour", None), f"mosaic must be 'mono' or 'colour', but it is '{self.mosaic}'."
+        )
+        plain = (self.encoding, self.max_megapixels, self.background_image, self.crossed) in (
+            (None, None, None, None), ("linear", None, None, None)
+        )  # fmt: skip
+        require(
+            self.mosaic is None or plain,
+            "a mosaic of films is linear and holds both series in each frame: leave out --encoding srgb, --max-size, "
+            "--crossed and a --background that is a photograph.",
+        )
 
     @property
     def background_image(self) -> str | os.PathLike[str] | None:
@@ -142,7 +161,19 @@ def capture_from_photographs(
         f"{root} holds {len(found)} photographs ({found[0].name} to {found[-1].name}), but {table} has "
         f"{len(rig.leds)} lights{left_out}; let each of its lines begin with the name of a photograph.",
     )
-    capture, notes = _assembled(found, rig, px_per_mm, options, announce)
+    crossed: list[Path] = []
+    if options.crossed is not None:
+        second = Path(options.crossed)
+        require(
+            second.is_dir(), f"{second} is not a folder; name the folder of the crossed photographs with --crossed."
+        )
+        crossed, _, _ = photographs_in(second, table, names, own)
+        require(
+            len(crossed) == len(found),
+            f"{root} holds {len(found)} photographs, but {second} {len(crossed)}; both series need one photograph a "
+            "light, in the same order.",
+        )
+    capture, notes = _assembled(found, rig, px_per_mm, options, announce, crossed)
     if table.is_file():
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if skipped:
@@ -160,7 +191,7 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...]]:
     table = listed[0] if len(listed) == 1 else root / "lights.txt" if lights is None else Path(lights)
     require(
         lights is not None or table.is_file(),
-        f"{root} holds no lights.txt; name the file of the light directions with --lights.",
+        f"{root} holds no lights.txt; name the file of the light directions by `lights`.",
     )
     if table.suffix.lower() == ".json":
         return table, _white(read_rig(table), os.fspath(table)), ()
@@ -315,20 +346,22 @@ def capture_from_plain_images(
     return _assembled(files, rig, px_per_mm, replace(options, encoding=options.encoding or "linear"))[0]
 
 
-def _assembled(
+def _assembled(  # noqa: PLR0917
     files: Sequence[Path],
     rig: Rig,
     px_per_mm: float | None,
     options: PhotographOptions,
     announce: Callable[[str], None] | None = None,
+    crossed: Sequence[Path] = (),
 ) -> tuple[Capture, list[str]]:
     """The capture, and notes on it."""
     require(len(files) >= 3, f"at least three images are needed, but there are {len(files)}.")
-    places = [os.path.realpath(file) for file in files]  # unlike resolve(), which raises where links form a circle
-    twice = [file for k, file in enumerate(files) if places[k] in places[:k]]
+    every = [*files, *crossed]
+    places = [os.path.realpath(file) for file in every]  # unlike resolve(), which raises where links form a circle
+    twice = [file for k, file in enumerate(every) if places[k] in places[:k]]
     require(not twice, f"{twice[0] if twice else ''} is named twice; name each photograph once.")
     encoding, mask, background = options.encoding, options.mask, options.background
-    linear = [file.name for file in files if file.suffix.lower() in RAW_SUFFIXES]
+    linear = [file.name for file in every if file.suffix.lower() in RAW_SUFFIXES]
     require(not linear or encoding != "srgb", f"{linear[0] if linear else ''} is camera RAW, whose light is linear.")
     require(
         len(rig.leds) == len(files),
@@ -338,14 +371,16 @@ def _assembled(
     leds = tuple(_together([rig.leds[k] for k in group]) for group in groups)
     check_lights(replace(rig, leds=leds).light_vectors())
     notes = []
-    if encoding is None:
+    if options.mosaic is not None:
+        encoding = "linear"
+    elif encoding is None:
         encoding, note = encoding_of(files, lambda: _shading_is_srgb(files, rig.light_vectors()))
         notes.append(note)
-    reading = _Reading(files, encoding, options.max_megapixels)
+    reading = _Reading(every, encoding, options)
     camera = _camera_of(rig.camera, reading, px_per_mm)
     require(
         camera.scale_known or all(led.position_mm is None for led in leds),
-        "lights at places in mm need the scale of the photographs; give --px-per-mm, or directions of the lights.",
+        "lights at places in mm need the scale of the photographs; give `px_per_mm`, or directions of the lights.",
     )
     if announce is not None and (cost := reading.cost()):
         announce(cost)
@@ -357,6 +392,8 @@ def _assembled(
             others[what] = reading.reduced(photo, Path(file))
             hashes[Path(file).name] = photo.sha256
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
+    count, series = len(groups), len(stack) // len(files)
+    groups += [[len(files) + k for k in group] for group in groups] if series == 2 else []
     pixels, ambient, black = _as_integers(stack, others.get("background"), black, groups)
     encoding = reading.encoding_after
     if reading.factor > 1:
@@ -367,25 +404,35 @@ def _assembled(
         )
     band = Band(
         name="white",
-        pixels=pixels,
-        leds=tuple((k,) for k in range(len(groups))),
-        exposure=np.ones(len(groups)),
-        black_level=np.full(len(groups), black),
+        pixels=pixels[:count],
+        leds=tuple((k,) for k in range(count)),
+        exposure=np.ones(count),
+        black_level=np.full(count, black),
         ambient=ambient,
         shading=camera.shading,
-        files=tuple(str(files[group[0]]) for group in groups),
+        files=tuple(str(files[group[0]]) for group in groups[:count]),
+        polarisation="parallel" if series == 2 else "",
     )
-    check_content(band)
+    bands = {"white": band}
+    if series == 2:
+        names = tuple(str(every[group[0] % len(every)]) for group in groups[count:])
+        bands["white_crossed"] = replace(
+            band, name="white_crossed", pixels=pixels[count:], files=names, polarisation="crossed"
+        )
+        parallel, other = (float(one.pixels[:, ::8, ::8].mean(dtype=np.float64)) for one in bands.values())
+        notes += [NOT_SPECULAR] if other >= parallel else []
+    for one in bands.values():
+        check_content(one)
     capture = Capture(
         rig=replace(rig, camera=camera, leds=leds),
-        bands={"white": band},
+        bands=bands,
         encoding=encoding,
         material=options.material,
         tip_direction_deg=options.tip_direction_deg,
         mask=None if mask is None else mask_from_image(_as_bytes(others["mask"]), str(mask)),
         hashes=hashes,
     )
-    return capture, [*notes, *_notes(capture, files, groups, turn)]
+    return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
 
 
 def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:
@@ -396,11 +443,11 @@ def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Ca
         require(
             camera.image_size == size,
             f"the rig's camera takes images of {camera.image_size[0]} x {camera.image_size[1]} pixels (rows x "
-            f"columns), but the photographs have {size[0]} x {size[1]}; give --lights a list of lights instead.",
+            f"columns), but the photographs have {size[0]} x {size[1]}; give `lights` a list of lights instead.",
         )
         require(
             px_per_mm is None or not camera.scale_known,
-            f"--px-per-mm and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
+            f"`px_per_mm` and the rig file ({camera.px_per_mm:g} px/mm) both give the scale; leave out the first.",
         )
         if px_per_mm is None and not camera.scale_known:
             return camera_without_scale(small)
@@ -468,9 +515,11 @@ def _shading_is_srgb(files: Sequence[Path], lights: NDArray[np.float64]) -> bool
 class _Reading:
     """Photographs of one size and kind, read one after the other and reduced where a limit demands it."""
 
-    def __init__(self, files: Sequence[Path], encoding: str, max_megapixels: float | None) -> None:
-        self.files, self.encoding = files, encoding
-        self.first = read_photo(files[0], room=STACK_BYTES)
+    def __init__(self, files: Sequence[Path], encoding: str, options: PhotographOptions) -> None:
+        self.files, self.encoding, self.options = files, encoding, options
+        max_megapixels = options.max_megapixels
+        self.first, *_ = self.photos(files[0], STACK_BYTES)
+        self.series = 1 if options.mosaic is None else 2
         self.shape: tuple[int, ...] = self.first.pixels.shape
         rows, columns, _ = self.shape
         self.megapixels = rows * columns / 1e6
@@ -478,14 +527,23 @@ class _Reading:
         self.factor = max(1.0, math.ceil(8.0 * math.sqrt(over)) / 8.0)
         """Pixels a side that become one, in eighths as :func:`splitknit.imaging.band.linear_image` takes them."""
         large = self.factor == 1 or min(rows, columns) // self.factor >= 16
-        require(large, "--max-size leaves less than 16 pixels a side; give more.")
+        require(large, "`max_megapixels` leaves less than 16 pixels a side; give more.")
         floats = self.first.pixels.dtype.kind == "f"
         self.encoding_after = encoding if self.factor == 1 or floats else "linear"
         self.dtype = self.first.pixels.dtype if self.factor == 1 or floats else np.dtype(np.uint16)
 
+    def photos(self, file: Path, room: int) -> list[Photo]:
+        """The photograph of a file; of a mosaic the parallel and the crossed one."""
+        photo = read_photo(file, room=room)
+        if self.options.mosaic is None:
+            return [photo]
+        colour, film_deg = self.options.mosaic == "colour", self.options.film_deg
+        halves = naming(file, lambda: split_mosaic(photo.pixels, film_deg, colour=colour))
+        return [replace(photo, pixels=half) for half in halves]
+
     def cost(self) -> str:
         """A sentence on memory and disk, where they are much."""
-        count, used = len(self.files), self.megapixels / self.factor**2
+        count, used = self.series * len(self.files), self.megapixels / self.factor**2
         memory = _FIXED_GB + used * _GB_PER_MEGAPIXEL
         if max(used / _LARGE_MEGAPIXELS, count * used / _MANY_MEGAPIXELS) < 1:
             return ""
@@ -527,29 +585,30 @@ class _Reading:
         """Photographs (L, h, w, C), EXIF's orientation of them, and the SHA-256 of each file by its name."""
         first, hashes = self.first, {}
         rows, columns, channels = self.shape
-        shape = (len(self.files), int(rows // self.factor), int(columns // self.factor), channels)
+        shape = (self.series * len(self.files), int(rows // self.factor), int(columns // self.factor), channels)
         require(
             math.prod(shape) * self.dtype.itemsize <= STACK_BYTES,
             f"{self.files[0]} and the photographs with it take more than {STACK_BYTES / 1e9:g} GB; name fewer, or "
-            "reduce them with --max-size.",
+            "reduce them by `max_megapixels`.",
         )
         stack = large_array(shape, self.dtype)
         for k, file in enumerate(self.files):
-            photo = first if k == 0 else read_photo(file, room=first.pixels.nbytes * 3)
-            require(
-                photo.orientation == first.orientation,
-                f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than "
-                f"{self.files[0].name} ({first.orientation}), as a telephone that looks straight down guesses it; give "
-                "all one orientation.",
-            )
-            pixels = self.reduced(photo, file)
-            require(
-                photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype,
-                f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}; all must agree.",
-            )
-            stack[k] = pixels
-            let_go(stack)
-            hashes[file.name] = photo.sha256
+            for part, photo in enumerate(self.photos(file, first.pixels.nbytes * (3 if self.series == 1 else 12))):
+                require(
+                    photo.orientation == first.orientation,
+                    f"{file} is turned differently by its EXIF data (orientation {photo.orientation}) than "
+                    f"{self.files[0].name} ({first.orientation}), as a telephone that looks straight down guesses it; "
+                    "give all one orientation.",
+                )
+                pixels = self.reduced(photo, file)
+                require(
+                    photo.pixels.shape == self.shape and photo.pixels.dtype == first.pixels.dtype,
+                    f"{file} is {_kind(photo.pixels)}, but {self.files[0]} is {_kind(first.pixels)}; all must agree.",
+                )
+                stack[k + part * len(self.files)] = pixels
+                let_go(stack)
+                name = file.name if file.name not in hashes else f"{file.parent.name}/{file.name}"
+            hashes[name] = photo.sha256
         return stack, first.orientation, hashes
 
 

@@ -105,7 +105,7 @@ def _ppi(item: PrintFile) -> float:
 
 def _to_transaction(item: PrintFile, how: Writing) -> bytes:
     if how.date is None:
-        raise BadInput("an ANSI/NIST-ITL transaction states the date of the capture; give it: --date 2026-01-31.")
+        raise BadInput("an ANSI/NIST-ITL transaction states the date of the capture; give it: `date` 2026-01-31.")
     one = TransactionPrint(item.image, item.finger, item.impression, _ppi(item), how.compression)
     return encode_transaction([one], TransactionFacts(how.date, how.control_number))
 

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from pathlib import PurePath
 from typing import Any
 
@@ -77,6 +77,20 @@ def canonical_json(value: Any) -> str:
 def json_text(value: Any) -> str:
     """Return `value` as the ASCII JSON of the files that we write, an item a line; see :func:`canonical_json`."""
     return json.dumps(plain_json(value), indent=1, allow_nan=False) + "\n"
+
+
+def known_json(value: Any, nulls: Container[str] = ()) -> Any:
+    """Return `value` as :func:`plain_json` does, but without fields of dataclasses that are None by default and still
+    are; those named in `nulls` stay.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        given = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
+        return {
+            item.name: known_json(one, nulls)
+            for item, one in given
+            if one is not None or item.default is not None or item.name in nulls
+        }
+    return [known_json(item, nulls) for item in value] if isinstance(value, (list, tuple)) else plain_json(value)
 
 
 def plain_json(value: Any, where: str = "value") -> JsonValue:  # noqa: PLR0911 - one line for each JSON type

@@ -68,7 +68,7 @@ def read_result(path: str | os.PathLike[str]) -> Reconstruction:
     folder = Path(path)
     file = folder / "height.npz" if folder.is_dir() else folder
     names = ("height_mm", "ridge_mm", "shape_mm", "normals")
-    optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "whole", "provenance")
+    optional = ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular", "whole", "provenance")
     arrays = read_fields(file, names, optional, unscaled=True)
     origin = _object(parse_json(str(arrays.pop("provenance", "{}")).encode("utf-8", "replace"), str(file)), file)
     facts: dict[str, Any] = {}
@@ -178,7 +178,7 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
     for name in ("x_mm", "y_mm"):
         if getattr(result, name) is not None:
             arrays[name] = getattr(result, name)
-    for name in ("uncertainty_um", "normals_measured"):
+    for name in ("uncertainty_um", "normals_measured", "specular"):
         if getattr(result, name) is not None:
             arrays[name] = getattr(result, name)
     if result.whole:

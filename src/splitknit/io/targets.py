@@ -77,7 +77,7 @@ def check_capture(
     taken = (out.expanduser() / marker).exists()
     require(
         overwrite or not taken,
-        f"'{out}' exists and is not empty: it is {words}; name another folder, or give --overwrite.",
+        f"'{out}' exists and is not empty: it is {words}; name another folder, or give `overwrite`.",
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -46,30 +47,132 @@ DECIDED_AT = 1e-4
 """False match rate at which is decided whether it is one finger."""
 
 
+@dataclass(frozen=True, slots=True)
+class ComparedSide:
+    """One of two fingers that were compared."""
+
+    path: str
+    kind: str
+    """``capture``, ``result``, ``template``, ``print`` or ``minutiae``."""
+    area_mm2: float
+    """Of its ridges."""
+    acquired: bool
+    """False: a failure to acquire, which matches nobody."""
+    minutiae: int | None = None
+    """How many were compared, by methods of minutiae."""
+    nfiq2: int | None = None
+    """Quality of its print, 0 to 100, of the method ``minutiae``; None where NFIQ 2 sees no print."""
+    enhanced: bool | None = None
+    """Whether its print was enhanced first."""
+    code_mm2: float | None = None
+    """Area of its finger surface code."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneAlignment:
+    """How side A is laid on side B, in the plane; None where the method does not move it so."""
+
+    rotation_deg: float | None = None
+    right_mm: float | None = None
+    up_mm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FmrBasis:
+    """What false match rates were measured on."""
+
+    impostors: int
+    """Comparisons of different fingers."""
+    population: str
+    smallest: float
+    """The smallest rate that they can state."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchDecision:
+    """Whether it is one finger."""
+
+    match: bool
+    fmr: float
+    """False match rate at which was decided."""
+    threshold: float
+    """Similarity from which on it is a match."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateFile:
+    """A template that was written."""
+
+    file: str
+    bytes: int
+    version: int = VERSION
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Match:
+    """What a comparison found; None is what its method does not measure."""
+
+    method: str
+    """That was used, never ``auto``."""
+    a: ComparedSide
+    b: ComparedSide
+    fusion_missing: str | None = None
+    """Why two prints were compared by their ridges alone."""
+    similarity: float
+    """The method's score; higher is more similar."""
+    similarity_of_ridges: float | None = None
+    similarity_of_minutiae: float | None = None
+    """Of the method ``fusion``; None where there are too few."""
+    similarity_with_ridges: float | None = None
+    """Fused with the ridges' (log-likelihood ratio), of the method ``minutiae``."""
+    compared: bool
+    """False: a failure to acquire, or too little overlap."""
+    agreeing: int | None = None
+    """Minutiae that agree in place and direction."""
+    tetrahedra: int | None = None
+    """That proposed an alignment."""
+    distance: float | None = None
+    """Fraction of bits that differ."""
+    overlap_mm2: float | None = None
+    correlation: float | None = None
+    overlap: float | None = None
+    """Of both outlines, intersection over union."""
+    dissimilarity: Mapping[str, float] | None = None
+    """The thesis's score (5.2) by kind of image, of the method ``thesis``; so `distances`."""
+    distances: Mapping[str, float] | None = None
+    alignment: PlaneAlignment | None = None
+    fmr: float | None = None
+    """False match rate at this similarity, None where it is not known."""
+    fmr_missing: str | None = None
+    """Why it is not."""
+    fmr_basis: FmrBasis | None = None
+    decision: MatchDecision | None = None
+    template: TemplateFile | None = None
+    """Of side A, where one was written."""
+
+
 def match_files(
     a: Path | Reconstruction | Capture,
-    b: Path | Reconstruction | Capture | None,
+    b: Path | Reconstruction | Capture,
     *,
     method: str = "auto",
     template: Path | None = None,
     preset: str = "metric",
-    settings: MatchingSettings | dict[str, Any] | None = None,
+    settings: MatchingSettings | Mapping[str, Any] | None = None,
     progress: Progress = no_progress,
     input_ppi: float | None = None,
     fmr: float | None = None,
-) -> dict[str, Any]:
-    """Compare two fingers' files, or make the template of one; return facts for ``--json``.
+) -> Match:
+    """Compare two fingers' files.
 
     Parameters
     ----------
     a, b
-        Capture folder, result folder, template (``.skt``), print, record of minutiae, or an object. Without `b` only
-        the template is made.
+        Capture folder, result folder, template (``.skt``), print, record of minutiae, or an object.
     method
         ``ridge``, ``fusion`` (of ridges and minutiae; of two prints), ``thesis``, ``minutiae``, ``voted``,
         ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``minutiae`` where one is a record of minutiae,
-        ``fusion`` where both sides have minutiae of a print and `nbis-py` is installed, else ``ridge``. The facts name
-        the method that was used.
+        ``fusion`` where both sides have minutiae of a print and `nbis-py` is installed, else ``ridge``.
     template
         File to write the template of `a` into.
     preset
@@ -86,46 +189,68 @@ def match_files(
         Naming the file at fault, or if `fmr` is below what was measured.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
-    require(fmr is None or 0 < fmr < 1, f"fmr (--fmr) must lie between 0 and 1, but it is {fmr}.")
-    require(b is not None or template is not None, "name a second finger to compare with, or --template to write.")
+    require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
-        from splitknit.io.targets import check_file  # a comparison needs none of it
-
-        empty = template.suffix == ".skt"  # is a failure to acquire
-        check_file(template, "a template", lambda data: is_template(data) if data else empty)
-        sources = [path.expanduser().resolve() for path in (a, b) if isinstance(path, Path)]
-        require(
-            template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file."
-        )
-    first = read_side(a, preset, chosen, progress, input_ppi)
-    second = None if b is None else read_side(b, preset, chosen, progress, input_ppi)
-    facts: dict[str, Any] = {"method": method, "a": _facts(first)}
-    if second is not None:
-        facts["b"] = _facts(second)
-        if method == "auto":
-            method = facts["method"] = _usual_method(first, second)
-            if first.kind == second.kind == "print" and not installed():
-                facts["fusion_missing"] = "nbis-py is not installed"
-        progress("comparing", 0.9)
-        compare: dict[str, Callable[[Side, Side, MatchingSettings], dict[str, Any]]] = {
-            "ridge": _by_ridges,
-            "fusion": _fused,
-            "thesis": _by_thesis,
-            "minutiae": _by_minutiae,
-            "voted": partial(_by_votes, preset),
-            **{name: partial(_in_space, name) for name in SPACE_METHODS},
-        }
-        found = compare[method](first, second, chosen)
-        for name, side in zip("ab", found.pop("sides", ()), strict=False):
-            facts[name] |= side
-        facts |= found | _rated(found, _scores_of(method, first, second), chosen, fmr)
-    if template is not None:
-        payload = first.payload
-        write_template(template, payload, VERSION)
-        facts["template"] = {"file": str(template), "bytes": template.stat().st_size, "version": VERSION}
+        _check_template_file(template, a, b)
+    first, second = (read_side(side, preset, chosen, progress, input_ppi) for side in (a, b))
+    missing = None
+    if method == "auto":
+        method = _usual_method(first, second)
+        if first.kind == second.kind == "print" and not installed():
+            missing = "nbis-py is not installed"
+    progress("comparing", 0.9)
+    compare: dict[str, Callable[[Side, Side, MatchingSettings], Match]] = {
+        "ridge": _by_ridges,
+        "fusion": _fused,
+        "thesis": _by_thesis,
+        "minutiae": _by_minutiae,
+        "voted": partial(_by_votes, preset),
+        "surface-code": _by_codes,
+        **{name: partial(_by_space_minutiae, name) for name in ("minutiae3d", "tetrahedra")},
+    }
+    found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, fmr)
+    written = None if template is None else _written(template, first)
     progress("done", 1.0)
-    return facts
+    return replace(found, fusion_missing=missing, template=written)
+
+
+def make_template_file(
+    finger: Path | Reconstruction | Capture,
+    template: Path,
+    *,
+    preset: str = "metric",
+    settings: MatchingSettings | Mapping[str, Any] | None = None,
+    progress: Progress = no_progress,
+    input_ppi: float | None = None,
+) -> tuple[ComparedSide, TemplateFile]:
+    """Write the template of one finger; parameters as of :func:`match_files`.
+
+    Raises
+    ------
+    BadInput
+        Naming the file at fault.
+    """
+    chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
+    _check_template_file(template, finger)
+    side = read_side(finger, preset, chosen, progress, input_ppi)
+    written = _written(template, side)
+    progress("done", 1.0)
+    return _side(side), written
+
+
+def _check_template_file(template: Path, *inputs: Path | Reconstruction | Capture) -> None:
+    from splitknit.io.targets import check_file  # a comparison needs none of it
+
+    empty = template.suffix == ".skt"  # is a failure to acquire
+    check_file(template, "a template", lambda data: is_template(data) if data else empty)
+    sources = [path.expanduser().resolve() for path in inputs if isinstance(path, Path)]
+    require(template.expanduser().resolve() not in sources, f"'{template}' is one of the inputs; name another file.")
+
+
+def _written(template: Path, side: Side) -> TemplateFile:
+    write_template(template, side.payload, VERSION)
+    return TemplateFile(str(template), template.stat().st_size)
 
 
 def _usual_method(a: Side, b: Side) -> str:
@@ -134,12 +259,15 @@ def _usual_method(a: Side, b: Side) -> str:
     return "fusion" if can_fuse(a.template, b.template) else "ridge"
 
 
-def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> Match:
     found = ridge_match(_template(a), _template(b), settings.ridge)
-    return {"similarity": found.similarity, "compared": found.compared, **_laid(found)}
+    return Match(
+        method="ridge", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
+        overlap_mm2=found.overlap_mm2, correlation=found.correlation, alignment=_laid(found),
+    )  # fmt: skip
 
 
-def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+def _fused(a: Side, b: Side, settings: MatchingSettings) -> Match:
     """Compare two prints by ridges and minutiae. Raises BadInput if a side holds no minutiae, or nbis-py is missing."""
     sides = []
     for side in (a, b):
@@ -151,25 +279,18 @@ def _fused(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
                 f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
                 "one, or a template (.skt) that was made of one."
             )
-        sides.append({"minutiae": minutiae.count, "acquired": minutiae.acquired or not _template(side).empty})
+        acquired = minutiae.acquired or not _template(side).empty
+        sides.append(replace(_side(side), minutiae=minutiae.count, acquired=acquired))
     found = fused_match(prepared(_template(a), settings.ridge), prepared(_template(b), settings.ridge))
-    return {
-        "similarity": found.similarity,
-        "similarity_of_ridges": found.ridge.similarity,
-        "similarity_of_minutiae": found.minutiae,
-        "compared": found.compared,
-        **_laid(found.ridge),
-        "sides": sides,
-    }
+    return Match(
+        method="fusion", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+        similarity_of_ridges=found.ridge.similarity, similarity_of_minutiae=found.minutiae,
+        overlap_mm2=found.ridge.overlap_mm2, correlation=found.ridge.correlation, alignment=_laid(found.ridge),
+    )  # fmt: skip
 
 
-def _laid(found: RidgeMatch) -> dict[str, Any]:
-    """How the ridges lie on each other."""
-    return {
-        "overlap_mm2": found.overlap_mm2,
-        "correlation": found.correlation,
-        "alignment": {"rotation_deg": found.rotation_deg, "right_mm": found.right_mm, "up_mm": found.up_mm},
-    }
+def _laid(found: RidgeMatch) -> PlaneAlignment:
+    return PlaneAlignment(found.rotation_deg, found.right_mm, found.up_mm)
 
 
 def _scores_of(method: str, a: Side, b: Side) -> str:
@@ -178,33 +299,31 @@ def _scores_of(method: str, a: Side, b: Side) -> str:
     return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
 
 
-def _rated(
-    found: dict[str, Any], scores: str, settings: MatchingSettings, fmr: float | None
-) -> dict[str, dict[str, Any] | float | str | None]:
-    """What a similarity means: the false match rate and its basis, or why there is none, and the decision at `fmr`."""
+def _rated(found: Match, scores: str, settings: MatchingSettings, fmr: float | None) -> Match:
+    """With the false match rate and its basis, or why there is none, and the decision at `fmr`."""
     table = _fmr_table(scores)
     if table is None:
         missing: str | None = f"false match rates of the method {scores} were not measured"
     elif not as_calibrated(settings, scores):
         missing = "with other settings than the shipped ones false match rates are not known"
     else:
-        missing = None if found["compared"] else "nothing was compared"
+        missing = None if found.compared else "nothing was compared"
     if table is None or missing is not None:
-        return {"fmr": None, "fmr_missing": missing, "fmr_basis": None, "decision": None}
+        return replace(found, fmr_missing=missing)
     at = max(DECIDED_AT, table.smallest) if fmr is None else fmr
     threshold = similarity_at(at, scores)
-    return {
-        "fmr": false_match_rate(found["similarity"], scores),
-        "fmr_missing": None,
-        "fmr_basis": fmr_basis(scores),
-        "decision": {"match": found["similarity"] >= threshold, "fmr": at, "threshold": threshold},
-    }
+    return replace(
+        found,
+        fmr=false_match_rate(found.similarity, scores),
+        fmr_basis=fmr_basis(scores),
+        decision=MatchDecision(found.similarity >= threshold, at, threshold),
+    )
 
 
-def fmr_basis(method: str = "ridge") -> dict[str, Any]:
+def fmr_basis(method: str = "ridge") -> FmrBasis:
     """Return what false match rates were measured on: impostor comparisons, and among which fingers."""
     table = _measured(method)
-    return {"impostors": table.impostors, "population": table.population, "smallest": table.smallest}
+    return FmrBasis(table.impostors, table.population, table.smallest)
 
 
 def false_match_rate(similarity: float, method: str = "ridge") -> float:
@@ -243,7 +362,7 @@ def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
     return all(getattr(settings, name) == getattr(plain, name) for name in asked)
 
 
-def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> Match:
     from splitknit.matching.thesis import thesis_match  # a template needs none of it
 
     images = []
@@ -254,14 +373,11 @@ def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
             )
         images.append(naming(side.path, partial(surface_images, side.surface)))
     found = thesis_match(images[0], images[1], settings.thesis)
-    return {
-        "similarity": found.similarity,
-        "compared": found.compared,
-        "overlap": found.ratio,
-        "dissimilarity": dict(found.dissimilarity),
-        "distances": dict(found.distances),
-        "alignment": {"right_mm": found.shift_px / images[0].px_per_mm},
-    }
+    return Match(
+        method="thesis", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
+        overlap=found.ratio, dissimilarity=dict(found.dissimilarity), distances=dict(found.distances),
+        alignment=PlaneAlignment(right_mm=found.shift_px / images[0].px_per_mm),
+    )  # fmt: skip
 
 
 def _template(side: Side) -> Template:
@@ -270,39 +386,38 @@ def _template(side: Side) -> Template:
     return side.template
 
 
-def _facts(side: Side) -> dict[str, Any]:
+def _side(side: Side) -> ComparedSide:
     template = side.template
     if template is None:
         assert side.minutiae is not None
-        return {"path": str(side.path), "kind": side.kind, "area_mm2": 0.0, "acquired": side.minutiae.acquired}
-    return {"path": str(side.path), "kind": side.kind, "area_mm2": template.area_mm2, "acquired": not template.empty}
+        return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
+    return ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty)
 
 
-def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
     """Compare by minutiae: similarity, and what each side's print holds.
 
     Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
     side is a template of ridges, or nbis-py is not installed.
     """
-    found, facts = [side_minutiae(side) for side in (a, b)], []
+    found, sides = [side_minutiae(side) for side in (a, b)], []
     for side, minutiae in zip((a, b), found, strict=True):
         quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side)[0], PPI)
-        facts.append(
-            {
-                "minutiae": minutiae.count,
-                "nfiq2": None if quality == NFIQ2_FAILED else quality,
-                "acquired": minutiae.acquired,
-                "enhanced": side.picture is not None,
-            }
+        sides.append(
+            replace(
+                _side(side),
+                minutiae=minutiae.count,
+                nfiq2=None if quality == NFIQ2_FAILED else quality,
+                acquired=minutiae.acquired,
+                enhanced=side.picture is not None,
+            )
         )
     compared = all(one.acquired for one in found)
     similarity = minutiae_match(*found)
-    return {
-        "similarity": similarity,
-        "similarity_with_ridges": _joined(a, b, similarity) if compared else None,
-        "compared": compared,
-        "sides": facts,
-    }
+    return Match(
+        method="minutiae", a=sides[0], b=sides[1], similarity=similarity, compared=compared,
+        similarity_with_ridges=_joined(a, b, similarity) if compared else None,
+    )  # fmt: skip
 
 
 def side_minutiae(side: Side) -> Minutiae:
@@ -346,15 +461,6 @@ def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:
     return side.picture, True
 
 
-def _in_space(method: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
-    """Compare by ``minutiae3d``, ``surface-code`` or ``tetrahedra``. Raises BadInput if a side is a template or a
-    print, which have no surface, or nbis-py is not installed and minutiae are wanted.
-    """
-    surfaces = [_surface(side, method) for side in (a, b)]
-    compare = _by_codes if method == "surface-code" else partial(_by_space_minutiae, method)
-    return compare((a, b), surfaces, settings)
-
-
 def _surface(side: Side, method: str) -> Surface:
     if side.surface is None:
         raise BadInput(
@@ -363,46 +469,50 @@ def _surface(side: Side, method: str) -> Surface:
     return side.surface
 
 
-def _by_space_minutiae(
-    method: str, sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings
-) -> dict[str, Any]:
+def _by_space_minutiae(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
     from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # a template needs none of it
     from splitknit.matching.space_features import space_minutiae  # a template needs none of it
 
+    surfaces = [_surface(side, method) for side in (a, b)]
     left, right = (
-        naming(side.path, partial(space_minutiae, surface)) for side, surface in zip(sides, surfaces, strict=True)
+        naming(side.path, partial(space_minutiae, surface)) for side, surface in zip((a, b), surfaces, strict=True)
     )
-    own = [{"minutiae": one.count, "acquired": one.acquired} for one in (left, right)]
-    if method == "tetrahedra":
+    tetrahedra = method == "tetrahedra"
+    if tetrahedra:
         found = tetrahedra_match(left, right, settings.tetrahedra)
-        facts = {"tetrahedra": found.proposals}
     else:
-        found, facts = minutiae3d_match(left, right, settings.minutiae3d), {}
-    return {
-        "similarity": found.similarity, "compared": found.compared, "agreeing": found.agreeing, **facts, "sides": own,
-    }  # fmt: skip
+        found = minutiae3d_match(left, right, settings.minutiae3d)
+    sides = [
+        replace(_side(side), minutiae=one.count, acquired=one.acquired)
+        for side, one in zip((a, b), (left, right), strict=True)
+    ]
+    return Match(
+        method=method, a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+        agreeing=found.agreeing, tetrahedra=found.proposals if tetrahedra else None,
+    )  # fmt: skip
 
 
-def _by_codes(sides: tuple[Side, Side], surfaces: list[Surface], settings: MatchingSettings) -> dict[str, Any]:
+def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
     from splitknit.matching.space_features import surface_code  # a template needs none of it
     from splitknit.matching.surface_code import surface_code_match  # a template needs none of it
 
+    surfaces = [_surface(side, "surface-code") for side in (a, b)]
     left, right = (
         naming(side.path, partial(surface_code, surface, settings.surface_code))
-        for side, surface in zip(sides, surfaces, strict=True)
+        for side, surface in zip((a, b), surfaces, strict=True)
     )
     found = surface_code_match(left, right, settings.surface_match)
-    return {
-        "similarity": found.similarity,
-        "compared": found.compared,
-        "distance": found.distance,
-        "overlap_mm2": found.overlap_mm2,
-        "alignment": {"rotation_deg": found.rotation_deg},
-        "sides": [{"code_mm2": one.area_mm2, "acquired": not one.empty} for one in (left, right)],
-    }
+    sides = [
+        replace(_side(side), code_mm2=one.area_mm2, acquired=not one.empty)
+        for side, one in zip((a, b), (left, right), strict=True)
+    ]
+    return Match(
+        method="surface-code", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
+        distance=found.distance, overlap_mm2=found.overlap_mm2, alignment=PlaneAlignment(found.rotation_deg),
+    )  # fmt: skip
 
 
-def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict[str, Any]:
+def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
     """Compare by voted minutiae: similarity, and what each side's images hold. Raises BadInput if a side is no capture,
     or nbis-py is not installed.
     """
@@ -412,14 +522,15 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> dict
                 f"{side.path} is a {side.kind} without the images that it was made of, which the method voted needs; "
                 "name the capture itself, or compare with the method minutiae."
             )
-    sides = [_voted(side, preset, settings) for side in (a, b)]
-    facts = [{"minutiae": one.count, "acquired": one.acquired, "enhanced": False} for one in sides]
-    return {
-        "similarity": minutiae_match(*sides),
-        "similarity_with_ridges": None,
-        "compared": all(one.acquired for one in sides),
-        "sides": facts,
-    }
+    voted = [_voted(side, preset, settings) for side in (a, b)]
+    sides = [
+        replace(_side(side), minutiae=one.count, acquired=one.acquired, enhanced=False)
+        for side, one in zip((a, b), voted, strict=True)
+    ]
+    return Match(
+        method="voted", a=sides[0], b=sides[1], similarity=minutiae_match(*voted),
+        compared=all(one.acquired for one in voted),
+    )  # fmt: skip
 
 
 def _voted(side: Side, preset: str, settings: MatchingSettings) -> Minutiae:

@@ -208,7 +208,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     points = np.stack([x, y, surface], axis=-1).astype(np.float64)
     turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
     rig = _with_images(
-        capture.rig.select(capture.bands["white"].leds),
+        capture.rig.select(capture.bands["white"].lights),
         _glasses_of(shape, capture.rig),
         points,
         turned.astype(np.float64),

@@ -55,7 +55,7 @@ class Card:
             )
 
 
-def shipped_names() -> list[str]:
+def _shipped_names() -> list[str]:
     """Names of the networks in the package."""
     folder = _shipped()
     if not folder.is_dir():
@@ -115,7 +115,7 @@ def _files(name: str | os.PathLike[str]) -> tuple[Traversable, Traversable, str]
     if text.endswith(".onnx"):
         path = Path(text).expanduser()
         return path, path.with_suffix(".json"), "copy the network again or train it again (splitknit train)"
-    known = shipped_names()
+    known = _shipped_names()
     require(
         text in known,
         f"there is no network '{text}' in this installation; "

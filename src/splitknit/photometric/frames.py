@@ -61,7 +61,7 @@ _PIXELS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class FrameFit:
+class _FrameFit:
     """The frame in which a field of normals is an integrable, convex surface."""
 
     frame: str
@@ -70,7 +70,7 @@ class FrameFit:
     """Curl in the stated frame over curl in the best one, as sums of squares."""
 
 
-def fit_light_frame(normals: Any, mask: Any) -> FrameFit:
+def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
     """Find the frame in which the lights must have been measured, by the normals that they gave.
 
     Lights in another frame give normals in that frame. Of the eight frames whose axes run along the image's, only the
@@ -86,7 +86,7 @@ def fit_light_frame(normals: Any, mask: Any) -> FrameFit:
 
     Returns
     -------
-    FrameFit
+    _FrameFit
 
     Raises
     ------
@@ -104,7 +104,7 @@ def fit_light_frame(normals: Any, mask: Any) -> FrameFit:
     >>> import numpy as np
     >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
     >>> ball = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))])
-    >>> fit_light_frame(ball * [1, -1, 1], x**2 + y**2 < 0.5).frame
+    >>> _fit_light_frame(ball * [1, -1, 1], x**2 + y**2 < 0.5).frame
     'right-down'
     """
     field = np.asarray(normals, dtype=np.float32)
@@ -112,10 +112,10 @@ def fit_light_frame(normals: Any, mask: Any) -> FrameFit:
     inside = check_mask(mask, (field.shape[0], field.shape[1]))
     turn, ratio = _fit_turn(field, inside)
     if turn is None:
-        return FrameFit("right-up", ratio)
+        return _FrameFit("right-up", ratio)
     likeness = {name: float(np.sum(turn * np.array(matrix))) for name, matrix in FRAMES.items()}  # 2 cos(difference)
     best = max(likeness, key=lambda name: likeness[name])
-    return FrameFit(best if likeness[best] > _SAME_TURN else "right-up", ratio)
+    return _FrameFit(best if likeness[best] > _SAME_TURN else "right-up", ratio)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +131,7 @@ class LightFit:
     residual_in_order: float
     """What would be left in that order."""
     frame: str
-    """As :attr:`FrameFit.frame`; ``right-up`` while the residual is high or an order is clearly better."""
+    """As :attr:`_FrameFit.frame`; ``right-up`` while the residual is high or an order is clearly better."""
 
 
 def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
@@ -186,7 +186,7 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
         normals, _ = lambertian(images, vectors[under], inside)
         turn, _ = _fit_turn(normals, inside)
         if turn is not None:
-            frame = fit_light_frame(normals, inside).frame if given else "right-up"
+            frame = _fit_light_frame(normals, inside).frame if given else "right-up"
             turned = _turned_order(vectors, turn)[under]
             if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
                 under = turned

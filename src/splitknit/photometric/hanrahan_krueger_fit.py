@@ -120,7 +120,7 @@ def _scattered(cosine: Array, asymmetry: float) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reflected:
+class _Reflected:
     """Images (L, n) of the model for strength one, and their derivatives."""
 
     value: Array
@@ -138,7 +138,7 @@ class Reflected:
 def reflected(  # noqa: PLR0917 - the model's own variables
     to_light: Array, to_view: Array, between: Array, base: Array, share: Array, depth: Array, exposure: float,
     layers: SkinLayers,
-) -> Reflected:  # fmt: skip
+) -> _Reflected:  # fmt: skip
     """The two-layer model and its derivatives.
 
     Parameters
@@ -191,7 +191,7 @@ def reflected(  # noqa: PLR0917 - the model's own variables
     through = np.where(lit, mu * enters, np.zeros((), dtype=mu.dtype))
     front = through * leaves
     level = base + exposure * once
-    return Reflected(
+    return _Reflected(
         value=front * level,
         by_light=np.where(lit, leaves, 0.0 * leaves) * (enters + mu * enters_by) * level
         + front * (exposure * once_by_light),
@@ -223,7 +223,7 @@ class LevenbergSettings(Checked):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NormalEquations:
+class _NormalEquations:
     """Cost (n,), gradient J^T r (P, n) and J^T J (P (P + 1) / 2, n), its upper triangle row by row."""
 
     cost: Array
@@ -234,7 +234,7 @@ class NormalEquations:
 class _Problem(Protocol):
     """n least-squares problems of P parameters each."""
 
-    def equations(self, parameters: Array) -> NormalEquations:
+    def equations(self, parameters: Array) -> _NormalEquations:
         """Cost and normal equations at `parameters` (P, n)."""
 
     def moved(self, parameters: Array, step: Array) -> Array:
@@ -280,7 +280,7 @@ def _levenberg_marquardt(problem: _Problem, start: Array, settings: LevenbergSet
         fallen = known.cost - new.cost
         ended = (moved < settings.step) | (better & (fallen < settings.gain * known.cost)) | (damping >= _MAX)
         here = np.where(better, trial, here)
-        known = NormalEquations(
+        known = _NormalEquations(
             np.where(better, new.cost, known.cost),
             np.where(better, new.gradient, known.gradient),
             np.where(better, new.moments, known.moments),
@@ -294,7 +294,7 @@ def _levenberg_marquardt(problem: _Problem, start: Array, settings: LevenbergSet
             if not on.size:
                 break
             pixels, here, damping, problem = pixels[on], here[:, on], damping[on], problem.take(on)
-            known = NormalEquations(known.cost[on], known.gradient[:, on], known.moments[:, on])
+            known = _NormalEquations(known.cost[on], known.gradient[:, on], known.moments[:, on])
     else:
         best[:, pixels], cost[pixels] = here, known.cost
     return Minimum(best, cost, count, done)
@@ -389,7 +389,7 @@ class Pixels:
         result[3], result[4] = self._prior()
         return result
 
-    def equations(self, parameters: Array) -> NormalEquations:
+    def equations(self, parameters: Array) -> _NormalEquations:
         """Weighted squares of the residuals over the noise, and of the layers' distance from all skin's."""
         normals, by_f, by_g = directions(parameters)
         fraction = 1.0 / (1.0 + np.exp(-parameters[3]))
@@ -417,7 +417,7 @@ class Pixels:
             cost = cost + away * away
             gradient[row] += away / spread
             moments[place] += 1.0 / spread**2
-        return NormalEquations(cost, gradient, moments)
+        return _NormalEquations(cost, gradient, moments)
 
     def held(self, parameters: Array) -> Array:
         """The part of the cost that is the layers' distance from all skin's, (n,)."""

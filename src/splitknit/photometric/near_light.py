@@ -25,7 +25,7 @@ class NearLightSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NearScene:
+class _NearScene:
     """What a chunk of rows is cut from."""
 
     images: FloatArray
@@ -185,7 +185,7 @@ def pseudo_normals(  # noqa: PLR0917
 
 def near_scene(  # noqa: PLR0917
     images: FloatArray, rig: Rig, surface_mm: Any, mask: Any, x_mm: Any, y_mm: Any, given: View | None
-) -> NearScene:
+) -> _NearScene:
     """Check what near lights shine on; parameters and errors as for :func:`near_light`."""
     count, shape = images.shape[1], (images.shape[2], images.shape[3])
     check_lights(rig.light_vectors(), count, name="the rig's lights")
@@ -203,7 +203,7 @@ def near_scene(  # noqa: PLR0917
         float(surface.max(where=inside, initial=-np.inf)) < min(heights, default=np.inf),
         "surface_mm reaches the LEDs; it must be in mm above the finger plane.",
     )
-    return NearScene(images, rig, surface, inside, view)
+    return _NearScene(images, rig, surface, inside, view)
 
 
 def _check_weights(weights: Any, shape: tuple[int, int, int], name: str = "weights") -> FloatArray:

@@ -133,7 +133,8 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         quality = measured(made, enhanced, ppi, settings)
         timings["quality"] = time.perf_counter() - clock
         nfiq2 = _nfiq2_of(pictures, ppi)
-        facts["quality"] = _quality_facts(quality, nfiq2, advised=method != "file")  # nobody captures that again
+        advised = method not in ("file", "specular")  # nobody captures a file again; flanks that shine are no edges
+        facts["quality"] = _quality_facts(quality, nfiq2, advised=advised)
         found, where = _minutiae_of(made, pictures, enhanced, settings.minutiae)
         facts["minutiae"] = {"written": False, "missing": where}
         if found is not None:

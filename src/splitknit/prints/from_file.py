@@ -54,7 +54,7 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
     """
     require(
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
-        f"--input-ppi must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
+        f"`input_ppi` must be a number from {MIN_PPI:g} to {MAX_PPI:g}, but it is {input_ppi}.",
     )
     found = read_prints(path)
     return tuple(_resolved(one, os.fspath(path), input_ppi) if isinstance(one, PrintFile) else one for one in found)
@@ -106,7 +106,7 @@ def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
         raise BadInput(f"{name} {said}; {_suggestion(item.image)}.")
     ppi = input_ppi or stated or 0.0
     require(
-        ppi <= MAX_PPI, f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: --input-ppi 500."
+        ppi <= MAX_PPI, f"{name} states {ppi:.0f} ppi, more than {MAX_PPI:g}; give the true value: `input_ppi` 500."
     )
     return dataclasses.replace(item, resolution_ppi=float(ppi))
 
@@ -114,12 +114,12 @@ def _resolved(item: PrintFile, name: str, input_ppi: float | None) -> PrintFile:
 def _suggestion(image: NDArray[np.uint8]) -> str:
     period = _ridge_period_px(image)
     if period is None:
-        return "it shows no ridges to measure it by: give it in pixels per inch, such as --input-ppi 500"
+        return "it shows no ridges to measure it by: give it in pixels per inch, such as `input_ppi` 500"
     ppi = period * 25.4 / USUAL_PERIOD_MM
     near = next((usual for usual in _USUAL_PPI if abs(ppi / usual - 1) <= _SNAP), 50 * max(1, round(ppi / 50)))
     return (
         f"its ridges lie {period:.1f} pixels apart, which suggests about {near} pixels per inch: give the true value, "
-        f"such as --input-ppi {near}"
+        f"such as `input_ppi` {near}"
     )
 
 

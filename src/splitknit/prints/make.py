@@ -26,7 +26,7 @@ from splitknit.prints.unroll import KINDS, Unrolled, UnrollSettings, unroll
 from splitknit.prints.unroll_grid import surface_grid
 from splitknit.settings import override
 
-METHODS = ("relief", "unroll", "curvature", "photo", "rolled")
+METHODS = ("relief", "unroll", "curvature", "photo", "specular", "rolled")
 SURFACES = ("plane", *KINDS)
 
 
@@ -74,9 +74,9 @@ def make_print(
     ----------
     source : Source
         From :func:`splitknit.prints.sources.read_source`.
-    method : ``relief``, ``unroll``, ``curvature`` or ``photo``
+    method : ``relief``, ``unroll``, ``curvature``, ``photo`` or ``specular``
     surface : ``plane``, ``free``, ``arc``, ``tube`` or ``cylinder``, optional
-        Where it is printed. ``relief``, ``curvature`` and ``photo`` are printed on the finger plane unless this says
+        Where it is printed. All but ``unroll`` are printed on the finger plane unless this says
         otherwise; ``unroll`` is the relief on the skin laid flat (``free``).
     ppi : float
     settings : PrintingSettings, optional
@@ -107,10 +107,14 @@ def make_print(
         relief = _needed(source.ridge_mm)
         inked, _ = resample(relief, source.mask & np.isfinite(relief), source.pitch_mm, print_map)
     else:
-        field_of = _needed(source.photo if method == "photo" else source.ridge_mm)
+        require(
+            method != "specular" or source.specular is not None,
+            "there is no specular image: it needs a capture through polarising films; print with --method unroll.",
+        )
+        field_of = _needed({"photo": source.photo, "specular": source.specular}.get(method, source.ridge_mm))
         inked, weight = resample(field_of, source.mask & np.isfinite(field_of), source.pitch_mm, print_map)
         image = ink(inked, weight, inks)
-    return Print(image, weight, print_map, inked, method != "photo", unrolled)
+    return Print(image, weight, print_map, inked, method not in ("photo", "specular"), unrolled)
 
 
 def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, settings: PrintingSettings) -> Print:
@@ -145,7 +149,7 @@ def checked_surface(method: str, surface: str | None, settings: PrintingSettings
         return settings.unroll.kind if method == "unroll" else "plane"
     require(
         not (method == "unroll" and surface == "plane"),
-        "--method unroll cannot be printed on the plane; use --method relief for that.",
+        "`method` unroll cannot be printed on the plane; use `method` relief for that.",
     )
     return surface
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import naming, require
+from splitknit.imaging.polarised import without_films
 from splitknit.io.capture import read_capture
 from splitknit.io.mesh import surface_mesh
 from splitknit.io.ply import write_ply
@@ -51,7 +52,7 @@ def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Pro
     )
 
     def make() -> tuple[Source, Rolled]:
-        capture = read_capture(path)
+        capture = without_films(read_capture(path))
         chosen = preset_settings(preset)
         progress("views", 0.08)
         views = find_mirror_views(capture, chosen, chosen.shape.mirror)

@@ -14,6 +14,7 @@ from splitknit.errors import BadInput, naming, require
 from splitknit.finger.locate import find_finger
 from splitknit.finger.ridge_period import scale_of_ridges
 from splitknit.imaging.band import has_colour, linear_channels
+from splitknit.imaging.polarised import without_films
 from splitknit.io.capture import photographs_hint, read_capture
 from splitknit.io.provenance import file_hash
 from splitknit.io.results import read_fields
@@ -40,6 +41,8 @@ class Source:
     y_mm: FloatArray | None = None
     photo: FloatArray | None = None
     """(H, W) light of the skin, ridges bright; captures only."""
+    specular: FloatArray | None = None
+    """(H, W) of polarised captures, see :class:`splitknit.model.Reconstruction`."""
     points_mm: FloatArray | None = None
     """(H, W, 3) of the skin, upright, NaN where not known: given where the pixels are no picture's but a chart's."""
     preset: str | None = None
@@ -95,7 +98,7 @@ def read_source(
     )
     require(
         not photo,
-        f"'{path}' is a result, which holds no photograph of the finger; name the capture folder for --method photo.",
+        f"'{path}' is a result, which holds no photograph of the finger; name the capture folder for `method` photo.",
     )
     return _of_result(result, px_per_mm, ridge_period_mm)
 
@@ -105,14 +108,15 @@ def source_of(result: Reconstruction) -> Source:
     require(result.scale_known, NO_SCALE)
     return Source(
         "result", result.mask, result.pitch_mm, result.input_from_upright, result.upright_size, result.height_mm,
-        result.ridge_mm, result.shape_mm, result.x_mm, result.y_mm, preset=result.preset, hashes=result.hashes,
+        result.ridge_mm, result.shape_mm, result.x_mm, result.y_mm, specular=result.specular, preset=result.preset,
+        hashes=result.hashes,
     )  # fmt: skip
 
 
 def _of_result(path: Path, px_per_mm: float | None, ridge_period_mm: float | None) -> Source:
     names, unscaled = ("height_mm", "ridge_mm", "shape_mm"), px_per_mm is not None or ridge_period_mm is not None
     needed = (*names, "normals") if ridge_period_mm is not None else names
-    arrays = read_fields(path, needed, ("x_mm", "y_mm"), unscaled=unscaled)
+    arrays = read_fields(path, needed, ("x_mm", "y_mm", "specular"), unscaled=unscaled)
     require(bool(arrays["mask"].any()), f"{path}: the mask is empty; reconstruct the capture again.")
     note, normals = "", arrays.pop("normals", None)
     if unscaled:
@@ -153,6 +157,6 @@ def source_of_capture(
 def _photograph(capture: Capture) -> FloatArray:
     """(H, W) mean of the white images; of colours the blue one, which enters the skin least deeply."""
     require("white" in capture.bands, "the capture has no band 'white', in which fingers are photographed.")
-    band = capture.bands["white"]
+    band = without_films(capture).bands["white"]
     channel = "blue" if has_colour(band) else "grey"
     return np.asarray(linear_channels(band, capture.encoding, [channel])[0].mean(axis=0), dtype=np.float32)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import datetime
+import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +13,173 @@ import numpy as np
 from markupsafe import Markup
 from scipy.special import ndtri
 
-from splitknit.evaluation.facts import Result
+from splitknit.evaluation import rates
+from splitknit.evaluation.facts import Cmc, Result, cmc, rank_one_interval
+from splitknit.evaluation.intervals import CONFIDENCE, BootstrapSettings, Interval
+from splitknit.evaluation.protocol import by_session_pair
 from splitknit.evaluation.rates import Histograms, Roc, histograms, roc
-from splitknit.evaluation.study import Evaluation
+from splitknit.evaluation.scores import Scores
+from splitknit.evaluation.study import Difference, Evaluation
 from splitknit.io.atomic import atomic_folder
-from splitknit.io.provenance import json_text
+from splitknit.io.provenance import json_text, plain_json, provenance
 from splitknit.report import template
 from splitknit.report.charts import Axis, Curve, Values, line_chart, percent_marks, round_marks
 
+FORMAT = "splitknit-evaluation"
+_FILES = ("report.html", "report.json")
 
-def write_evaluation(found: Evaluation, out: Path) -> None:
-    """Write the page, the facts and the tables of an evaluation into the folder `out`, all or nothing."""
-    html = _page(found.facts, found.results)
+
+def write_evaluation(found: Evaluation, out: Path) -> dict[str, Any]:
+    """Write the page, the facts and the tables of an evaluation into the folder `out`, all or nothing.
+
+    Returns
+    -------
+    dict
+        What ``report.json`` holds.
+    """
+    facts = _facts_of(found)
+    html = _page(facts, found.results)
     with atomic_folder(out) as folder:
         for name, data in found.tables.items():
             (folder / name).write_bytes(data)
         (folder / "report.html").write_text(html, encoding="utf-8")
-        (folder / "report.json").write_text(json_text(found.facts), encoding="utf-8")
+        (folder / "report.json").write_text(json_text(facts), encoding="utf-8")
+    return facts
+
+
+def _facts_of(found: Evaluation) -> dict[str, Any]:
+    """Return the content of ``report.json``."""
+    settings, fused = found.settings, found.fused
+    systems = {result.scores.name: _system_facts(result, settings.bootstrap) for result in found.results}
+    first = found.results[0].scores.name
+    facts = {
+        "format": FORMAT,
+        "version": 1,
+        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
+        "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "system": first,
+        "eer": systems[first]["eer"],
+        "gar_at_far": systems[first]["gar_at_far"],
+        "systems": systems,
+        "differences": [_difference_facts(one, settings.bootstrap) for one in found.differences],
+        "notes": list(found.notes),
+        "settings": plain_json(settings),
+        "files": [*_FILES, *found.tables],
+    }
+    if fused is not None:
+        facts["fusion"] = {
+            "method": settings.fuse,
+            "systems": list(fused.systems),
+            "dealt_by": fused.by,
+            "folds": fused.folds,
+            "seed": settings.bootstrap.seed,
+            "models": len(fused.models),
+            "mean_weights": fused.mean_weights(),
+            "missing": dict(zip(fused.systems, fused.missing, strict=True)),
+        }
+    return facts | {"inputs_sha256": dict(found.inputs_sha256), "timings_s": dict(found.timings_s)}
+
+
+def _system_facts(result: Result, settings: BootstrapSettings) -> dict[str, Any]:
+    """Everything that is known of a system, ready for JSON."""
+    scores, figures = result.scores, result.intervals.figures
+    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
+    targets = settings.targets
+    missing = [int(np.isnan(side).sum()) for side in (genuine, impostor)]
+    equal = rates.equal_error(genuine, impostor)
+    facts: dict[str, Any] = {
+        "eer": asdict(figures["eer"]),
+        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in targets},
+        "fnmr_at_fmr": {f"{far:g}": asdict(_turned(figures[f"gar@{far:g}_made"])) for far in targets},
+        "eer_of_fmr_and_fnmr": asdict(figures["eer_made"]),
+        "auc": asdict(figures["auc"]),
+        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
+        "comparisons": {"genuine": genuine.size, "impostor": impostor.size},
+        "failures_to_acquire": {
+            "genuine": missing[0],
+            "impostor": missing[1],
+            "rate_genuine": missing[0] / genuine.size,
+            "rate_impostor": missing[1] / impostor.size,
+            "rate": sum(missing) / scores.score.size,
+        },
+        "equal_error": asdict(equal),
+        "operating_points": {f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far)) for far in targets},
+        "operating_points_made": {
+            f"{far:g}": asdict(rates.gar_at_far(genuine, impostor, far, counting="made")) for far in targets
+        },
+        "bootstrap": {
+            "method": result.primary,
+            "drawn": result.intervals.drawn,
+            "replicates": settings.replicates,
+            "confidence": CONFIDENCE,
+            "seed": settings.seed,
+        },
+        "intervals": {
+            method: {
+                "drawn": found.drawn,
+                "eer": asdict(found.figures["eer"]),
+                "gar_at_far": {f"{far:g}": asdict(found.figures[f"gar@{far:g}"]) for far in targets},
+            }
+            for method, found in result.by_method.items()
+        },
+        "roc": _curve(result),
+        "session_pairs": [_session_pair(names, part, settings) for names, part in by_session_pair(scores).items()],
+        "cmc": _cmc_facts(cmc(scores), settings),
+    }
+    return facts
+
+
+def _difference_facts(one: Difference, settings: BootstrapSettings) -> dict[str, Any]:
+    """First minus second, with intervals."""
+    figures = one.figures
+    return {
+        "first": one.first,
+        "second": one.second,
+        "method": one.method,
+        "eer": asdict(figures["eer"]),
+        "gar_at_far": {f"{far:g}": asdict(figures[f"gar@{far:g}"]) for far in settings.targets},
+        "auc": asdict(figures["auc"]),
+        "d_prime": asdict(figures["d_prime"]) if "d_prime" in figures else None,
+    }
+
+
+def _cmc_facts(found: Cmc | None, settings: BootstrapSettings) -> dict[str, Any] | None:
+    """Rank one and the curve, up to rank 100."""
+    if found is None:
+        return None
+    low, high = rank_one_interval(found, replicates=settings.replicates, confidence=CONFIDENCE, seed=settings.seed)
+    return {
+        "gallery": found.gallery,
+        "probes": found.rank.size,
+        "probes_left_out": found.left_out,
+        "rank_1": {"value": float(found.rate[0]), "low": low, "high": high},
+        "rate": found.rate[:100].tolist(),
+    }
+
+
+def _session_pair(names: tuple[str, str], part: Scores, settings: BootstrapSettings) -> dict[str, Any]:
+    genuine, impostor = np.sort(part.genuine), np.sort(part.impostor)
+    return {
+        "sessions": list(names),
+        "genuine": genuine.size,
+        "impostor": impostor.size,
+        "eer": rates.equal_error(genuine, impostor).value,
+        "gar_at_far": {f"{far:g}": rates.gar_at_far(genuine, impostor, far).gar for far in settings.targets},
+    }
+
+
+def _curve(result: Result) -> dict[str, Any]:
+    """The GAR at some FARs with its band; the whole staircase is in the page."""
+    found, scores = result.intervals, result.scores
+    genuine, impostor = np.sort(scores.genuine), np.sort(scores.impostor)
+    gar = [rates.gar_at_far(genuine, impostor, float(far)).gar for far in found.curve_far]
+    low, high = np.minimum(found.curve_low, gar), np.maximum(found.curve_high, gar)
+    return {"far": found.curve_far.tolist(), "gar": gar, "low": low.tolist(), "high": high.tolist()}
+
+
+def _turned(interval: Interval) -> Interval:
+    """One minus a rate."""
+    return Interval(1.0 - interval.value, 1.0 - interval.high, 1.0 - interval.low)
 
 
 _DRAWN_BY = {"plain": "comparisons", "finger": "fingers", "subject": "subjects"}

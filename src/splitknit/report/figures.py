@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box, height_gradients, normals_from_gradients
+from splitknit.imaging.polarised import picture_bytes
 from splitknit.io.pictures import (
     ColourArray,
     PictureFrame,
@@ -41,7 +42,7 @@ Truth = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SmallFields:
+class _SmallFields:
     """A reconstruction's fields, averaged over a picture's pixels: what the pictures are drawn from."""
 
     frame: PictureFrame
@@ -53,7 +54,7 @@ class SmallFields:
     normals: FloatArray
     """(h, w, 3)."""
 
-    def exaggerated(self, factor: float) -> SmallFields:
+    def exaggerated(self, factor: float) -> _SmallFields:
         """The same with the relief in the height multiplied by `factor`.
 
         So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep
@@ -64,14 +65,14 @@ class SmallFields:
         return replace(self, height_mm=(self.height_mm + extra * self.ridge_mm).astype(np.float32))
 
 
-def small_fields(result: Reconstruction, frame: PictureFrame) -> SmallFields:
+def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
     """Bring a reconstruction onto a picture's frame, all fields at once."""
     fields = (result.height_mm, result.ridge_mm, result.shape_mm, result.normals)
     small, weight = fields_to_frame(fields, result.mask, frame)
-    return SmallFields(frame, weight, *small)
+    return _SmallFields(frame, weight, *small)
 
 
-def _normals_picture(result: Reconstruction, small: SmallFields) -> Picture:
+def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
     turned = small.normals.copy()
     turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), turned[..., :2])
@@ -88,7 +89,7 @@ def _normals_picture(result: Reconstruction, small: SmallFields) -> Picture:
     )
 
 
-def _relief_picture(result: Reconstruction, small: SmallFields) -> Picture:
+def _relief_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the ridges and valleys in micrometres, or in pixels where the scale is unknown."""
     factor, unit = (1000.0, "µm") if result.scale_known else (1.0, "px")
     low, high = relief_limits(result, factor)
@@ -125,7 +126,7 @@ def facing_relief_mm(result: Reconstruction) -> FloatArray:
     return np.asarray(relief[facing])
 
 
-def _shape_picture(result: Reconstruction, small: SmallFields) -> Picture:
+def _shape_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the finger without ridges, with contour lines."""
     values, weight = small.shape_mm, small.weight
     top = float(np.percentile(values[weight > 0.5], 99.9))
@@ -155,7 +156,7 @@ def _shape_picture(result: Reconstruction, small: SmallFields) -> Picture:
     )
 
 
-def _uncertainty_picture(result: Reconstruction, small: SmallFields) -> Picture | None:
+def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
     """Show the standard deviation of the relief, if the pipeline gives one."""
     if result.uncertainty_um is None:
         return None
@@ -175,11 +176,25 @@ def _uncertainty_picture(result: Reconstruction, small: SmallFields) -> Picture 
     )
 
 
-FIELD_PICTURES = (_normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
+def _specular_picture(result: Reconstruction, small: _SmallFields) -> Picture | None:
+    """Show what the surface reflects, of a polarised capture."""
+    if result.specular is None:
+        return None
+    values, weight = to_frame(result.specular, result.mask & np.isfinite(result.specular), small.frame)
+    return captioned(
+        "Specular image",
+        on_paper(picture_bytes(values)[..., None].repeat(3, axis=2), weight),
+        "What the surface itself reflects, under all lights: the parallel less the crossed images, of even brightness. "
+        "Bright flanks face half-way between camera and lights. Good: sharp, unbroken ridges, pores as dots.",
+        small.frame.pitch_mm,
+    )
+
+
+FIELD_PICTURES = (_specular_picture, _normals_picture, _relief_picture, _shape_picture, _uncertainty_picture)
 """Each draws a picture of a result and its small fields, or None where the result has no such field."""
 
 
-def render_views(result: Reconstruction, small: SmallFields, each: Callable[..., Any] = map) -> Iterator[ColourArray]:
+def render_views(result: Reconstruction, small: _SmallFields, each: Callable[..., Any] = map) -> Iterator[ColourArray]:
     """The shaded surface from above, the left and the right; a pool's ``map`` as `each` begins at once."""
     surface = small.exaggerated(RELIEF_EXAGGERATION) if is_finger(result) else small
     sides = (partial(oblique_view, surface, turn_deg=turn, tilt_deg=TILT_DEG) for turn in (38.0, -38.0))
@@ -280,7 +295,7 @@ _SUPERSAMPLING = 2
 _NOWHERE = np.float32(1e9)
 
 
-def _shade(surface: SmallFields, turn_rad: float = 0.0) -> FloatArray:
+def _shade(surface: _SmallFields, turn_rad: float = 0.0) -> FloatArray:
     """Light a height field like matt clay; valleys are slightly darker, as in a corner that light reaches less.
 
     The lamps stand still in front of a viewer for whom the finger is turned by `turn_rad`, counter-clockwise.
@@ -310,18 +325,18 @@ def _lamp(direction: FloatArray, turn_rad: float) -> FloatArray:
     return np.array([cos * x + sin * y, -sin * x + cos * y, z], dtype=np.float32)
 
 
-def _top_view(surface: SmallFields) -> ColourArray:
+def _top_view(surface: _SmallFields) -> ColourArray:
     """Shaded surface seen from the camera, upright."""
     alpha = surface.weight[..., None]
     return _bytes(_shade(surface) * alpha + np.float32(_BACKGROUND) * (1.0 - alpha))
 
 
-def oblique_view(surface: SmallFields, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
+def oblique_view(surface: _SmallFields, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
     """Shaded surface seen at an angle, parallel projection.
 
     Parameters
     ----------
-    surface : SmallFields
+    surface : _SmallFields
     turn_deg : float
         Turn of the finger about the camera's axis, counter-clockwise, before it is tilted.
     tilt_deg : float

@@ -22,6 +22,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.polarised import picture_bytes
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
@@ -143,12 +144,10 @@ def make_report(
 
 
 def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequence[Comparison]) -> dict[str, Any]:
-    import splitknit  # the version, without an import cycle
-
     return {
         "format": "splitknit-report",
         "version": 1,
-        "software": {"name": "splitknit", "version": splitknit.__version__, "python": platform.python_version()},
+        "software": {"name": "splitknit", "version": provenance()["version"], "python": platform.python_version()},
         "written_at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "preset": result.preset,
         "capture": {}
@@ -419,6 +418,9 @@ def write_files(
         if (measured := result.normals_measured) is not None:
             jobs.append(pool.submit(write_normals, target / "normals_measured.png", result, origin, measured))
             files.append("normals_measured.png")
+        if result.specular is not None:
+            jobs.append(pool.submit(write_picture, target / "specular.png", picture_bytes(result.specular), origin))
+            files.append("specular.png")
         report = make_report(result, capture, truth)
         if report.prints is not None:
             write_print_png(target / "print.png", report.prints, PRINT_PPI, provenance_texts(origin))

@@ -74,6 +74,19 @@ KINDS: tuple[PartKind, ...] = (
         "each layer cools.",
     ),
 )
+FILM_KINDS = (
+    PartKind("analyser_plate", "Plate before the lens, on which the analyser turns"),
+    PartKind("analyser", "Analyser: ring with lever, film before the lens"),
+    PartKind("film_ring", "Ring of films below the LEDs"),
+)
+"""Parts of a rig with films, from below upwards between cylinder and frame."""
+
+
+def kinds_of(dimensions: RigDimensions) -> tuple[PartKind, ...]:
+    """Kinds of parts that are drawn; an analyser that does not turn is no part of its own."""
+    films = dimensions.films
+    more = FILM_KINDS if films is not None else ()
+    return KINDS + tuple(kind for kind in more if kind.name != "analyser" or (films and films.kind != "neighbours"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,10 +121,10 @@ def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None
     require_build123d()
     from splitknit.rig.parts import MAKERS  # needs build123d
 
-    parts = []
-    for done, kind in enumerate(KINDS):
+    parts, kinds = [], kinds_of(dimensions)
+    for done, kind in enumerate(kinds):
         if progress is not None:
-            progress(kind.name, done / len(KINDS))
+            progress(kind.name, done / len(kinds))
         parts.append(RigPart(kind, MAKERS[kind.name](dimensions)))
     return tuple(parts)
 

@@ -21,6 +21,7 @@ from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Progress, Rig, default_rig, no_progress
 from splitknit.rig.assembly import (
+    FILM_KINDS,
     STACK,
     STACK_BELOW,
     RigPart,
@@ -34,6 +35,7 @@ from splitknit.rig.assembly import (
 )
 from splitknit.rig.dimension_checks import check_dimensions
 from splitknit.rig.dimensions import dimensions_of
+from splitknit.rig.films import with_films
 from splitknit.rig.part_reports import dimension_table, report_part
 from splitknit.rig.part_settings import PartSettings
 from splitknit.settings import override
@@ -45,6 +47,7 @@ def cad_to_folder(
     rig_file: Path | None = None,
     changes: Mapping[str, Any] | None = None,
     below: bool = False,
+    films: str | None = None,
     pictures: bool = True,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
@@ -56,6 +59,7 @@ def cad_to_folder(
     rig_file : rig file, or None for the thesis's rig
     changes : fields of :class:`splitknit.rig.part_settings.PartSettings` to replace
     below : put the assembly together with the camera below the finger
+    films : see :func:`splitknit.rig.films.with_films`
     pictures : draw them, too
     progress : called with what is at work and the fraction done
 
@@ -68,6 +72,7 @@ def cad_to_folder(
     rig, hashes = _rig(rig_file)
     settings = override(PartSettings(), changes or {})
     try:
+        rig = with_films(rig, films)
         dimensions = dimensions_of(rig, settings)
         check_dimensions(dimensions)
     except BadInput as error:
@@ -87,19 +92,20 @@ def cad_to_folder(
                 stream.writelines(stl_chunks(triangles.reshape(-1, 3), faces, name))
             reports[name] = report_part(part.kind, triangles, settings.printer)
             write_step(target / "step" / f"{name}.step", part)
-        stack = STACK_BELOW if below else STACK
-        progress("assembling", 0.80)
         by_name = {part.kind.name: part for part in parts}
+        stack = list(STACK_BELOW if below else STACK)
+        stack[2:2] = [kind.name for kind in FILM_KINDS if kind.name in by_name]
+        progress("assembling", 0.80)
         write_assembly(target / "assembly.step", [by_name[name] for name in stack], below=below)
         drawn = []
         if pictures:
             progress("pictures", 0.9)
             (target / "pictures").mkdir()
-            drawn = _write_pictures(target / "pictures", by_name, below=below)
+            drawn = _write_pictures(target / "pictures", by_name, stack, below=below)
         facts = {
             **provenance(asdict(settings), hashes),
             "camera": "below" if below else "above",
-            "assembly": list(stack),
+            "assembly": stack,
             "dimensions": dimension_table(rig, dimensions),
             "parts": reports,
             "pictures": drawn,
@@ -127,16 +133,16 @@ _GAP_MM = 32.0
 _FAR_MM = 10_000.0
 
 
-def _write_pictures(folder: Path, parts: Mapping[str, RigPart], *, below: bool) -> list[str]:
+def _write_pictures(folder: Path, parts: Mapping[str, RigPart], names: Sequence[str], *, below: bool) -> list[str]:
     """Draw everything into an existing folder; return the names of the files.
 
-    `parts`: all parts by name; `below`: the camera is below the finger.
+    `parts`: all parts by name; `names`: those of the rig, lowest first; `below`: the camera is below the finger.
     """
     from build123d import Compound, Pos, Rot  # large, and only parts need it
 
     for name, part in parts.items():
         _draw(folder / f"{name}.svg", part.solid, (_ABOVE, _BELOW))
-    stack = [parts[name] for name in (STACK_BELOW if below else STACK)]
+    stack = [parts[name] for name in names]
     turn = Rot(180, 0, 0) if below else Rot(0, 0, 0)
     for title, shapes, (x, y, z) in (
         ("exploded", [Pos(0, 0, _GAP_MM * k) * part.solid for k, part in enumerate(stack)], _EXPLODED),

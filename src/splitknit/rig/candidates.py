@@ -1,10 +1,16 @@
-"""Rigs that are compared: what changes from one to the next, what a rig must satisfy, and the study of all of them."""
+"""Rigs that are compared: what changes from one to the next, how brightly a rig exposes, and what it must satisfy.
+
+Radiometry: an LED of the electrical power P emits the flux efficiency * P in a lobe cos^m, so its intensity on the axis
+is flux (m + 1) / (2 pi); irradiance falls with the squared distance; a lens of the f-number N that images with the
+magnification M gives the sensor pi L T / (4 N^2 (1 + M)^2) of a surface of radiance L; photons times the quantum
+efficiency are electrons.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,56 +18,34 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.model import Camera, Led, Rig
-from splitknit.rig.photography import (
-    LAMPS,
-    MIN_LEVEL,
-    W_PER_UNIT,
-    PhotonSettings,
-    electrons_per_s,
-    intensity_w_sr,
-    plan_exposure,
-)
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.lighting import irradiance
 
+Array = NDArray[np.float64]
+
 FULL_PX_PER_MM = 75.7
 """Of the full frame of the thesis's camera, 3200 x 2200 pixels."""
-_FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
+FIELD_MM = (2200 / FULL_PX_PER_MM, 3200 / FULL_PX_PER_MM)
 """Rows and columns of the field on the finger plane: the lens is chosen for it, whatever the height."""
 _LEDS_PER_BAND = 7
 
 
 @dataclass(frozen=True, slots=True)
-class RigCandidate:
+class RigCandidate(Checked):
     """One rig out of a sweep."""
 
-    height_mm: float
-    """Of camera and LEDs above the finger plane (the same, as in the thesis)."""
-    radius_mm: float
-    """Of the circle of LEDs."""
-    power_w: float
-    """Electrical power of one LED."""
-    tilt_deg: float | None = None
-    """Of the beams from the vertical, towards the axis; None aims them at the middle of the finger plane."""
-    px_per_mm: float = 12.0
-    """Resolution of the camera on the finger plane; the field stays."""
+    _group = "rig"
 
-    def __post_init__(self) -> None:
-        for name, low, high in (
-            ("height_mm", 20.0, 1000.0),
-            ("radius_mm", 1.0, 1000.0),
-            ("power_w", 1e-4, 100.0),
-            ("px_per_mm", 3.0, FULL_PX_PER_MM),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"a rig's {name} must lie between {low:g} and {high:g}, but it is {value:g}.",
-            )
-        require(
-            self.tilt_deg is None or -60.0 <= self.tilt_deg <= 80.0,
-            f"a rig's tilt_deg must lie between -60 and 80, or be 'centre', but it is {self.tilt_deg}.",
-        )
+    height_mm: Annotated[float, Limits(20, 1000)]
+    """Of camera and LEDs above the finger plane (the same, as in the thesis)."""
+    radius_mm: Annotated[float, Limits(1, 1000)]
+    """Of the circle of LEDs."""
+    power_w: Annotated[float, Limits(1e-4, 100)]
+    """Electrical power of one LED."""
+    tilt_deg: Annotated[float | None, Limits(-60, 80)] = None
+    """Of the beams from the vertical, towards the axis; None aims them at the middle of the finger plane."""
+    px_per_mm: Annotated[float, Limits(3, FULL_PX_PER_MM)] = 12.0
+    """Resolution of the camera on the finger plane; the field stays."""
 
     @property
     def beam_deg(self) -> float:
@@ -115,23 +99,16 @@ def grid(
     BadInput
         If a list is empty or holds an impossible value.
     """
-    for name, values in (
-        ("heights_mm", heights_mm),
-        ("radii_mm", radii_mm),
-        ("powers_w", powers_w),
-        ("tilts_deg", tilts_deg),
-        ("resolutions", resolutions),
-    ):
+    names = ("heights_mm", "radii_mm", "powers_w", "tilts_deg", "resolutions")
+    axes = (heights_mm, radii_mm, powers_w, tilts_deg, resolutions)
+    for name, values in zip(names, axes, strict=True):
         require(len(values) > 0, f"{name} is empty; list one value at least.")
-    found = (
-        RigCandidate(*values) for values in itertools.product(heights_mm, radii_mm, powers_w, tilts_deg, resolutions)
-    )
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(RigCandidate(*values) for values in itertools.product(*axes)))
 
 
 def _camera_of(candidate: RigCandidate, build: BuildSettings, view: str | None = None) -> Camera:
     """The candidate's camera: the field of `build`, seen from the candidate's height."""
-    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in _FIELD_MM)
+    rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in FIELD_MM)
     matrix = None
     if (view or build.view) == "perspective":
         focal = candidate.px_per_mm * candidate.height_mm
@@ -146,22 +123,18 @@ def _camera_of(candidate: RigCandidate, build: BuildSettings, view: str | None =
 
 
 def candidate_rig(
-    candidate: RigCandidate, build: BuildSettings, intensities: dict[str, float], view: str | None = None
+    candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float], view: str | None = None
 ) -> Rig:
     """The candidate as a rig.
 
-    Parameters
-    ----------
-    candidate, build : what to build
-    intensities : of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs
-    view : of the camera, where it differs from `build.view`
+    `intensities`: of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs. `view`: of the
+    camera, where it differs from `build.view`.
     """
-    count = _LEDS_PER_BAND
     tilt = np.deg2rad(candidate.beam_deg)
     leds = []
     for band, intensity in intensities.items():
-        for k in range(count):
-            azimuth = 2.0 * np.pi * (k + (0.5 if band == "nir" else 0.0)) / count
+        for k in range(_LEDS_PER_BAND):
+            azimuth = 2.0 * np.pi * (k + (0.5 if band == "nir" else 0.0)) / _LEDS_PER_BAND
             x, y = float(np.cos(azimuth)), float(np.sin(azimuth))
             z = candidate.height_mm - build.led_drop_mm
             leds.append(
@@ -176,9 +149,106 @@ def candidate_rig(
     return Rig(_camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
 
 
-Array = NDArray[np.float64]
+# How brightly a rig exposes.
+
+PLANCK_LIGHT = 1.98645e-25
+"""Planck's constant times the speed of light, J m."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Lamp:
+    """One band's LED and how well the sensor sees it."""
+
+    efficiency: float
+    """Radiant flux over electrical power."""
+    wavelength_nm: float
+    """Mean, for the energy of a photon."""
+    quantum_efficiency: float
+    """Electrons of a green pixel per photon of this light, colour filter included."""
+
+
+LAMPS = {"white": _Lamp(0.31, 560.0, 0.22), "nir": _Lamp(0.40, 850.0, 0.20)}
+"""By band. White: 100 lm/W, as data sheets of white LEDs of this size give it, over 320 lm a watt of light of a
+phosphor LED of 5000 K; green filters pass a third of its photons to silicon of 65 %. Near infrared: data sheets of
+850 nm emitters; the camera without infrared filter."""
+_TRANSMISSION = 0.9
+"""Of the lens."""
+_PIXEL_UM = 1.12
+"""Of the IMX219 at full resolution; smaller pictures bin its pixels."""
+MAGNIFICATION = _PIXEL_UM * 1e-3 * FULL_PX_PER_MM
+"""Size on the sensor over size on the finger."""
+FULL_WELL_E = 4700.0
+"""Electrons at full scale of a pixel at full resolution."""
+READ_NOISE_E = 2.5
+"""Standard deviation of the noise of reading out, electrons, a pixel at full resolution."""
+TARGET_LEVEL = 0.7
+"""Fraction of full scale that the brightest skin shall reach."""
+MIN_LEVEL = 0.1
+"""Below this fraction a picture is too dark to be used."""
+_LONGEST_S = 0.2
+"""14 pictures in 7 s leave half a second each for light, settling and reading out."""
+_MAX_GAIN = 8.0
+"""Of the camera: beyond it a picture stays dark."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhotonSettings(Checked):
+    """Lens and shutter."""
+
+    _group = "photons"
+
+    f_number: Annotated[float, Limits(0, above=True)] = 4.0
+    """The lens's focal length over its pupil."""
+    shortest_s: Annotated[float, Limits(0, _LONGEST_S, above=True)] = 1.0 / 4000.0
+    """Shortest exposure time."""
+
+    def focal_mm(self, height_mm: float) -> float:
+        """Focal length that images from `height_mm` with this magnification (thin lens)."""
+        return height_mm * MAGNIFICATION / (1.0 + MAGNIFICATION)
+
+    def depth_of_field_mm(self, blur_mm: float) -> float:
+        """Depth within which a point's image stays below `blur_mm` on the finger; the height drops out of it."""
+        return 2.0 * self.f_number * blur_mm * (1.0 + MAGNIFICATION) / MAGNIFICATION
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedExposure:
+    """How one band is exposed."""
+
+    time_s: float
+    gain: float
+    level: float
+    """Fraction of full scale of the brightest skin: the target where the shutter and the gain allow it."""
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the brightest skin is beyond full scale."""
+        return self.level > 1.0
+
+
+def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
+    """Radiant intensity of an LED on its axis."""
+    return power_w * lamp.efficiency * (lobe_exponent + 1.0) / (2.0 * np.pi)
+
+
+def electrons_per_s(radiance: float, lamp: _Lamp, settings: PhotonSettings) -> float:
+    """Electrons a second in one full-resolution green pixel that looks at `radiance`, in W/(m^2 sr)."""
+    on_sensor = np.pi * radiance * _TRANSMISSION / (4.0 * (settings.f_number * (1 + MAGNIFICATION)) ** 2)
+    photons = on_sensor * (_PIXEL_UM * 1e-6) ** 2 * lamp.wavelength_nm * 1e-9 / PLANCK_LIGHT
+    return float(photons * lamp.quantum_efficiency)
+
+
+def plan_exposure(rate_e_s: float, settings: PhotonSettings) -> PlannedExposure:
+    """Shutter first, then gain, then darkness, for electrons a second where the finger is brightest."""
+    require(rate_e_s > 0, "no light falls on the finger; turn the LEDs towards it.")
+    wanted = TARGET_LEVEL * FULL_WELL_E / rate_e_s
+    time = float(np.clip(wanted, settings.shortest_s, _LONGEST_S))
+    gain = float(np.clip(wanted / time, 1.0, _MAX_GAIN))
+    return PlannedExposure(time, gain, rate_e_s * time * gain / FULL_WELL_E)
+
+
+W_PER_UNIT = 100.0
+"""W/(m^2 sr) in one unit of the twin's radiance, where intensities are W/sr: its unit is that of 100 mm, (0.1 m)^-2."""
 _LED_BODY_MM = 2.5
 """Radius of an LED's case."""
 _CAMERA_BODY_MM = 17.3
@@ -207,21 +277,19 @@ class Finding:
 
     name: str
     ok: bool
-    hard: bool
-    """Whether a rig that fails is left out; otherwise it is only said."""
     value: float
     words: str
     """One sentence."""
+    hard: bool = True
+    """Whether a rig that fails is left out; otherwise it is only said."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrintPoints:
-    """Where on a finger specular reflection is looked for."""
+    """Where on a finger specular reflection is looked for: (N, 3) points in mm, and normals towards the camera."""
 
     points_mm: Array
-    """(N, 3)."""
     normals: Array
-    """(N, 3) of the finger's shape, towards the camera."""
 
 
 def examine(
@@ -232,32 +300,113 @@ def examine(
     finger: PrintPoints,
     bands: Sequence[str] = ("white",),
 ) -> tuple[Finding, ...]:
-    """Judge one candidate.
+    """One finding for every constraint on a candidate, those that failed included.
 
-    Parameters
-    ----------
-    candidate, build, photons : the rig
-    finger : surface of a typical finger
-    bands : whose exposure is judged
-
-    Returns
-    -------
-    One finding for every constraint, those that failed included.
+    `finger`: surface of a typical finger; `bands`: whose exposure is judged.
     """
-    exponent = build.lobe_exponent
-    intensities = {band: intensity_w_sr(candidate.power_w, LAMPS[band], exponent) for band in bands}
-    leds = candidate_rig(candidate, build, intensities).leds
+    leds = candidate_rig(candidate, build, led_intensities(candidate, build, bands)).leds
     white = [led for led in leds if led.band == leds[0].band]
     return (
         _in_view(white, candidate, build),
         _into_lens(white, candidate),
         _room(candidate),
         _bed(candidate),
-        _beam(candidate, exponent),
+        _beam(candidate, build.lobe_exponent),
         _glare(white, candidate, build, finger),
-        *(_exposed(band, [led for led in leds if led.band == band], photons) for band in bands),
+        *(_exposed(band, planned_exposure(leds, band, photons)) for band in bands),
         _depth(photons, finger),
     )
+
+
+def led_intensities(candidate: RigCandidate, build: BuildSettings, bands: Sequence[str]) -> dict[str, float]:
+    """Radiant intensity of the candidate's LEDs on their axis, W/sr, by band."""
+    return {band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in bands}
+
+
+def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> Finding:
+    """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
+    clear = 1e3
+    for led in leds:
+        x, y, z = np.asarray(led.position_mm)
+        below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
+        if below > 0:
+            fraction = below / candidate.height_mm if build.view == "perspective" else 1.0
+            half_y, half_x = (0.5 * side * fraction for side in FIELD_MM)
+            outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
+            clear = min(clear, float(outside) - _LED_BODY_MM)
+    words = f"the LEDs stand {clear:.1f} mm beside what the camera sees."
+    if clear <= 0.0:
+        words = f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture; widen the circle or raise it."
+    return Finding("leds_in_view", clear > 0.0, clear, words)
+
+
+def _into_lens(leds: list[Led], candidate: RigCandidate) -> Finding:
+    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
+    worst = 0.0
+    for led in leds:
+        to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
+        if to_lens[2] > 0:  # the lens looks down: only light from below meets it
+            distance = float(np.linalg.norm(to_lens))
+            leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
+            worst = max(worst, float(to_lens[2]) / distance * leaves**led.lobe_exponent)
+    words = "no LED shines into the lens."
+    if worst >= 1e-3:
+        words = f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light); raise or shade them."
+    return Finding("direct_light", worst < 1e-3, worst, words)
+
+
+def _room(candidate: RigCandidate) -> Finding:
+    inside, needed = candidate.radius_mm - _LED_BODY_MM, max(_CAMERA_BODY_MM, _FINGER_MM)
+    words = f"{inside:.1f} mm are free inside the circle."
+    if inside < needed:
+        words = (
+            f"only {inside:.1f} mm are free inside the circle, but camera and finger need {needed:.1f} mm; widen it."
+        )
+    return Finding("room", inside >= needed, inside - needed, words)
+
+
+def _bed(candidate: RigCandidate) -> Finding:
+    breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
+    spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
+    words = f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, "
+    fits_not = f"does not fit a printer of {_BED_MM[0]:g} mm and {_BED_MM[1]:g} mm of height."
+    return Finding("printer", spare >= 0.0, spare, words + ("fits the printer." if spare >= 0.0 else fits_not))
+
+
+def _beam(candidate: RigCandidate, exponent: float) -> Finding:
+    centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
+    off = abs(candidate.beam_deg - centre)
+    fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
+    ok = fraction >= _MIN_BEAM and off < 75.0
+    words = f"the finger gets {100 * fraction:.0f} % of the LEDs' axial intensity."
+    if not ok:
+        words = f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} %; tilt them by {centre:.0f} deg."
+    return Finding("beam", ok, fraction, words)
+
+
+def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> Finding:
+    glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
+    blind = float(np.mean((~glare).sum(axis=0) < 3))
+    covered = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
+    words = f"{covered}, and {100 * blind:.0f} % of it under all but two."
+    if blind > _MAX_BLIND:
+        words = (
+            f"{covered}; on {100 * blind:.0f} % of it fewer than three LEDs are free of it; widen or lower the circle."
+        )
+    return Finding("glare", blind <= _MAX_BLIND, blind, words)
+
+
+def _glaring(
+    leds: list[Led], candidate: RigCandidate, build: BuildSettings, roughness: float, finger: PrintPoints
+) -> NDArray[np.bool_]:
+    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
+    points = finger.points_mm
+    view = np.array([0.0, 0.0, 1.0])
+    if build.view == "perspective":
+        view = _unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
+    halves = [_unit(_unit(np.asarray(led.position_mm) - points) + view) for led in leds]
+    limit = np.cos(_glare_lobe_rad(roughness))
+    return np.array([np.sum(half * finger.normals, axis=1) > limit for half in halves])
 
 
 def _glare_lobe_rad(roughness: float) -> float:
@@ -268,185 +417,33 @@ def _glare_lobe_rad(roughness: float) -> float:
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
 
 
-def _glaring(
-    leds: list[Led], candidate: RigCandidate, build: BuildSettings, roughness: float, finger: PrintPoints
-) -> Array:
-    """(L, N) whether each LED's mirror direction lies within the roughness lobe, seen by the camera."""
-    points = finger.points_mm
-    view = np.array([0.0, 0.0, 1.0])
-    if build.view == "perspective":
-        view = _unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
-    limit = np.cos(_glare_lobe_rad(roughness))
-    rows = []
-    for led in leds:
-        half = _unit(_unit(np.asarray(led.position_mm) - points) + view)
-        rows.append(np.sum(half * finger.normals, axis=1) > limit)
-    return np.array(rows)
-
-
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _in_view(leds: list[Led], candidate: RigCandidate, build: BuildSettings) -> Finding:
-    """Distance of the LEDs' cases from the pyramid (or prism) that the camera sees."""
-    clear = np.inf
-    for led in leds:
-        x, y, z = np.asarray(led.position_mm)
-        below = candidate.height_mm - z + _LED_BODY_MM  # of the LED's lowest point, from the lens
-        if below <= 0:
-            continue
-        fraction = below / candidate.height_mm if build.view == "perspective" else 1.0
-        half_y, half_x = (0.5 * side * fraction for side in _FIELD_MM)
-        outside = np.hypot(max(abs(x) - half_x, 0.0), max(abs(y) - half_y, 0.0))
-        clear = min(clear, outside - _LED_BODY_MM)
-    clear = float(min(clear, 1e3))
-    ok = clear > 0.0
-    words = (
-        f"the LEDs stand {clear:.1f} mm beside what the camera sees."
-        if ok
-        else f"an LED on a circle of {candidate.radius_mm:g} mm stands in the picture; widen the circle or raise it."
-    )
-    return Finding("leds_in_view", ok, True, clear, words)
-
-
-def _into_lens(leds: list[Led], candidate: RigCandidate) -> Finding:
-    """Fraction of an LED's axial intensity that meets the front of the lens, weighed by the cosine there."""
-    worst = 0.0
-    for led in leds:
-        to_lens = np.array([0.0, 0.0, candidate.height_mm]) - np.asarray(led.position_mm)
-        distance = float(np.linalg.norm(to_lens))
-        if distance == 0.0:
-            continue
-        meets = max(float(to_lens[2]) / distance, 0.0)  # the lens looks down: only light from below meets it
-        leaves = max(float(np.dot(led.axis, to_lens)) / distance, 0.0)
-        worst = max(worst, meets * leaves**led.lobe_exponent if meets > 0 else 0.0)
-    ok = worst < 1e-3
-    words = (
-        "no LED shines into the lens."
-        if ok
-        else f"LEDs below the lens shine into it ({100 * worst:.1f} % of their axial light); raise or shade them."
-    )
-    return Finding("direct_light", ok, True, worst, words)
-
-
-def _room(candidate: RigCandidate) -> Finding:
-    inside = candidate.radius_mm - _LED_BODY_MM
-    needed = max(_CAMERA_BODY_MM, _FINGER_MM)
-    ok = inside >= needed
-    words = (
-        f"{inside:.1f} mm are free inside the circle."
-        if ok
-        else f"inside the circle only {inside:.1f} mm are free, but camera and finger need {needed:.1f} mm; widen it."
-    )
-    return Finding("room", ok, True, inside - needed, words)
-
-
-def _bed(candidate: RigCandidate) -> Finding:
-    breadth = 2.0 * (candidate.radius_mm + _WALL_MM)
-    spare = min(_BED_MM[0] - breadth, _BED_MM[1] - candidate.height_mm)
-    ok = spare >= 0.0
-    words = (
-        f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, fits the printer."
-        if ok
-        else f"the box, {breadth:.0f} mm wide and {candidate.height_mm:.0f} mm high, does not fit a printer of "
-        f"{_BED_MM[0]:g} mm and {_BED_MM[1]:g} mm of height."
-    )
-    return Finding("printer", ok, True, spare, words)
-
-
-def _beam(candidate: RigCandidate, exponent: float) -> Finding:
-    centre = float(np.rad2deg(np.arctan2(candidate.radius_mm, candidate.height_mm)))
-    off = abs(candidate.beam_deg - centre)
-    fraction = max(float(np.cos(np.deg2rad(off))), 0.0) ** exponent
-    ok = fraction >= _MIN_BEAM and off < 75.0
-    words = (
-        f"the finger gets {100 * fraction:.0f} % of the LEDs' axial intensity."
-        if ok
-        else f"beams {off:.0f} deg off the finger give it {100 * fraction:.0f} % of it; tilt them by {centre:.0f} deg."
-    )
-    return Finding("beam", ok, True, fraction, words)
-
-
-def _glare(leds: list[Led], candidate: RigCandidate, build: BuildSettings, finger: PrintPoints) -> Finding:
-    glare = _glaring(leds, candidate, build, _ROUGHNESS, finger)
-    free = (~glare.astype(bool)).sum(axis=0)
-    blind = float(np.mean(free < 3))
-    ok = blind <= _MAX_BLIND
-    covered = f"glare covers {100 * float(glare.mean()):.0f} % of the print under one LED"
-    words = (
-        f"{covered}, and {100 * blind:.0f} % of it under all but two."
-        if ok
-        else f"{covered}; on {100 * blind:.0f} % of it fewer than three LEDs are free of it; widen or lower the circle."
-    )
-    return Finding("glare", ok, True, blind, words)
-
-
-def _exposed(band: str, leds: list[Led], photons: PhotonSettings) -> Finding:
-    """Exposure of a facing patch of skin below the middle."""
+def planned_exposure(leds: Sequence[Led], band: str, photons: PhotonSettings) -> PlannedExposure | None:
+    """Exposure of facing patches of skin about the middle of the finger plane; None where no light falls on them."""
     spots = np.array([[0.0, 5.0, -5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, -5.0], np.zeros(5)])
-    brightest = W_PER_UNIT * max(float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds)
-    rate = electrons_per_s(_ALBEDO / np.pi * brightest, LAMPS[band], photons) if brightest else 0.0
-    if rate <= 0.0:
-        return Finding(f"exposure_{band}", False, True, 0.0, "no light falls on the finger; turn the beams towards it.")
-    plan = plan_exposure(rate, photons)
+    lit = (float(irradiance(led, spots, (0.0, 0.0, 1.0)).max()) for led in leds if led.band == band)
+    rate = electrons_per_s(_ALBEDO / np.pi * W_PER_UNIT * max(lit), LAMPS[band], photons)
+    return plan_exposure(rate, photons) if rate > 0 else None
+
+
+def _exposed(band: str, plan: PlannedExposure | None) -> Finding:
+    if plan is None:
+        return Finding(f"exposure_{band}", False, 0.0, "no light falls on the finger; turn the beams towards it.")
     how = f"{1000 * plan.time_s:.3g} ms at gain {plan.gain:.2g}"
-    dark = plan.level < MIN_LEVEL
-    ok = not dark and not plan.saturates
     words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
-    if dark:
+    if plan.level < MIN_LEVEL:
         words = f"the {band} band is too dark: {how} give {100 * plan.level:.2g} % of full scale; use more power."
     elif plan.saturates:
         words = f"the {band} band is too bright: {how} give {100 * plan.level:.0f} % of full scale; use less power."
-    return Finding(f"exposure_{band}", ok, True, plan.level, words)
+    return Finding(f"exposure_{band}", MIN_LEVEL <= plan.level <= 1.0, plan.level, words)
 
 
 def _depth(photons: PhotonSettings, finger: PrintPoints) -> Finding:
     seen = float(np.ptp(finger.points_mm[:, 2]))
     sharp = photons.depth_of_field_mm(_BLUR_MM)
-    ok = sharp >= seen
     words = f"{sharp:.1f} mm of depth are sharp within {_BLUR_MM:g} mm at f/{photons.f_number:g}; the print has "
-    words += f"{seen:.1f} mm." if ok else f"{seen:.1f} mm: stop down."
-    return Finding("depth_of_field", ok, False, sharp - seen, words)
-
-
-FIRST_SEED = 400
-"""Of the fingers."""
-TRUTH_PX_PER_MM = 10.0
-"""Density of the points of the true surface."""
-METHODS = {
-    "ea": "the thesis's plain photometric stereo: distant lights, Frankot-Chellappa",
-    "ea-poisson": "the same normals, integrated over the finger's mask alone",
-    "metric": "near lights, a calibrated perspective camera, glare and scattering undone",
-}
-MATERIALS = {"opaque": "an opaque Lambertian finger, as the thesis's sculpture", "skin": "the twin's skin"}
-CAMERAS = {
-    "sensor": "the rig's: photons, noise, defocus, exposure chosen within the shutter's range",
-    "renderer": "a rendering program's: pin-hole, no noise, one fixed exposure, bare isotropic lamps, 8 bits sRGB",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Study(Checked):
-    """Everything that a candidate's figures follow from, besides the candidate."""
-
-    method: Literal["ea", "ea-poisson", "metric"] = "ea"
-    """See :data:`METHODS`."""
-    material: Literal["opaque", "skin"] = "opaque"
-    """See :data:`MATERIALS`."""
-    camera: Literal["sensor", "renderer"] = "sensor"
-    """See :data:`CAMERAS`."""
-    fingers: Annotated[int, Limits(1, 200)] = 3
-    """Number of fingers; all candidates photograph the same ones, with the same noise."""
-    build: BuildSettings = field(default_factory=BuildSettings)
-    photons: PhotonSettings = field(default_factory=PhotonSettings)
-
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        """Of the fingers."""
-        return tuple(range(FIRST_SEED, FIRST_SEED + self.fingers))
-
-    @property
-    def bands(self) -> tuple[str, ...]:
-        """Bands that the method looks at."""
-        return ("white", "nir") if self.method == "metric" else ("white",)
+    words += f"{seen:.1f} mm." if sharp >= seen else f"{seen:.1f} mm: stop down."
+    return Finding("depth_of_field", sharp >= seen, sharp - seen, words, hard=False)

@@ -13,7 +13,17 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.capture.pins import DEFAULT_PINS, led_names, pins_of
+from splitknit.capture.pins import (
+    CROSSED_PINS,
+    DEFAULT_PINS,
+    PULLED_UP,
+    SERVO_PIN,
+    WHITE_PINS,
+    RigFilms,
+    led_names,
+    pins_of,
+    rig_films,
+)
 from splitknit.errors import require
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.csv_table import csv_text
@@ -22,6 +32,7 @@ from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_target
 from splitknit.model import Rig
 from splitknit.rig.circuit import BC337, Channel, Circuit, CircuitSettings, Resistor, design_stage
+from splitknit.rig.films import TRANSMISSION
 from splitknit.rig.safety import check_hazards, rig_hazards
 
 _BOARD = Path(__file__).with_name("board")
@@ -50,6 +61,8 @@ _FUSES: Mapping[float, tuple[str, str, str, str]] = {
 }
 """Resettable fuses by the current in ampere that they carry for ever at 20 degrees: Bel, Bourns, Littelfuse, footprint.
 """
+_FIRM_OHM = 4700.0
+"""Against the 33 to 73 kohm that pull some lines up at power-on: 0.4 V at most, where a transistor needs 0.6 V."""
 _WEAK_A = 0.03
 _WEAK_WHITE = (
     "Cree LC513FWH1-60Q-A0",
@@ -205,10 +218,27 @@ def _with_values(text: str, circuit: Circuit) -> str:
     return re.sub(r"\b9 V\b", f"{circuit.settings.supply_v:g} V", text)
 
 
+def _second_board(rig: Rig, films: RigFilms, settings: CircuitSettings) -> Circuit:
+    """The circuit of the LEDs of the crossed series: the white stages of another LED board, on lines of their own.
+
+    A line that is pulled up at power-on gets a stronger pull-down, so that its LED stays dark while the Pi boots.
+    """
+    circuit = design_circuit(Rig(rig.camera, tuple(rig.leds[k] for k in films.crossed)), settings)
+    pins = pins_of(rig)
+    channels = []
+    for channel, led in zip(circuit.channels, films.crossed, strict=True):
+        low = [replace(r, ohm=_FIRM_OHM) if r.role == "pull_down" else r for r in channel.stage.resistors]
+        stage = replace(channel.stage, resistors=tuple(low)) if pins[led] in PULLED_UP else channel.stage
+        channels.append(replace(channel, name=led_names(rig)[led], gpio=pins[led], stage=stage))
+    return replace(circuit, channels=tuple(channels))
+
+
 def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[str, Any]:
     """Design the circuit of a rig's LEDs and write the board's files, the rig's with the pin map; return the facts.
 
     A circuit that the laid-out board cannot carry is written without the board's files; ``facts["board"]`` says why.
+    A rig with films gets rows for them in ``parts.csv`` and, on the default lines, ``films.svg``; LEDs of the crossed
+    series get a second board.
 
     Raises
     ------
@@ -217,18 +247,42 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
         limit of :mod:`splitknit.rig.safety`.
     """
     check_target(out, "circuit.json", "an earlier board")
-    circuit = design_circuit(rig, settings)
+    films, second = rig_films(rig), None
+    apart = films.crossed if films is not None and films.kind == "neighbours" else ()
+    circuit = design_circuit(
+        replace(rig, leds=tuple(led for k, led in enumerate(rig.leds) if k not in apart)), settings
+    )
     stages = {channel.stage.band: channel.stage for channel in circuit.channels}
-    found = rig_hazards(rig, stages, duty=settings.duty)
+    passed = 1.0 if films is None else TRANSMISSION
+    found = rig_hazards(rig, stages, duty=settings.duty, passed=passed)
     check_hazards(found)
-    shorted = rig_hazards(rig, stages, duty=settings.duty, shorted=True)
-    pins = {band: [c.gpio for c in circuit.channels if c.stage.band == band] for band in stages}
+    shorted = rig_hazards(rig, stages, duty=settings.duty, shorted=True, passed=passed)
+    bare = rig_hazards(rig, stages, duty=settings.duty)
+    channels = list(circuit.channels)
+    if films is not None and apart:
+        second = _second_board(rig, films, settings)
+        channels += second.channels
+    pins = {band: [c.gpio for c in channels if c.stage.band == band] for band in stages}
     pinned = replace(rig, provenance={**rig.provenance, "pins": pins})
     texts: dict[str, str] = {}
     if not circuit.misfit:
         texts = {name: _with_values((_BOARD / name).read_text(encoding="utf-8"), circuit) for name in _TEXTS}
-        texts["parts.csv"] = _with_values(csv_text(_bill_of_materials(circuit)), circuit)
+        rows = _bill_of_materials(circuit)
+        if films is not None:
+            lines = csv.reader((_BOARD / "films.csv").read_text(encoding="utf-8").splitlines())
+            rows += [row for row in lines if row[1] != "servo" or films.kind == "servo"]
+        for row in _bill_of_materials(second)[1:] if second is not None else []:
+            if row[-1] or row[0] != "1":  # cable and adapter serve both boards
+                rows.append([*row[:-1], f"second board: {row[-1]}" if row[-1] else ""])
+        texts["parts.csv"] = _with_values(csv_text(rows), circuit)
     facts = _facts(circuit, out, [name for name in FILES if name in _ALWAYS or not circuit.misfit])
+    if films is not None:
+        if films.servo == SERVO_PIN and (second is None or pins["white"] == [*WHITE_PINS, *CROSSED_PINS]):
+            texts["films.svg"] = _with_values((_BOARD / f"films-{films.kind}.svg").read_text(encoding="utf-8"), circuit)
+            facts["files"].append("films.svg")
+        facts["films"] = {"transmission": TRANSMISSION, **rig.provenance["films"]}
+    if second is not None:
+        facts["leds"] += [{"led": c.name, "gpio": c.gpio, "stage": c.number, "board": 2} for c in second.channels]
     facts["safety"] = [
         {
             "leds": hazard.band,
@@ -239,13 +293,14 @@ def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[st
             "unit": hazard.unit,
             "margin": round(hazard.margin, 2),
             "margin_with_a_shorted_transistor": round(failed.margin, 2),
+            **({} if films is None else {"margin_without_films": round(unfilmed.margin, 2)}),
         }
-        for hazard, failed in zip(found, shorted, strict=True)
+        for hazard, failed, unfilmed in zip(found, shorted, bare, strict=True)
     ]
     with atomic_folder(out) as folder:
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
-        if texts:
+        if not circuit.misfit:
             (folder / "gerber.zip").write_bytes((_BOARD / "gerber.zip").read_bytes())
         (folder / "circuit.json").write_text(json_text(facts), encoding="utf-8")
         write_rig(pinned, folder / "rig.json")

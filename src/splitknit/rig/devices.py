@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from splitknit.capture.folder import Opened
-from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_pi
+from splitknit.capture.pi import UNTESTED, PiCameraSettings, open_analyser, open_pi
+from splitknit.capture.pins import rig_films
 from splitknit.capture.session import SessionSettings
 from splitknit.errors import require
 from splitknit.model import Rig, default_rig, nominal_rig
@@ -68,6 +69,11 @@ def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scal
         )
     twin = twin_settings(scale, parts[""])
     if rig is not None and device == "twin":
+        require(
+            rig_films(rig) is None,
+            "the rig file has polarising films, which the twin's camera and LEDs have not; capture with --device pi, "
+            "or take provenance.films out of the file.",
+        )
         if scale is not None:
             size = default_rig(scale).camera.image_size
             require(
@@ -97,8 +103,12 @@ def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
     with ExitStack() as stack:
         chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
         camera, lights = open_pi(stack, chosen, settings.pi)
+        analyser = open_analyser(chosen)
+        if analyser is not None:
+            stack.enter_context(analyser)
         untested = f"the {settings.pi.camera} camera was {UNTESTED}"
-        yield Opened("pi", camera, lights, chosen, notes=(untested,) if rig is not None else (NOMINAL, untested))
+        notes = (untested,) if rig is not None else (NOMINAL, untested)
+        yield Opened("pi", camera, lights, chosen, notes=notes, turn=analyser)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.dimensions import LedHole, RigDimensions
+from splitknit.rig.films import film_mounts
 
 _SAMPLES = 400
 _MIN_SEAT_MM = 0.6
@@ -34,6 +35,8 @@ def check_dimensions(dimensions: RigDimensions) -> None:
         _check_hole(hole, dimensions)
         _check_camera(hole, dimensions)
         _check_beam(hole, dimensions)
+    if dimensions.films is not None:
+        film_mounts(dimensions)  # refuses LEDs that leave no room
 
 
 def _check_bed(dimensions: RigDimensions) -> None:
@@ -138,10 +141,7 @@ def _check_camera(hole: LedHole, dimensions: RigDimensions) -> None:
 
 def _check_beam(hole: LedHole, dimensions: RigDimensions) -> None:
     """Nothing may stand between the LED and the last phalanx, as far as the picture shows it."""
-    half = min(dimensions.field_mm[0] / 2, dimensions.disc_radius_mm)
-    start = max(-dimensions.field_mm[1] / 2, dimensions.stop_y_mm - sizes.FINGER_PHALANX_MM)
-    ends = (start, (start + dimensions.stop_y_mm) / 2, dimensions.field_mm[1] / 2)
-    corners = np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
+    corners = dimensions.lit_corners
     fraction = np.linspace(0.0, 0.999, _SAMPLES)[:, None, None]
     way = hole.light_mm + fraction * (corners - hole.light_mm)  # (samples, corners, 3)
     require(

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from splitknit.capture.pins import RigFilms, rig_films
 from splitknit.errors import require
 from splitknit.model import Led, Rig
 from splitknit.rig import part_settings as sizes
@@ -186,6 +187,15 @@ class RigDimensions:
     opening_radius_mm: float
     nail_mm: float
     """Height of the nail's tip over the finger plane."""
+    films: RigFilms | None = None
+
+    @property
+    def lit_corners(self) -> NDArray[np.float64]:
+        """(9, 3) border and middle of what every LED must light: the last phalanx, as far as the picture shows it."""
+        half = min(self.field_mm[0] / 2, self.disc_radius_mm)
+        start = max(-self.field_mm[1] / 2, self.stop_y_mm - sizes.FINGER_PHALANX_MM)
+        ends = (start, (start + self.stop_y_mm) / 2, self.field_mm[1] / 2)
+        return np.array([(x, y, 0.0) for x in (-half, 0.0, half) for y in ends])
 
     @property
     def outer_mm(self) -> float:
@@ -313,7 +323,11 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
     lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + _gusset(settings)
     box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
-    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high(), box_z + lug_room)
+    films = rig_films(rig)
+    if films is not None and films.kind == "servo":
+        box_z = max(box_z, plate_top + sizes.SERVO_HIGH_MM)
+    second = sizes.SECOND_BOARD_MM if films is not None and films.kind == "neighbours" else 0.0
+    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high() + second, box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,
@@ -330,6 +344,7 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
         niche_y_mm=stop_y - finger.reach_mm,
         opening_radius_mm=_opening(settings),
         nail_mm=_nail_height(rig, sizes.NAIL_OFFSET_MM, sizes.NAIL_MARGIN_MM, sizes.NAIL_RADIUS_MM),
+        films=films,
     )
 
 

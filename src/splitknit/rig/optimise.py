@@ -1,32 +1,159 @@
-"""Sweep many rigs on the twin, in parallel, and take up again what was interrupted."""
+"""Sweep many rigs on the twin, in parallel, take up again what was interrupted, and compare what they measured."""
 
 from __future__ import annotations
 
+import functools
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import partial
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from splitknit import __version__
 from splitknit.batch.workers import run_jobs
 from splitknit.errors import BadInput, require
+from splitknit.evaluation.accuracy import compare
 from splitknit.io.atomic import write_file
+from splitknit.io.csv_table import csv_text
 from splitknit.io.fields import read_json
-from splitknit.io.provenance import canonical_json, plain_json, settings_hash
-from splitknit.model import Progress, no_progress
-from splitknit.rig.candidates import RigCandidate, Study
-from splitknit.rig.evaluate_rig import DONE, FAILED, REFUSED, evaluate_candidate, judge
-from splitknit.settings import differing
+from splitknit.io.provenance import canonical_json, plain_json, provenance, settings_hash
+from splitknit.model import Camera, Progress, no_progress
+from splitknit.pipeline import reconstruct
+from splitknit.rig.candidates import (
+    FIELD_MM,
+    FULL_WELL_E,
+    READ_NOISE_E,
+    Array,
+    BuildSettings,
+    Finding,
+    PhotonSettings,
+    PrintPoints,
+    RigCandidate,
+    candidate_rig,
+    examine,
+    led_intensities,
+    planned_exposure,
+)
+from splitknit.settings import Checked, Limits, differing
+from splitknit.simulator.camera.sensor import SensorSettings
+from splitknit.simulator.finger.finger import PoseRanges, draw_finger, finger_surface
+from splitknit.simulator.light.renderer import RenderSettings
+from splitknit.simulator.scene import TwinSettings
+from splitknit.simulator.twin import simulate_capture
 
-THESIS = {"height_mm": 140.0, "radius_mm": 52.5, "power_w": 1.0}
-"""What the thesis's sweep chose (4.1.1)."""
-"""Called with what is being done and the fraction of the whole that is done."""
+FIRST_SEED = 400
+"""Of the fingers."""
+MAX_SLANT_DEG = 60.0
+"""The print is where the shape is flatter than this (``docs/explain/conventions.md``)."""
+DONE, REFUSED, FAILED = "done", "refused", "failed"
+OBJECTIVES = {"rms": "surface_rms_mm", "ridges": "ridge_rms_um", "normals": "normals_mean_deg"}
+"""Names on the command line, and of the figures of :func:`splitknit.compare`; all are minimised."""
+_POSE = PoseRanges(height_mm=(0.0, 0.0), insertion_mm=(25.0, 27.0))
+_STUDY_FILE = "sweep.json"
+_OWN_FILES = re.compile(r"(sweep|results)\.json|results\.csv|candidates/[\w.+-]+\.json")
+_STRAY = re.compile(r"(.*/)?(\.splitknit-[^/]*\.tmp/.*|\.DS_Store|Thumbs\.db|desktop\.ini)")
+"""What a killed run or a file manager leaves behind."""
+
+
+@dataclass(frozen=True, slots=True)
+class Study(Checked):
+    """Everything that a candidate's figures follow from, besides the candidate."""
+
+    method: Literal["ea", "metric"] = "ea"
+    """Preset that reconstructs; of ``ea``, with its ridges apart (``ea-split``)."""
+    fingers: Annotated[int, Limits(1, 200)] = 3
+    """Number of fingers; all candidates photograph the same ones."""
+    build: BuildSettings = field(default_factory=BuildSettings)
+    photons: PhotonSettings = field(default_factory=PhotonSettings)
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """Of the fingers."""
+        return tuple(range(FIRST_SEED, FIRST_SEED + self.fingers))
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Bands that the method looks at."""
+        return ("white", "nir") if self.method == "metric" else ("white",)
+
+    def findings(self, candidate: RigCandidate) -> tuple[Finding, ...]:
+        """What the constraints make of a candidate."""
+        return examine(candidate, self.build, self.photons, finger=_typical_print(), bands=self.bands)
+
+    def measure(self, candidate: RigCandidate, seed: int) -> dict[str, float]:
+        """Photograph a finger with a candidate that keeps the constraints, reconstruct it, and compare with its truth.
+
+        A weak LED is exposed for longer, then with a higher gain, which leaves fewer electrons at full scale; of two
+        bands the weaker one decides. The finger lies still.
+        """
+        rig = candidate_rig(candidate, self.build, led_intensities(candidate, self.build, self.bands))
+        plans = {band: planned_exposure(rig.leds, band, self.photons) for band in self.bands}
+        weakest = max((plan for plan in plans.values() if plan), key=lambda plan: (plan.gain, -plan.level))
+        sensor = SensorSettings(
+            exposure=min(weakest.level, 1.0), full_well_e=FULL_WELL_E / weakest.gain, read_noise_e=READ_NOISE_E, bits=16
+        )
+        aperture_mm = self.photons.focal_mm(candidate.height_mm) / self.photons.f_number
+        render = RenderSettings(aperture_mm=aperture_mm, workers=1)
+        settings = TwinSettings(rig=rig, pose=_POSE, sensor=sensor, render=render)
+        capture, truth = simulate_capture(seed, settings=settings)
+        result = reconstruct(capture, {"ea": "ea-split"}.get(self.method, self.method))
+        figures = dict(compare(result, truth).figures)
+        for band, plan in plans.items():
+            figures |= {f"{what}_{band}": value for what, value in asdict(plan).items()} if plan else {}
+        return figures
+
+
+@functools.lru_cache(maxsize=1)
+def _typical_print() -> PrintPoints:
+    """Print of a finger, as points and normals of its shape half a millimetre apart."""
+    camera = Camera(px_per_mm=2.0, image_size=(round(2 * FIELD_MM[0]), round(2 * FIELD_MM[1])))
+    pose = _POSE.draw(np.random.default_rng(FIRST_SEED), camera)
+    surface = finger_surface(draw_finger(FIRST_SEED), pose, camera, workers=1)
+    rows, columns = np.nonzero(surface.mask & (surface.shape_normals[..., 2] > np.cos(np.deg2rad(MAX_SLANT_DEG))))
+    (height, width), pitch = camera.image_size, camera.pitch_mm
+    x, y = (columns - (width - 1) / 2) * pitch, ((height - 1) / 2 - rows) * pitch
+    points = np.stack([x, y, surface.shape_mm[rows, columns]], axis=-1)
+    return PrintPoints(points.astype(np.float64), surface.shape_normals[rows, columns].astype(np.float64))
+
+
+def evaluate_candidate(candidate: RigCandidate, study: Study) -> dict[str, Any]:
+    """Judge and measure one candidate.
+
+    Returns
+    -------
+    dict with ``candidate``, ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger could not be
+    photographed or reconstructed), ``reason`` (one sentence, or None), ``constraints``, ``fingers`` (figures by finger)
+    and ``mean`` (of the figures over the fingers, None unless done).
+
+    Notes
+    -----
+    Never raises for what a candidate is: a broken one is a result too. Follows from its arguments alone.
+    """
+    record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}, "constraints": []}
+    nothing: dict[str, Any] = {"fingers": [], "mean": None}
+    try:
+        findings = study.findings(candidate)
+        record["constraints"] = [asdict(finding) for finding in findings]
+        if broken := _broken(findings):
+            return {**record, "status": REFUSED, "reason": broken[0], **nothing}
+        fingers = [{"seed": seed, **study.measure(candidate, seed)} for seed in study.seeds]
+    except MemoryError:
+        raise  # of the machine, not of the candidate
+    except Exception as error:
+        words = " ".join(str(error).split()) or "no further words"
+        reason = words if isinstance(error, BadInput) else f"{type(error).__name__}: {words}"
+        return {**record, "status": FAILED, "reason": reason, **nothing}
+    mean = {name: float(np.mean([one[name] for one in fingers])) for name in fingers[0] if name != "seed"}
+    return {**record, "status": DONE, "reason": None, "fingers": fingers, "mean": mean}
+
+
+def _broken(findings: Sequence[Finding]) -> list[str]:
+    return [finding.words for finding in findings if finding.hard and not finding.ok]
 
 
 def sweep_rigs(
@@ -44,17 +171,20 @@ def sweep_rigs(
 
     Returns
     -------
-    Records of :func:`splitknit.rig.evaluate_rig.evaluate_candidate`, in the order of `candidates`. A failed candidate
-    is tried again when the sweep is resumed; done and refused ones are not.
+    Records of :func:`evaluate_candidate`, in the order of `candidates`. A failed candidate is tried again when the
+    sweep is resumed; done and refused ones are not.
 
     Raises
     ------
     BadInput
-        If there are no candidates, or the folder holds something else.
+        If there are no candidates, none can be built, or the folder holds something else.
     """
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")
-    _check_possible(candidates, study)
+    if all(_broken(study.findings(candidate)) for candidate in candidates):
+        reason = _broken(study.findings(candidates[0]))[0]
+        number, name = len(candidates), candidates[0].name
+        raise BadInput(f"not one of the {number} rigs can be built; of the first, {name}: {reason}")
     folder = _SweepFolder(out, study)
     records: dict[str, dict[str, Any]] = {}
     for candidate in candidates:
@@ -64,197 +194,52 @@ def sweep_rigs(
     waiting = [candidate for candidate in candidates if candidate.name not in records]
     total = len(candidates)
     progress("resuming" if records else "starting", len(records) / total)
-    done = run_jobs(partial(evaluate_candidate, study=study), waiting, workers, f"what is finished in '{out}'")
-    for candidate, record in done:
+    work = functools.partial(evaluate_candidate, study=study)
+    for candidate, record in run_jobs(work, waiting, workers, f"what is finished in '{out}'"):
         folder.write(candidate, record)
         records[candidate.name] = folder.read(candidate) or record  # as it is read from a file, in any case
         progress(candidate.name, len(records) / total)
     return [records[candidate.name] for candidate in candidates]
 
 
-def summarise(records: Sequence[dict[str, Any]], study: Study, objective: str = "hausdorff") -> dict[str, Any]:
-    """What a sweep found: the best rig, those as good, the Pareto front, and where the thesis's choice stands.
-
-    Parameters
-    ----------
-    records : of :func:`sweep_rigs`
-    study : of the sweep
-    objective : ``hausdorff``, ``hausdorff95``, ``rms``, ``whole`` or ``normals``: what is minimised
-
-    Returns
-    -------
-    dict with ``counts`` (by status), ``objective``, ``best``, ``as_good`` (names), ``pareto`` (names; over the
-    objective, the LEDs' power and the size of the box), ``compared`` (by name), ``thesis`` (its row, or None where the
-    sweep does not hold it), ``reasons`` (of refused and failed ones, with their number)
-
-    Raises
-    ------
-    BadInput
-        If not one candidate was done; the message gives the reason.
-    """
-    require(objective in OBJECTIVES, f"the objective must be one of {', '.join(OBJECTIVES)}, not '{objective}'.")
-    done = [one for one in records if one["status"] == DONE]
-    reasons: dict[str, int] = {}
-    for one in records:
-        if one["reason"] is not None:
-            reasons[one["reason"]] = reasons.get(one["reason"], 0) + 1
-    if not done:
-        first = max(reasons, key=lambda words: reasons[words])
-        require(False, f"not one of the {len(records)} rigs can be built and measured; most often: {first}")
-    figure = OBJECTIVES[objective]
-    compared = _compare_with_best(done, figure)
-    costs = [[one["mean"][figure], one["candidate"]["power_w"], RigCandidate(**_fields(one)).volume_l] for one in done]
-    front = _pareto_front(np.array(costs, dtype=np.float64))
-    names = [one["candidate"]["name"] for one in done]
-    best = next(name for name, row in compared.items() if row["best"])
-    return {
-        "counts": {status: sum(one["status"] == status for one in records) for status in (DONE, REFUSED, FAILED)},
-        "objective": objective,
-        "figure": figure,
-        "fingers": study.fingers,
-        "best": best,
-        "as_good": [name for name in names if compared[name]["as_good"]],
-        "pareto": [name for name, is_on in zip(names, front, strict=True) if is_on],
-        "compared": compared,
-        "thesis": _thesis(done, compared),
-        "reasons": dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0]))),
-    }
-
-
-def _check_possible(candidates: Sequence[RigCandidate], study: Study) -> None:
-    """Refuse, before anything is written, a sweep of which no rig keeps the constraints."""
-    reason = ""
-    for candidate in candidates:
-        try:
-            broken = [finding.words for finding in judge(candidate, study) if finding.hard and not finding.ok]
-        except BadInput as error:
-            broken = [str(error)]
-        if not broken:
-            return
-        reason = reason or broken[0]
-    require(False, f"not one of the {len(candidates)} rigs can be built; of the first, {candidates[0].name}: {reason}")
-
-
-def _thesis(done: Sequence[dict[str, Any]], compared: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
-    """The row of the thesis's rig: among several tilts and resolutions, its best."""
-    its = [one for one in done if all(one["candidate"][name] == value for name, value in THESIS.items())]
-    if not its:
-        return None
-    name = min((one["candidate"]["name"] for one in its), key=lambda one: compared[one]["value"])
-    return {"name": name, **compared[name]}
-
-
-def _fields(record: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in record["candidate"].items() if name != "name"}
-
-
-# Which candidates are worth a second look: the best, those as good, and the Pareto front.
-
-Array = NDArray[np.float64]
-OBJECTIVES = {
-    "hausdorff": "hausdorff_mm",
-    "hausdorff95": "hausdorff95_mm",
-    "rms": "rms_mm",
-    "whole": "whole_mm",
-    "normals": "normals_deg",
-}
-"""Names on the command line, and of the figures; all are minimised."""
-
-
-def _pareto_front(costs: Array) -> NDArray[np.bool_]:
-    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere.
-
-    Raises
-    ------
-    BadInput
-        If `costs` is not (N, K) or not finite.
-    """
-    require(costs.ndim == 2 and costs.shape[1] > 0, f"costs must have the shape (N, K), but it has {costs.shape}.")
-    require(bool(np.isfinite(costs).all()), "costs must be finite.")
-    front = np.ones(len(costs), dtype=np.bool_)
-    for k, row in enumerate(costs):
-        front[k] = not bool(((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any())
-    return front
-
-
-def _mean_interval(values: Sequence[float] | Array, fraction: float = 0.95) -> tuple[float, float, float]:
-    """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
-    numbers = np.asarray(values, dtype=np.float64)
-    require(numbers.size > 0, "an interval needs one value at least.")
-    mean = float(numbers.mean())
-    if numbers.size == 1:
-        return mean, -np.inf, np.inf
-    half = float(stats.t.ppf(0.5 + 0.5 * fraction, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
-    return mean, mean - half, mean + half
-
-
-def _compare_with_best(records: Sequence[dict[str, Any]], objective: str) -> dict[str, dict[str, Any]]:
-    """How much worse than the best every candidate is, finger by finger.
-
-    `records`: of :func:`splitknit.rig.evaluate_rig.evaluate_candidate`, all done, of the same fingers; `objective`:
-    name of the figure, as ``hausdorff_mm``. Returns by name of the candidate: ``value`` and ``low``, ``high`` (95 %
-    interval of the mean over the fingers; None for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (the
-    same of the paired difference from the best), and ``as_good``: the interval of the difference holds zero.
-    """
-    values = {one["candidate"]["name"]: np.array([f[objective] for f in one["fingers"]]) for one in records}
-    best = min(values, key=lambda name: (float(values[name].mean()), name))
-    compared = {}
-    for name, own in values.items():
-        mean, low, high = _mean_interval(own)
-        worse, worse_low, worse_high = _mean_interval(own - values[best])
-        compared[name] = {
-            "value": mean,
-            "low": _finite(low),
-            "high": _finite(high),
-            "worse_by": worse,
-            "worse_low": _finite(worse_low),
-            "worse_high": _finite(worse_high),
-            "as_good": bool(worse_low <= 0.0),
-            "best": name == best,
-        }
-    return compared
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-# The folder that a sweep grows in: one file a candidate, whole or not there; taken up again where it was left.
-
-FORMAT = "splitknit-rig-sweep"
-STUDY_FILE = "sweep.json"
-CANDIDATES = "candidates"
-OWN_FILES = re.compile(r"(sweep|results)\.json|results\.csv|index\.html|[a-z_]+\.svg|candidates/[\w.+-]+\.json")
-_STRAY = re.compile(r"(.*/)?(\.splitknit-[^/]*\.tmp/.*|\.DS_Store|Thumbs\.db|desktop\.ini)")
-"""What a killed run or a file manager leaves behind."""
-
-
 class _SweepFolder:
-    """A folder of finished candidates of one study."""
+    """A folder of finished candidates of one study, one file each, whole or not there."""
 
     def __init__(self, out: Path, study: Study) -> None:
         """Make the folder, or see that it holds a sweep of this very study. Raises BadInput if `out` is a file, holds
         other files, or a sweep with other settings.
         """
         self.out = out
-        self.document = json.loads(
-            canonical_json({"format": FORMAT, "version": 1, "software": __version__, "study": study})
-        )
-        self.hash = settings_hash(self.document)
+        facts = {"format": "splitknit-rig-sweep", "version": 1, "software": provenance()["version"], "study": study}
+        document = json.loads(canonical_json(facts))
+        self.hash = settings_hash(document)
         require(not out.exists() or out.is_dir(), f"'{out}' is a file; name a folder to write into.")
-        if out.is_dir() and self._files():
-            self._check()
-        else:
-            self._write(out / STUDY_FILE, self.document)
+        found = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
+        names = sorted(path.relative_to(out).as_posix() for path in found)
+        names = [name for name in names if not _STRAY.fullmatch(name)]
+        if not names:
+            self._write(out / _STUDY_FILE, document)
+            return
+        foreign = [name for name in names if not _OWN_FILES.fullmatch(name)]
+        require(
+            not foreign and _STUDY_FILE in names,
+            f"'{out}' holds '{(foreign or names)[0]}' and no sweep to go on with; name another folder.",
+        )
+        before, _ = read_json(out / _STUDY_FILE, f"'{out / _STUDY_FILE}' is damaged; name another folder.")
+        changed = [name.removeprefix("study.") or "format" for name in differing(before, document)]
+        require(
+            not changed,
+            f"the sweep in '{out}' was made with other settings ({', '.join(changed)}); give the same ones, or name "
+            "another folder.",
+        )
 
     def read(self, candidate: RigCandidate) -> dict[str, Any] | None:
         """The candidate's record, or None where it is not finished (or its file is damaged)."""
         try:
             stored, _ = read_json(self._file(candidate))
-            if stored["study_sha256"] != self.hash or stored["record"]["candidate"]["name"] != candidate.name:
-                return None
             record: dict[str, Any] = stored["record"]
-            return record
+            its_own = stored["study_sha256"] == self.hash and record["candidate"]["name"] == candidate.name
+            return record if its_own else None
         except (ValueError, KeyError, TypeError):
             return None
 
@@ -263,27 +248,107 @@ class _SweepFolder:
         self._write(self._file(candidate), {"study_sha256": self.hash, "record": plain_json(record)})
 
     def _file(self, candidate: RigCandidate) -> Path:
-        return self.out / CANDIDATES / f"{candidate.name}.json"
-
-    def _files(self) -> list[str]:
-        found = (path for path in self.out.rglob("*") if path.is_symlink() or not path.is_dir())
-        names = (path.relative_to(self.out).as_posix() for path in found)
-        return sorted(name for name in names if not _STRAY.fullmatch(name))
-
-    def _check(self) -> None:
-        names = self._files()
-        foreign = [name for name in names if not OWN_FILES.fullmatch(name)]
-        require(
-            not foreign and STUDY_FILE in names,
-            f"'{self.out}' holds '{(foreign or names)[0]}' and no sweep to go on with; name another folder.",
-        )
-        before, _ = read_json(self.out / STUDY_FILE, f"'{self.out / STUDY_FILE}' is damaged; name another folder.")
-        changed = [name.removeprefix("study.") or "format" for name in differing(before, self.document)]
-        require(
-            not changed,
-            f"the sweep in '{self.out}' was made with other settings ({', '.join(changed)}); give the same ones, or "
-            "name another folder.",
-        )
+        return self.out / "candidates" / f"{candidate.name}.json"
 
     def _write(self, path: Path, document: Any) -> None:
         write_file(path, (json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
+
+
+# What a sweep found: the best rig, those as good, and the Pareto front.
+
+
+def summarise(records: Sequence[dict[str, Any]], figure: str) -> dict[str, Any]:
+    """Compare the rigs of a sweep by a figure that is minimised.
+
+    Parameters
+    ----------
+    records : of :func:`sweep_rigs`
+    figure : name of one of the records' figures, as ``surface_rms_mm``
+
+    Returns
+    -------
+    dict with ``counts`` (by status), ``figure``, ``best``, ``as_good`` (names), ``pareto`` (names; over the figure, the
+    LEDs' power and the size of the box), ``compared`` (by name), ``reasons`` (of refused and failed ones, with their
+    number)
+
+    Raises
+    ------
+    BadInput
+        If not one candidate was done; the message gives the reason.
+    """
+    done = [one for one in records if one["status"] == DONE]
+    reasons = Counter(one["reason"] for one in records if one["reason"] is not None)
+    if not done:
+        often = reasons.most_common(1)[0][0]
+        raise BadInput(f"not one of the {len(records)} rigs can be built and measured; most often: {often}")
+    compared = _compare_with_best(done, figure)
+    names = [one["candidate"]["name"] for one in done]
+    rigs = [RigCandidate(**{k: v for k, v in one["candidate"].items() if k != "name"}) for one in done]
+    costs = [[one["mean"][figure], rig.power_w, rig.volume_l] for one, rig in zip(done, rigs, strict=True)]
+    front = _pareto_front(np.array(costs, dtype=np.float64))
+    return {
+        "counts": {status: sum(one["status"] == status for one in records) for status in (DONE, REFUSED, FAILED)},
+        "figure": figure,
+        "best": next(name for name, row in compared.items() if row["best"]),
+        "as_good": [name for name in names if compared[name]["as_good"]],
+        "pareto": [name for name, is_on in zip(names, front, strict=True) if is_on],
+        "compared": compared,
+        "reasons": dict(sorted(reasons.items(), key=lambda item: (-item[1], item[0]))),
+    }
+
+
+def results_csv(
+    records: Sequence[dict[str, Any]], compared: Mapping[str, Mapping[str, Any]], pareto: Sequence[str]
+) -> bytes:
+    """All candidates as CSV, one line each; `compared` and `pareto` are of :func:`summarise`."""
+    rows: list[dict[str, Any]] = []
+    for one in records:
+        name, tilt = one["candidate"]["name"], one["candidate"]["tilt_deg"]
+        row = {**one["candidate"], "tilt_deg": "centre" if tilt is None else tilt, "status": one["status"]}
+        row |= {"reason": one["reason"], **(one["mean"] or {}), **compared.get(name, {}), "pareto": name in pareto}
+        rows.append({key: float(f"{cell:.6g}") if isinstance(cell, float) else cell for key, cell in row.items()})
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    return csv_text([names, *([row.get(name, "") for name in names] for row in rows)]).encode()
+
+
+def _pareto_front(costs: Array) -> NDArray[np.bool_]:
+    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere.
+
+    Raises
+    ------
+    BadInput
+        If `costs` is not finite.
+    """
+    require(bool(np.isfinite(costs).all()), "costs must be finite.")
+    return np.array([not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs])
+
+
+def _mean_interval(values: Sequence[float] | Array, fraction: float = 0.95) -> tuple[float, float, float]:
+    """Mean of `values` and Student's interval about it; one value alone has no interval: (value, -inf, inf)."""
+    numbers = np.asarray(values, dtype=np.float64)
+    mean = float(numbers.mean())
+    if numbers.size == 1:
+        return mean, -np.inf, np.inf
+    half = float(stats.t.ppf(0.5 + 0.5 * fraction, numbers.size - 1) * numbers.std(ddof=1) / np.sqrt(numbers.size))
+    return mean, mean - half, mean + half
+
+
+def _compare_with_best(records: Sequence[dict[str, Any]], figure: str) -> dict[str, dict[str, Any]]:
+    """How much worse than the best every candidate is, finger by finger.
+
+    Returns by name of the candidate: ``value`` and ``low``, ``high`` (95 % interval of the mean over the fingers; None
+    for one finger), ``worse_by`` and ``worse_low``, ``worse_high`` (the same of the paired difference from the best),
+    and ``as_good``: the interval of the difference holds zero.
+    """
+    values = {one["candidate"]["name"]: np.array([f[figure] for f in one["fingers"]]) for one in records}
+    best = min(values, key=lambda name: (float(values[name].mean()), name))
+    compared: dict[str, dict[str, Any]] = {}
+    for name, own in values.items():
+        ends = zip(
+            ("value", "low", "high", "worse_by", "worse_low", "worse_high"),
+            (*_mean_interval(own), *_mean_interval(own - values[best])),
+            strict=True,
+        )
+        row: dict[str, Any] = {end: value if np.isfinite(value) else None for end, value in ends}
+        compared[name] = {**row, "as_good": row["worse_low"] is None or row["worse_low"] <= 0.0, "best": name == best}
+    return compared

@@ -15,6 +15,7 @@ from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles
 from splitknit.rig.dimensions import LedHole, RigDimensions, mirror_reach, shadow_tips
+from splitknit.rig.films import FilmMounts, film_mounts
 from splitknit.rig.part_settings import PrinterSettings
 
 
@@ -71,6 +72,17 @@ def dimension_table(rig: Rig, dimensions: RigDimensions) -> dict[str, Any]:
             "leds_nir": sum(hole.band != "white" for hole in d.holes),
             "insert_hole_mm": sizes.JOINT_INSERT_HOLE_MM,
         },
+        **({} if d.films is None else {"films": _films(film_mounts(d))}),
+    }
+
+
+def _films(mounts: FilmMounts) -> dict[str, Any]:
+    return {
+        "kind": mounts.kind,
+        "piece_mm": round(mounts.piece_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
+        "analyser_piece_mm": round(mounts.analyser_piece_mm - 2 * sizes.JOINT_CLEARANCE_MM, 1),
+        "axes_of_leds": [axis or None for _, _, axis in mounts.windows],
+        "screws_m3x10_self_tapping": len(mounts.ring_posts) + len(mounts.plate_posts),
     }
 
 

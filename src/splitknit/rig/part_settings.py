@@ -203,6 +203,16 @@ PCB_POST_HOLE_MM = 2.5
 """For self-tapping M3 screws."""
 PCB_PARTS_MM = 16.0
 """Room above the circuit's board."""
+SECOND_BOARD_MM = 20.0
+"""From the circuit's board to a second one above it, for further LEDs: spacers M3 x 20."""
+SERVO_HIGH_MM = 19.0
+"""Of a servo's body over its ears, which lie on the frame's floor, and its wires."""
+SERVO_MM = (12.6, 23.2)
+"""Hole for a servo's body."""
+SERVO_SHAFT_MM = 6.2
+"""From the end of that hole to the servo's shaft."""
+SERVO_SCREWS_MM = 28.0
+"""Distance of the screws through a servo's ears."""
 BOARD_POST_MM = 7.0
 """Diameter of the posts that carry both boards."""
 CABLE_HOLE_MM = 16.0

@@ -15,6 +15,7 @@ import numpy as np
 from build123d import Axis, Face, Plane, Pos, Rot, Solid, Vector, Wire
 from numpy.typing import NDArray
 
+from splitknit.rig import films
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.dimensions import (
     SCREWS_A_DEG,
@@ -25,12 +26,17 @@ from splitknit.rig.dimensions import (
     holder_places,
     mirror_profile,
 )
+from splitknit.rig.films import film_mounts
 
 Shape = Any
 """A solid of build123d."""
 _Points = Sequence[tuple[float, float]]
 _Point = Sequence[float] | NDArray[np.float64]
 
+_LEVER_HALF_MM = 2.2
+"""Half the width of the analyser's lever."""
+_PEG_MM = 2.2
+"""Radius of the pegs that stop it."""
 _FEET_DEG = (45.0, 135.0, 225.0, 315.0)
 _FAR_MM = 500.0
 
@@ -166,6 +172,9 @@ def _cylinder_part(dimensions: RigDimensions) -> Shape:
     )
     holes = _head_holes(dimensions, low, SCREWS_A_DEG)
     holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_B_DEG)
+    if dimensions.films is not None and dimensions.films.kind == "hand":
+        y, z = films.ROD_Y_MM, film_mounts(dimensions).rod_z_mm
+        holes.append(_rod(1.4, (dimensions.bore_mm - 5.0, y, z), (dimensions.outside_mm + 5.0, y, z)))
     return _cut(body, [hand, opening, *holes])
 
 
@@ -194,7 +203,7 @@ def _frame_part(dimensions: RigDimensions) -> Shape:
         holes.append(_rod(hole.radius_mm, hole.at(hole.level_mm(low) - 8.0), hole.at(hole.shoulder_mm + 0.5)))
         holes += _funnel(hole, dimensions)
         holes.append(_rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
-    holes += [*_camera_screws(dimensions), _first_led_mark(dimensions)]
+    holes += [*_camera_screws(dimensions), _first_led_mark(dimensions), *_film_screws(dimensions)]
     holes += _head_holes(dimensions, low, SCREWS_B_DEG)
     holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
     return _cut(body, holes)
@@ -358,6 +367,96 @@ def _nail_part(dimensions: RigDimensions) -> Shape:
     return _cone(sizes.NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
 
 
+# Holders of polarising films.
+
+
+def _film_screws(dimensions: RigDimensions) -> list[Shape]:
+    """What a rig with films has in the frame's floor: holes for the posts' screws, and the servo's opening."""
+    if dimensions.films is None:
+        return []
+    mounts, low = film_mounts(dimensions), dimensions.frame_z_mm
+    high = low + sizes.JOINT_PLATE_MM + 1.0
+    posts = [*mounts.ring_posts, *mounts.plate_posts]
+    holes = [_cylinder(sizes.JOINT_SCREW_HOLE_MM / 2, low - 1.0, high, x, y) for x, y in posts]
+    if mounts.kind == "servo":
+        (wide, long), near = sizes.SERVO_MM, -sizes.SERVO_SHAFT_MM
+        holes.append(
+            _box((-films.LINK_MM - wide / 2, -films.LINK_MM + wide / 2), (near, near + long), (low - 1.0, high))
+        )
+        for side in (-0.5, 0.5):
+            y = near + long / 2 + side * sizes.SERVO_SCREWS_MM
+            holes.append(_cylinder(sizes.CAMERA_POST_HOLE_MM / 2, low + 1.2, high, -films.LINK_MM, y))
+    return holes
+
+
+def _posts(places: _Points, low: float, high: float) -> tuple[list[Shape], list[Shape]]:
+    """Return posts up to the frame, and the holes for their self-tapping screws."""
+    radius, deep = sizes.PCB_POST_HOLE_MM / 2, max(low - 3.0, high - 7.0)
+    posts = [_cylinder(films.POST_MM, low - 0.5, high, x, y) for x, y in places]
+    return posts, [_cylinder(radius, deep, high + 1.0, x, y) for x, y in places]
+
+
+def _film_pocket(place: tuple[float, float], side: float, z: tuple[float, float], axis: str) -> list[Shape]:
+    """Return a square pocket between two heights, and marks of its film's axis beyond two of its edges."""
+    (x, y), half = place, side / 2
+    long = [half + 1.4 if way == axis else 0.4 for way in "xy"]
+    pocket = _box((x - half, x + half), (y - half, y + half), z)
+    return [pocket, _box((x - long[0], x + long[0]), (y - long[1], y + long[1]), z)]
+
+
+def _film_ring_part(dimensions: RigDimensions) -> Shape:
+    """Return the ring below the LEDs: a window for each, and for the white ones a pocket for film over it."""
+    mounts = film_mounts(dimensions)
+    high, low = mounts.ring_z_mm, mounts.ring_z_mm - films.FILM_MM - sizes.MIN_WALL_MM
+    inside, outside = mounts.ring_mm[0], dimensions.bore_mm - 2 * sizes.JOINT_CLEARANCE_MM
+    posts, screws = _posts(mounts.ring_posts, high, dimensions.frame_z_mm)
+    ring = _fused(_turned([(inside, low), (outside, low), (outside, high), (inside, high)]), posts)
+    cuts = [_cylinder(mounts.window_mm, low - 1.0, high + 1.0, x, y) for x, y, _ in mounts.windows]
+    for x, y, axis in mounts.windows:
+        if axis:
+            cuts += _film_pocket((x, y), mounts.piece_mm, (high - films.FILM_MM, high + 1.0), axis)
+    return _cut(ring, [*cuts, *screws])
+
+
+def _analyser_part(dimensions: RigDimensions) -> Shape:
+    """Return the analyser in its parallel position: body, flange, lever, collar around the lens; film from below."""
+    mounts = film_mounts(dimensions)
+    radius = mounts.turning_mm
+    low, middle = mounts.plate_z_mm - films.PLATE_MM, mounts.plate_z_mm
+    high, camera = middle + films.FLANGE_MM, dimensions.settings.camera
+    lens = camera.barrel_mm / 2 + 0.6
+    top = dimensions.camera_height_mm - camera.barrel_front_mm + 3.0
+    lever = _box((0.0, films.LEVER_MM + 1.9), (-_LEVER_HALF_MM, _LEVER_HALF_MM), (middle, high))
+    wire = _cylinder(0.65 if mounts.kind == "servo" else 0.8, middle - 1.0, high + 1.0, films.LEVER_MM)
+    body = _fused(
+        _cylinder(radius, low, high),
+        [_cylinder(radius + 1.2, middle, high), lever, _cylinder(lens + 1.2, high - 0.5, top)],
+    )
+    body = _turned_to(45.0, _cut(body, [wire]))
+    pocket = _film_pocket((0.0, 0.0), mounts.analyser_piece_mm, (low - 1.0, low + films.FILM_MM), "x")
+    return _cut(body, [_cylinder(mounts.aperture_mm, low - 1.0, top), _cylinder(lens, high, top + 1.0), *pocket])
+
+
+def _analyser_plate_part(dimensions: RigDimensions) -> Shape:
+    """Return the plate before the lens: the analyser turns in it by 90 deg between two stops, or its film is fixed."""
+    mounts = film_mounts(dimensions)
+    low, high = mounts.plate_z_mm - films.PLATE_MM, mounts.plate_z_mm
+    posts, cuts = _posts(mounts.plate_posts, high, dimensions.frame_z_mm)
+    plate = _cylinder(max(math.hypot(*place) for place in mounts.plate_posts) + films.POST_MM, low, high)
+    if mounts.kind == "neighbours":
+        cuts += _film_pocket((0.0, 0.0), mounts.analyser_piece_mm, (low - 1.0, low + films.FILM_MM), "x")
+        cuts.append(_cylinder(mounts.aperture_mm, low - 1.0, high + 1.0))
+        return _cut(_fused(plate, posts), cuts)
+    radius = mounts.turning_mm
+    away = radius + 1.2 + 0.2 + _PEG_MM  # pegs beside the flange; washers on them hold it down
+    apart = math.degrees(math.asin((_LEVER_HALF_MM + _PEG_MM) / away))
+    for azimuth in (45.0 - apart, 135.0 + apart, 270.0):
+        x, y = away * math.cos(math.radians(azimuth)), away * math.sin(math.radians(azimuth))
+        posts.append(_cylinder(_PEG_MM, high - 0.5, high + films.FLANGE_MM + 0.3, x, y))
+        cuts.append(_cylinder(sizes.CAMERA_POST_HOLE_MM / 2, low - 1.0, high + 9.0, x, y))
+    return _cut(_fused(plate, posts), [*cuts, _cylinder(radius + sizes.JOINT_CLEARANCE_MM, low - 1.0, high + 1.0)])
+
+
 MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
     "base": _base_part,
     "window_base": _window_base_part,
@@ -370,6 +469,9 @@ MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
     "calibration_disc_flat": _flat_disc_part,
     "calibration_dots": _dots_part,
     "nail": _nail_part,
+    "film_ring": _film_ring_part,
+    "analyser": _analyser_part,
+    "analyser_plate": _analyser_plate_part,
 }
 """What draws each part."""
 

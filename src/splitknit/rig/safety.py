@@ -195,7 +195,13 @@ def _hazards(
 
 
 def rig_hazards(
-    rig: Rig, stages: Mapping[str, Stage], *, duty: float = 1.0, exposure_s: float = EXEMPT_S, shorted: bool = False
+    rig: Rig,
+    stages: Mapping[str, Stage],
+    *,
+    duty: float = 1.0,
+    exposure_s: float = EXEMPT_S,
+    shorted: bool = False,
+    passed: float = 1.0,
 ) -> tuple[_Hazard, ...]:
     """Return all hazards of a rig whose LEDs are on together.
 
@@ -206,6 +212,7 @@ def rig_hazards(
     duty : fraction of the time that each LED is on
     exposure_s : see :func:`_hazards`
     shorted : with the current that flows if a transistor is shorted, instead of the largest of all tolerances
+    passed : fraction of the white LEDs' light that passes what is before them, such as film; NIR passes it all
 
     Raises
     ------
@@ -218,7 +225,7 @@ def rig_hazards(
         places = np.array([led.position_mm for led in rig.leds if led.band == band and led.position_mm is not None])
         if not len(places):
             continue
-        current = stage.shorted_a if shorted else stage.current_a[2]
+        current = (stage.shorted_a if shorted else stage.current_a[2]) * (passed if band == "white" else 1.0)
         distances = np.linalg.norm(places, axis=1)
         nearest = min(float(distances.min()), EYE_MM)
         towards = places / distances[:, None]

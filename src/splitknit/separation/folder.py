@@ -3,6 +3,9 @@
 Into the result's folder go ``direct.tiff`` and ``global.tiff`` (float32, linear light, 1 = full scale of the files, NaN
 outside the mask), 8-bit previews of both, for sinusoids also ``phase.tiff`` (rad, wrapped) and its preview, and
 ``report.json``. The folder of images is described in :mod:`splitknit.separation.pattern_folder`.
+
+Of two folders of photographs through polarising films go ``specular_K.png`` and ``diffuse_K.png`` (16 bits, linear) of
+light K, ``specular.png`` of all lights, and ``report.json``.
 """
 
 from __future__ import annotations
@@ -19,10 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.band import decode_table, linear_image, srgb_code
+from splitknit.imaging.band import decode_table, linear_image, pick_channel, srgb_code
+from splitknit.imaging.polarised import NOT_SPECULAR, picture_bytes, separate_polarised, specular_picture
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.content import mask_from_image
 from splitknit.io.images import StackReader, image_size, write_image
+from splitknit.io.photos import encoding_of, read_photo
+from splitknit.io.plain import photographs_in
 from splitknit.io.provenance import json_text, provenance
 from splitknit.io.targets import check_target
 from splitknit.io.tiff import write_float_tiff
@@ -37,6 +43,9 @@ from splitknit.separation.states import estimate_patterns
 from splitknit.separation.symmetry import by_symmetry
 
 MARKER = "direct.tiff"
+POLARISED_MARKER = "specular.png"
+_RIDGES = 45
+"""Periods of ridges that a picture of a finger is about long."""
 LINEAR = "linear light, 1 = full scale of the images"
 _LIT = 0.1
 """Figures of the report are over pixels brighter than this part of the brightest."""
@@ -68,6 +77,67 @@ def separate_to_folder(
         progress("writing", 0.8)
         facts = _write(parts, plan, light, target)
         facts["total_s"] = time.perf_counter() - started
+        (target / "report.json").write_text(json_text(facts), encoding="utf-8")
+    progress("done", 1.0)
+    return {**facts, "out": str(out)}
+
+
+def separate_polarised_folders(
+    parallel: Path, crossed: Path, out: Path, *, encoding: str | None = None, progress: Progress = no_progress
+) -> dict[str, Any]:
+    """Separate photographs through parallel and crossed films, light by light; return the facts of ``report.json``.
+
+    Raises
+    ------
+    BadInput
+        If the folders do not hold the same number of photographs of one kind, or are not to be read.
+    """
+    series = []
+    for folder in (parallel, crossed):
+        require(folder.is_dir(), f"{folder} is not a folder; name the folders of the parallel and crossed photographs.")
+        series.append(photographs_in(folder, folder / "lights.txt")[0])
+        check_target(out, POLARISED_MARKER, "an earlier separation", keep=folder)
+    count = len(series[0])
+    require(
+        0 < count == len(series[1]),
+        f"{parallel} holds {count} photographs and {crossed} {len(series[1])}; both series need one photograph a "
+        "light, in the same order.",
+    )
+    if encoding is None:
+        encoding, _ = encoding_of(series[0], lambda: False)
+    hashes, sums, first = {}, [np.zeros(1, np.float32)] * 2, None
+    with atomic_folder(out) as target:
+        for k in range(count):
+            progress("separating", k / count)
+            light = []
+            for folder, files in zip((parallel, crossed), series, strict=True):
+                photo = read_photo(files[k])
+                kind = (photo.pixels.shape, photo.pixels.dtype)
+                first = first or kind
+                fits = kind == first and photo.pixels.dtype.kind == "u"
+                require(fits, f"{files[k]} is not of the size and kind of {series[0][0]}; all must agree, in integers.")
+                light.append(linear_image(photo.pixels, encoding))
+                hashes[f"{folder.name}/{files[k].name}"] = photo.sha256
+            parts = separate_polarised(*light)
+            sums = [total + pick_channel(part, "grey") for total, part in zip(sums, (parts[0], light[1]), strict=True)]
+            for name, part in zip(("specular", "diffuse"), parts, strict=True):
+                write_image(target / f"{name}_{k}.png", np.round(part * 65535).astype(np.uint16))
+        specular, diffuse = (np.asarray(total / count, dtype=np.float32) for total in sums)
+        lit = diffuse > _LIT * float(np.quantile(diffuse, 0.999))
+        require(bool(lit.any()), "nothing is lit; the crossed images are black.")
+        picture = specular_picture(specular[None], lit, max(lit.shape) / _RIDGES)
+        write_image(target / POLARISED_MARKER, picture_bytes(picture))
+        share = float(np.median(specular[lit] / (specular + diffuse)[lit]))
+        names = [f"{name}_{k}.png" for name in ("specular", "diffuse") for k in range(count)]
+        facts = {
+            **provenance({"separate": {"method": "polarised", "encoding": encoding}}, hashes),
+            "method": "polarised",
+            "images": count,
+            "image_size": list(lit.shape),
+            "specular_share": share,
+            "warnings": [NOT_SPECULAR] if share <= 0 else [],
+            "files": [*names, POLARISED_MARKER, "report.json"],
+        }
         (target / "report.json").write_text(json_text(facts), encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}

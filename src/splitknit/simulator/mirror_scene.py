@@ -110,7 +110,7 @@ class MirrorScene:
         def shoot(k: int, seed: np.random.SeedSequence) -> PixelArray:
             frame = self._frame(front, sides, k, leds[k])
             glare[k] = self._glare(front, sides, k) * exposure
-            return self.front.record((ambient + frame) * exposure, name, seed)
+            return self.front.record((ambient + frame) * exposure, name, leds, seed)
 
         band = self.front.take(name, [(k,) for k in members], shoot, ambient * exposure, seed)
         return band, glare, np.array(float(exposure))

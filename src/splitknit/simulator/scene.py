@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.model import COLOURS, Band, Camera, Capture, FloatArray, Led, PixelArray, Rig
+from splitknit.model import COLOURS, Band, Camera, Capture, FloatArray, Led, PixelArray, Rig, spectral_band
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
 from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit.simulator.finger.conditions import Condition
 from splitknit.simulator.finger.finger import FingerPose, PoseRanges
 from splitknit.simulator.finger.motion import HandMotion
-from splitknit.simulator.light.lighting import finger_window, white_card
+from splitknit.simulator.light.films import SERIES, Films, FilmSettings, mounted_films, once_scattered
+from splitknit.simulator.light.lighting import cut_out, finger_window, towards, white_card
 from splitknit.simulator.light.renderer import BandLight, RenderSettings, render_ambient, render_band
 from splitknit.simulator.light.skin import BAND_CHANNELS, CHANNELS, Channel, SkinOptics, SkinRanges
 from splitknit.simulator.rigs import MirrorSettings
@@ -139,6 +140,8 @@ class TwinSettings(Checked):
     """Mirrors beside the finger: none unless they are named, or a given `rig` has them."""
     condition: Condition = field(default_factory=Condition)
     """State of the finger's skin: clean unless `condition.kind` is wet, dry, dusty, scarred or glossy."""
+    films: FilmSettings = field(default_factory=FilmSettings)
+    """Polarising films before the white LEDs and the camera: none unless `films.kind` is analyser or leds."""
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -154,6 +157,10 @@ class TwinSettings(Checked):
         require(
             self.background.colour is None or not self.between_mirrors,
             "the background between mirrors is black in the twin; leave out mirrors, or background.colour.",
+        )
+        require(
+            self.films.kind == "none" or not self.between_mirrors,
+            "mirrors turn polarised light, which the twin does not follow; leave out mirrors, or films.kind.",
         )
 
     @property
@@ -223,8 +230,10 @@ class Scene:
         albedos = _background_albedos(rig.camera, settings.background, rng)
         self.albedo = {channel: np.where(surface.mask, 0, albedo) for channel, albedo in albedos.items()}
         self.shade = _hand_shadow(rig.camera, settings.background)
+        self.films = films_of(settings, rig)
         self.scale = settings.sensor_scale or binning_scale(rig.camera)
         self.fall_off = fall_off(rig.camera) if rig.camera.shading else None
+        self.exposure = np.float32(1.0)
         self.blur: FloatArray | None = None
         if settings.render.aperture_mm > 0.0:
             depth, top = finger_depth(surface)
@@ -237,18 +246,19 @@ class Scene:
         this colour is; how strongly they see it is the camera's crosstalk. Glare and exposure are those of the middle
         of the lens: what the images are divided by its fall-off.
         """
-        numbers = [k for k, led in enumerate(self.rig.leds) if led.band == name]
+        numbers = members_of(name, self.rig, self.settings)
         leds = [self.rig.leds[k] for k in numbers]
         light, groups = self.render(name, leds), exposures_of(leds)
-        exposure = np.float32(self.settings.sensor.exposure / self.brightest(light, groups, leds))
+        if name != "white_crossed":  # both series have one exposure
+            self.exposure = np.float32(self.settings.sensor.exposure / self.brightest(light, groups, leds))
+        exposure, light = self.exposure, self.behind_films(name, light, numbers)
         ambient = self.ambient(name, leds)
         glare = np.zeros((len(leds), *self.rig.camera.image_size), dtype=np.float16)
-        seen_by = response_to(name, leds)
 
         def shoot(e: int, seed: np.random.SeedSequence) -> PixelArray:
             for k in groups[e]:
                 glare[k][light.window] = light.glare[k] * self.shade[light.window[0]] * exposure
-            return self.record(self.exposed(light, groups[e], leds, ambient) * exposure, seen_by, seed)
+            return self.record(self.exposed(light, groups[e], leds, ambient) * exposure, name, leds, seed)
 
         named = [tuple(numbers[k] for k in group) for group in groups]
         band = self.take(name, named, shoot, ambient * exposure, seed)
@@ -256,6 +266,7 @@ class Scene:
 
     def render(self, name: str, leds: Sequence[Led]) -> BandLight:
         """Light of the finger under LEDs of one band."""
+        name = spectral_band(name)
         light = render_band(self.surface, leds, self.skin.medium(name), self.settings.render)
         if self.settings.background.colour is not None:
             self._add_reflected(light, name, leds)
@@ -337,6 +348,7 @@ class Scene:
 
     def ambient(self, name: str, leds: Sequence[Led]) -> FloatArray:
         """(H, W, 3) radiance of finger and background with all LEDs off."""
+        name = spectral_band(name)
         level = ambient_level(self.rig.camera, leds, self.settings.background.ambient)
         frame = self.background(np.float32(level), name)
         if level > 0.0:
@@ -344,7 +356,25 @@ class Scene:
             window = frame[finger_window(self.surface)]
             for c in range(3):
                 window[..., c] += skin[min(c, skin.shape[0] - 1)]
+        if self.films is not None and name == "white":
+            frame *= self.films.ambient
         return np.asarray(frame, dtype=np.float32)
+
+    def behind_films(self, name: str, light: BandLight, numbers: Sequence[int]) -> BandLight:
+        """Light of a band's LEDs `numbers`, in place, as films leave it, over what they leave of depolarised light."""
+        if self.films is None or name == "nir":
+            return light
+        patch, members = cut_out(self.surface), members_of(name, self.rig, self.settings)
+        view = patch.view or (np.float32(0), np.float32(0), np.float32(1))
+        optics = self.skin.medium("white").optics
+        for i, number in enumerate(numbers):
+            towards_led = towards(self.rig.leds[number], patch.x, patch.y, patch.z)[:3]
+            ray = int(name == "white_crossed"), members.index(number), towards_led, view
+            light.glare[i] *= (self.films.specular(*ray) / self.films.depolarised).astype(np.float32)
+            kept = (self.films.once_scattered(*ray) / self.films.depolarised).astype(np.float32)
+            for c, once in enumerate(once_scattered(patch, self.rig.leds[number], optics)):
+                light.diffuse[i, c] += kept * once
+        return light
 
     def take(
         self,
@@ -364,20 +394,21 @@ class Scene:
         dark : (H, W, 3) light with all LEDs off
         """
         rig, seeds = self.rig, seed.spawn(len(groups) + 1)
-        seen_by = response_to(name, [rig.leds[k] for group in groups for k in group])
+        leds = [rig.leds[k] for group in groups for k in group]
         with ThreadPoolExecutor(self.settings.render.workers) as pool:
             images = list(pool.map(shoot, range(len(groups)), seeds[:-1]))
-        colours = rig.colours_of(groups) if seen_by == "coloured" else ()
+        colours = rig.colours_of(groups) if response_to(name, leds) == "coloured" else ()
         return Band(
             name=name,
             pixels=np.stack(images),  # type: ignore[arg-type]
             leds=tuple(groups),
             exposure=np.ones(len(groups)),
             black_level=np.zeros(len(groups)),
-            ambient=self.record(dark, seen_by, seeds[-1]),
+            ambient=self.record(dark, name, leds, seeds[-1]),
             shading=rig.camera.shading,
             colours=colours,
             crosstalk=rig.camera.crosstalk if colours else None,
+            polarisation="" if self.films is None or name == "nir" else SERIES[name == "white_crossed"],
         )
 
     def blur_by(self, depth: FloatArray, top_mm: float) -> FloatArray:
@@ -392,9 +423,11 @@ class Scene:
             frame = defocus(frame, self.blur)
         return frame if self.fall_off is None else frame * self.fall_off[..., None]
 
-    def record(self, frame: FloatArray, name: str, seed: np.random.SeedSequence) -> PixelArray:
-        """(H, W, 3) what the sensor stores of the radiance (H, W, 3) times the exposure."""
-        return record(self.through_lens(frame), name, seed, self.settings.sensor, self.scale)
+    def record(self, frame: FloatArray, name: str, leds: Sequence[Led], seed: np.random.SeedSequence) -> PixelArray:
+        """(H, W, 3) what the sensor stores of the radiance (H, W, 3) of a band's LEDs times the exposure."""
+        if self.films is not None and name != "nir":
+            frame = self.films.on_camera(frame, crossed=name == "white_crossed")
+        return record(self.through_lens(frame), response_to(name, leds), seed, self.settings.sensor, self.scale)
 
 
 def ambient_level(camera: Camera, leds: Sequence[Led], fraction: float) -> float:
@@ -408,7 +441,34 @@ Taken = tuple[Band, NDArray[np.float16], NDArray[Any]]
 
 def response_to(band: str, leds: Sequence[Led]) -> str:
     """How the sensor responds to LEDs of a band: a name of :data:`splitknit.simulator.camera.sensor.RESPONSE`."""
-    return "coloured" if any(led.colour for led in leds) else band
+    return "coloured" if any(led.colour for led in leds) else spectral_band(band)
+
+
+def bands_of(rig: Rig, settings: TwinSettings) -> list[str]:
+    """Bands of a capture in the order in which they are taken."""
+    names = ["white", *(["white_crossed"] if settings.films.kind != "none" else []), "nir"]
+    return [name for name in names if members_of(name, rig, settings)]
+
+
+def members_of(name: str, rig: Rig, settings: TwinSettings) -> list[int]:
+    """Numbers of the LEDs of a capture's band; those of a crossed series on neighbours follow all other white ones."""
+    numbers = [k for k, led in enumerate(rig.leds) if led.band == spectral_band(name)]
+    if settings.films.kind == "leds" and name != "nir":
+        half = len(numbers) // 2
+        return numbers[half:] if name == "white_crossed" else numbers[:half]
+    return numbers
+
+
+def films_of(settings: TwinSettings, rig: Rig) -> Films | None:
+    """Films as they are mounted on a rig: the same for every finger."""
+    if settings.films.kind == "none":
+        return None
+    require(
+        not any(led.colour or led.also for led in rig.leds),
+        "films stand before single white LEDs in the twin; leave out coloured LEDs, or films.kind.",
+    )
+    rng = np.random.default_rng(np.random.SeedSequence([settings.rig_seed or 0, 0x57]))
+    return mounted_films(settings.films, len(members_of("white", rig, settings)), rng)
 
 
 def take_capture(
@@ -419,8 +479,7 @@ def take_capture(
 ) -> Capture:
     """Photograph every band of a scene's rig; glare, exposures, optics and LEDs are added to `truth`."""
     rig = scene.rig
-    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
-    bands = {}
+    names, bands = bands_of(rig, scene.settings), {}
     for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
         bands[name], truth[f"glare_{name}"], truth[f"exposure_{name}"] = photograph(name, band_seed)
     truth |= optics_truth(scene.skin)

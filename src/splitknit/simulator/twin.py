@@ -24,6 +24,7 @@ from splitknit.simulator.finger.conditions import conditioned_surface
 from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, draw_finger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_of_print
 from splitknit.simulator.finger.motion import EXPOSURE_S, draw_path, moving_finger
+from splitknit.simulator.light.films import FilmSettings, with_crossed_leds
 from splitknit.simulator.light.lighting import white_card
 from splitknit.simulator.light.renderer import BandLight
 from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics
@@ -34,9 +35,10 @@ from splitknit.simulator.scene import (
     Scene,
     Taken,
     TwinSettings,
+    bands_of,
     exposures_of,
+    members_of,
     optics_truth,
-    response_to,
     surface_truth,
     take_capture,
 )
@@ -218,6 +220,8 @@ def _drawn(
         rig = rig_with_mirrors(settings)
     else:
         rig = settings.rig or default_rig(settings.scale, settings.rig_seed, settings.intensity_spread)
+    if settings.films.kind == "leds":
+        rig = with_crossed_leds(rig, settings.films.neighbour_mm)
     finger = finger or draw_finger(seed, pattern)
     person = np.random.default_rng(np.random.SeedSequence([seed, 0x51]))
     pose_seed, photo_seed = np.random.SeedSequence([seed, impression, 0x52]).spawn(2)
@@ -246,7 +250,7 @@ def photograph(
     rig : LEDs of the bands ``white`` and ``nir``; each lights one image
     skin : optics of the finger
     seed : of background and noise
-    settings : only `render`, `background`, `sensor` and `sensor_scale` are used here
+    settings : only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here
 
     Returns
     -------
@@ -283,7 +287,7 @@ def _photograph_moving(
     show the finger at one place.
     """
     drawn = _drawn(seed, pattern, settings, impression, finger)
-    rig, shots = drawn.rig, _shots_of(drawn.rig)
+    rig, shots = drawn.rig, _shots_of(drawn.rig, settings)
     path_seed, slip_seed = np.random.SeedSequence([seed, impression, 0x53]).spawn(2)
     reference = sum(name == shots[0][0] for name, _ in shots) // 2
     path = draw_path(np.random.default_rng(path_seed), len(shots), settings.motion, reference)
@@ -298,21 +302,21 @@ def _photograph_moving(
         if number == moving.path.reference:
             truth = surface_truth(surface) | moving.truth(surface)
         smear = _smear_kernel(moving.path.speed_mm_per_s[number] * exposed_px * [1.0, -1.0])
-        light = scene.render(name, [rig.leds[k] for k in leds])
+        light = scene.behind_films(name, scene.render(name, [rig.leds[k] for k in leds]), leds)
         lit.setdefault(name, []).append(_Shot(scene, light, leds, smear))
 
     def photograph_band(name: str, seed: np.random.SeedSequence) -> Taken:
-        return _moving_band(name, lit[name], seed)
+        return _moving_band(name, lit[name], lit[name.removesuffix("_crossed")], seed)
 
     scene = next(iter(lit.values()))[0].scene
     return take_capture(scene, photograph_band, noise_seed, truth), truth
 
 
-def _shots_of(rig: Rig) -> list[tuple[str, tuple[int, ...]]]:
+def _shots_of(rig: Rig, settings: TwinSettings) -> list[tuple[str, tuple[int, ...]]]:
     """Band and LEDs of every shot, in the order in which they are taken: the white band first."""
     found = []
-    for name in BAND_CHANNELS:
-        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+    for name in bands_of(rig, settings):
+        members = members_of(name, rig, settings)
         groups = exposures_of([rig.leds[k] for k in members])
         found += [(name, tuple(members[k] for k in group)) for group in groups]
     return found
@@ -336,16 +340,19 @@ class _Shot:
         return [self.scene.rig.leds[k] for k in self.leds]
 
 
-def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
-    """Images of one band, the glare of each of its LEDs, and their exposure, as :meth:`Scene.photograph` gives them."""
+def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
+    """Images of one band, the glare of each of its LEDs, and their exposure, as :meth:`Scene.photograph` gives them.
+
+    `exposed`: shots to which the exposure is set.
+    """
     first = shots[0].scene
     rig = first.rig
     used = sorted(k for shot in shots for k in shot.leds)
-    bright = max(shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in shots)
+    bright = max(shot.scene.brightest(shot.light, [range(len(shot.leds))], shot.members) for shot in exposed)
     exposure = np.float32(first.settings.sensor.exposure / bright)
     ambient = first.ambient(name, [rig.leds[k] for shot in shots for k in shot.leds])
     glare = np.zeros((len(used), *rig.camera.image_size), dtype=np.float16)
-    seen_by = response_to(name, [rig.leds[k] for k in used])
+    leds = [rig.leds[k] for k in used]
 
     def shoot(number: int, seed: np.random.SeedSequence) -> PixelArray:
         shot = shots[number]
@@ -354,7 +361,7 @@ def _moving_band(name: str, shots: Sequence[_Shot], seed: np.random.SeedSequence
         for k, led in enumerate(shot.leds):
             glare[used.index(led)][light.window] = light.glare[k] * scene.shade[light.window[0]] * exposure
         smeared = cv2.filter2D(frame, -1, shot.smear, borderType=cv2.BORDER_REPLICATE)
-        return scene.record(np.asarray(smeared, dtype=np.float32), seen_by, seed)
+        return scene.record(np.asarray(smeared, dtype=np.float32), name, leds, seed)
 
     band = first.take(name, [shot.leds for shot in shots], shoot, ambient * exposure, seed)
     return band, glare, np.array(float(exposure))
@@ -409,7 +416,7 @@ class FingerScene:
         ----------
         seed : of the person: finger, print and skin follow from it
         pattern : class of the print; None draws it
-        settings : of the twin; `sensor` is not used here
+        settings : of the twin; `sensor` and `films` are not used here
         impression : number of the capture of this finger: pose and dust change with it
         finger : laid down instead of the one that `seed` draws
 
@@ -418,7 +425,7 @@ class FingerScene:
         BadInput
             If no part of the finger is in the picture.
         """
-        settings = settings or TwinSettings()
+        settings = replace(settings or TwinSettings(), films=FilmSettings())
         laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
         self.settings = settings
         self.rig: Rig = laid.rig

@@ -26,10 +26,11 @@ def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
     M. Born and E. Wolf, "Principles of Optics", section 1.5.
     """
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
-    return ((1.0 - _fresnel(cosine, index)) / np.float32(normal)).astype(np.float32)
+    return ((1.0 - fresnel_reflectance(cosine, index)) / np.float32(normal)).astype(np.float32)
 
 
-def _fresnel(cosine: Any, index: float = INDEX) -> FloatArray:
+def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
+    """Part of unpolarised light that a dielectric reflects at an angle with this cosine (Born and Wolf, 1.5)."""
     c = np.clip(np.asarray(cosine, dtype=np.float32), np.float32(1e-3), np.float32(1.0))
     inside = np.sqrt(1.0 - (1.0 - c * c) / np.float32(index**2))
     s = (c - index * inside) / (c + index * inside)
@@ -61,7 +62,7 @@ class MicrofacetGlare:
         half = np.clip((cosine + nz) / length, 0, 1)
         self._half_squared = half * half
         self._incoming = np.maximum(cosine, np.float32(1e-4))
-        self._mirrored = np.where(cosine > 0, _fresnel(length / 2) * strength, np.float32(0.0))
+        self._mirrored = np.where(cosine > 0, fresnel_reflectance(length / 2) * strength, np.float32(0.0))
         self._view = np.clip(nz, np.float32(0.05), 1)
 
     def __call__(self, roughness: float) -> FloatArray:

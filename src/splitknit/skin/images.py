@@ -68,6 +68,7 @@ GREY = "the white images are grey: glare is indistinguishable from skin by its c
 SEPARATED_BY = {
     "network": "glare and scattering by a network that was trained on simulated skin (modelled)",
     "colour": "glare by colour, scattering by its transfer function (modelled)",
+    "polarised": "specular reflection by crossed films, ridges from its image (measured)",
 }
 
 
@@ -78,6 +79,8 @@ class SkinImages:
     grid: Grid
     bands: tuple[BandImages, ...]
     """The white band first."""
+    crossed: BandImages | None
+    """The white band behind crossed films, where it was photographed so too; `bands` are without films."""
     networks: Networks | None
     """Of relief and shape, where they can read the images."""
     binning: float
@@ -119,15 +122,20 @@ def working_images(
     rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
     seen = _within(window[0], rows), _within(window[1], columns)
     grid, images, binning = skin_images(capture, bands, seen, inside[rows, columns], settings.working_pitch_mm)
+    crossed = None
+    if bands[0].crossed is not None:
+        light = linear_channels(bands[0].crossed, capture.encoding, _names(bands[0]), seen, binning)
+        crossed = BandImages(images[0].channels, light, capture.rig.select(bands[0].crossed.lights))
     wanted = settings.relief == "network"
     able = can_learn(images[0], grid.pitch_mm)
     finer = wanted and not able and can_learn(images[0], grid.pitch_mm / FACTOR)
     if finer:
         grid, images, able = finer_grid(grid), tuple(finer_images(band) for band in images), True
+        crossed = None if crossed is None else finer_images(crossed)
     networks = shipped_networks(settings) if able else None
     warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
     size = inside.shape[0], inside.shape[1]
-    return SkinImages(grid, images, networks, binning, finer, (rows, columns), size, warnings)
+    return SkinImages(grid, images, crossed, networks, binning, finer, (rows, columns), size, warnings)
 
 
 def _within(whole: slice, part: slice) -> slice:
@@ -143,14 +151,18 @@ def skin_images(
     """
     white, *others = bands
     binning = max(1.0, round(8 * pitch_mm / capture.rig.camera.pitch_mm) / 8)
-    colour = has_colour(white)
-    names = ("red", "green", "blue") if colour else ("grey",)
+    names = _names(white)
     light = linear_channels(white, capture.encoding, names, window, binning)
-    images = [BandImages(names if colour else ("green",), light, capture.rig.select(white.lights))]
+    images = [BandImages(names if len(names) > 1 else ("green",), light, capture.rig.select(white.lights))]
     for nir in others:
         grey = linear_channels(nir, capture.encoding, ("grey",), window, binning)
         images.append(BandImages(("nir",), grey, capture.rig.select(nir.leds)))
     return _grid(capture, window, inside, binning), tuple(images), binning
+
+
+def _names(band: Band) -> tuple[str, ...]:
+    """Channels of the white band."""
+    return ("red", "green", "blue") if has_colour(band) else ("grey",)
 
 
 def shipped_networks(settings: MetricSettings) -> Networks | None:

@@ -8,9 +8,8 @@ reflection (here: glare).
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -22,34 +21,13 @@ from splitknit.settings import Limits
 from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY
 from splitknit.training.fields import (
     FIELDS,
-    FieldsLoss,
     FieldsSettings,
-    FieldsTrainer,
+    FieldsTask,
+    Run,
     Sample,
-    check_channels,
-    mean_figures,
-    one_scale,
-    patch_at,
-    patch_with_skin,
-    rounded,
-    runner_of,
-    stride_of,
-    write_fields,
 )
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData, training_crops, training_sample
-from splitknit.training.trainer import (
-    HELD_OUT_FROM,
-    LearningCurve,
-    NetworkKind,
-    TrainingRun,
-    files_of,
-    load_data,
-    make_data,
-    open_folder,
-    require_subjects,
-    require_torch,
-    train_in_folder,
-)
+from splitknit.training.trainer import Entry, NetworkKind, files_of
 from splitknit.training.trainer import Sample as Stored
 
 NETWORK = NetworkKind(
@@ -60,8 +38,6 @@ NETWORK = NetworkKind(
 )
 FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("relief", "slope", "likelihood", "glare")
-OUTPUTS = 9
-"""Of the network: the relief, seven waves of the glare, the logarithm of the relief's variance."""
 SYMMETRY = Symmetry(
     vectors=(*RELIEF_SYMMETRY.vectors, (34, 35)),
     second_harmonics=(*RELIEF_SYMMETRY.second_harmonics, (36, 37)),
@@ -74,10 +50,6 @@ UNIT_UM = 1000.0 * float(RELIEF_MM)
 """Unit of the network's relief, micrometres."""
 VARIANCE_LIMITS = (-6.0, 4.0)
 """Of the logarithm of the relief's variance, in the network's unit."""
-_MIN_WEIGHT = 0.2
-"""Patches with a smaller mean weight are not used: they hold next to no skin."""
-_MIN_DEVIATION = 0.02
-_SCALE_PATCHES = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +69,11 @@ class ReliefSettings(FieldsSettings):
     glare_share: Annotated[float, Limits(0)] = 0.2
     """Weight of the glare."""
 
-
-def _relief_trainer(settings: ReliefSettings, samples: Sequence[Sample], whole: Sequence[Sample] = ()) -> FieldsTrainer:
-    """The network of the relief in training, its first weights from the settings' seed.
-
-    A fraction of the patches (`whole_share`) is cut from the samples `whole`, if there are any.
-    """
-    check_channels(samples, CHANNELS)
-    if len(whole) > 0:
-        check_channels(whole, CHANNELS)
-    weights = (1.0, settings.slope_share, settings.likelihood_share, settings.glare_share)
-    loss = FieldsLoss(
-        lambda iteration: _draw_batch(samples, settings, iteration, whole),
-        _relief_losses,
-        dict(zip(PARTS, weights, strict=True)),
-    )
-    return FieldsTrainer(settings, OUTPUTS, _field_scale(samples, settings, whole), loss)
+    @property
+    def loss_weights(self) -> dict[str, float]:
+        """Of the parts of the loss, in their sum."""
+        weights = (1.0, self.slope_share, self.likelihood_share, self.glare_share)
+        return dict(zip(PARTS, weights, strict=True))
 
 
 def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
@@ -140,7 +101,7 @@ def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     }
 
 
-def _judge_middle(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
+def _judge_middle(run: Run, sample: Sample, stride: int) -> dict[str, float]:
     """Figures of :func:`_judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
     limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
     require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
@@ -178,136 +139,36 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     }
 
 
-def _draw_patch(
-    samples: Sequence[Sample], settings: ReliefSettings, rng: np.random.Generator, whole: Sequence[Sample] = ()
-) -> FloatArray:
-    """Cut a patch (41, side, side) anywhere in any sample, as it is; zero where a sample is smaller.
-
-    Where there are whole fingers, a fixed fraction of the patches is from them. Raises BadInput if patches with enough
-    skin cannot be found.
-    """
-    side = settings.patch_px
-
-    def cut() -> FloatArray:
-        pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
-        sample = pool[int(rng.integers(len(pool)))]
-        row, column = (int(rng.integers(max(1, length - side))) for length in sample.shape[1:])
-        return patch_at(sample, row, column, side)
-
-    return patch_with_skin(cut, side, _MIN_WEIGHT)
+def _in_um(entry: Entry) -> Entry:
+    """Figures with the error of the relief in micrometres."""
+    return {
+        "rms_um" if name == "rms" else name: value * (UNIT_UM if name == "rms" else 1) for name, value in entry.items()
+    }
 
 
-def _draw_batch(
-    samples: Sequence[Sample], settings: ReliefSettings, iteration: int, whole: Sequence[Sample] = ()
-) -> FloatArray:
-    """The patches (batch, 41, side, side) of one iteration; they follow from its number and the settings' seed."""
-    rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
-    return np.stack(
-        [
-            SYMMETRY.oriented(_draw_patch(samples, settings, rng, whole), int(rng.integers(8)))
-            for _ in range(settings.batch)
-        ]
-    )
+def _shoot(kind: str, number: int, data: ReliefData) -> Sequence[Stored]:
+    if kind == "finger":
+        return [training_sample(number, data)]
+    pieces = training_crops(number, data)
+    return [(pieces, {"finger": number, "pieces": len(pieces)})]
 
 
-def _field_scale(samples: Sequence[Sample], settings: ReliefSettings, whole: Sequence[Sample] = ()) -> FloatArray:
-    """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
-    rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
-    patches = np.stack([_draw_patch(samples, settings, rng, whole)[:FIELDS] for _ in range(_SCALE_PATCHES)])
-    return one_scale(patches, _MIN_DEVIATION)
-
-
-def train_relief(run: TrainingRun, data: ReliefData, settings: ReliefSettings) -> dict[str, Any]:
-    """Simulate the fingers and train; return what came out.
-
-    Raises
-    ------
-    BadInput
-        If torch is missing, the folder is in use, what is there does not fit the settings, or no finger can be used.
-    """
-    started = time.perf_counter()
-    require_torch(settings)
-    open_folder(run, data, settings)
-
-    def shoot(kind: str, number: int) -> list[Stored]:
-        if kind == "finger":
-            return [training_sample(number, data)]
-        pieces = training_crops(number, data)
-        return [(pieces, {"finger": number, "pieces": len(pieces)})]
-
-    def fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
-        return len(shape) == 3 and shape[0] == CHANNELS and min(shape) >= settings.stride
-
-    pieces, whole, held_out = _numbers(data)
-    subjects = [*(("pieces", number) for number in pieces), *(("finger", number) for number in (*whole, *held_out))]
-    refused = make_data(run, subjects, shoot)
-    cut = load_data(run.out, "pieces", pieces, lambda shape, facts: fits(shape[1:], facts))
-    crops = [crop for found in cut.values() for crop in found[0][0]]
-    fingers, judges = (
-        {number: found[0][0] for number, found in load_data(run.out, "finger", numbers, fits).items()}
-        for numbers in (whole, held_out)
-    )
-    require_subjects(len(crops), "train on", refused)
-    require_subjects(len(judges), "judge the network on", refused)
-    trainer = _relief_trainer(settings, crops, list(fingers.values()))
-    lines = {
+TASK = FieldsTask(
+    kind=NETWORK,
+    channels=CHANNELS,
+    outputs=9,  # the relief, seven waves of the glare, the logarithm of the relief's variance
+    symmetry=SYMMETRY,
+    losses=_relief_losses,
+    judge=_judge_middle,
+    in_units=_in_um,
+    held_out=f"; the middle {JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be trained on",
+    lines={
         "training": lambda entry: UNIT_UM * math.sqrt(entry["relief"]),
         "held out": lambda entry: UNIT_UM * entry["held_out_rms"],
-    }
-    curve = LearningCurve(
-        settings.report_every,
-        lambda: mean_figures([_judge_middle(trainer.run, sample, settings.stride) for sample in judges.values()]),
-        lines,
-        "error of the relief, µm",
-    )
-    train_in_folder(run, trainer, settings.iterations, curve)
-    run.progress("exporting", 1.0)
-    facts = {
-        "command": run.command,
-        "training": {**asdict(settings), "iterations_done": trainer.done},
-        "data": {
-            **asdict(data),
-            "pieces_used": len(crops),
-            "whole_fingers_used": len(fingers),
-            "fingers_refused": len(refused),
-        },
-        "metrics": _network_metrics(trainer.network.state_dict(), judges),
-    }
-    written = write_fields(run.out, NETWORK, trainer.network.state_dict(), facts)
-    return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
-
-
-def _numbers(data: ReliefData) -> tuple[range, range, range]:
-    """Numbers of the fingers to take pieces of, of the whole ones, and of those held out."""
-    return (
-        range(data.first, data.first + data.fingers),
-        range(data.first_whole, data.first_whole + data.whole_fingers),
-        range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out),
-    )
-
-
-def _network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
-    """The card's figures of a network on fingers that it was not trained on.
-
-    Parameters
-    ----------
-    state : torch's ``state_dict`` of the network
-    samples : fingers (41, h, w) by their numbers
-
-    Returns
-    -------
-    dict with the figures of each finger, see :func:`_judged`, and their means
-    """
-    run, stride = runner_of(state), stride_of(state)
-    figures = {number: _judge_middle(run, sample, stride) for number, sample in samples.items()}
-
-    def in_um(entry: Mapping[str, float]) -> dict[str, float | None]:
-        others = {name: value for name, value in entry.items() if name != "rms"}
-        return rounded({**others, "rms_um": UNIT_UM * entry["rms"]})
-
-    return {
-        "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges; the middle "
-        f"{JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be trained on",
-        "mean": in_um(mean_figures(list(figures.values()))),
-        "fingers": [{"finger": number, **in_um(entry)} for number, entry in figures.items()],
-    }
+    },
+    unit="error of the relief, µm",
+    min_weight=0.2,
+    min_deviation=0.02,
+    scale_patches=12,
+    shoot=_shoot,
+)

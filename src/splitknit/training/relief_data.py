@@ -48,6 +48,7 @@ from splitknit.training.scenes import (
     photograph_scene,
     textured,
 )
+from splitknit.training.trainer import HELD_OUT_FROM
 
 RELIEF = 32
 """Number of the relief in a sample, in the network's unit."""
@@ -105,6 +106,15 @@ class ReliefData(SceneRanges):
     other_scale_share: Annotated[float, Limits(0, 1)] = 0.25
     """Part of the whole fingers that have another size."""
 
+    @property
+    def numbers(self) -> tuple[range, range, range]:
+        """Of fingers that pieces are taken of, of whole ones to train on, and of those held out."""
+        return (
+            range(self.first, self.first + self.fingers),
+            range(self.first_whole, self.first_whole + self.whole_fingers),
+            range(HELD_OUT_FROM, HELD_OUT_FROM + self.held_out),
+        )
+
 
 def _draw_scene(number: int, data: ReliefData) -> TrainingScene:
     """Draw the finger `number`, its skin's ranges, camera and lights."""
@@ -143,10 +153,7 @@ def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16],
     scene = _draw_scene(number, data)
     capture, truth = photograph_scene(scene)
     mix = float(np.random.default_rng(number).random())
-    skin = {
-        name: float(truth[f"skin_{name}"]) for name in ("scattering_factor", "melanin", "blood", "roughness", "glare")
-    }
-    return _sample_of(capture, truth, mix), {**scene.facts(), "skin": skin, "estimated_share": mix}
+    return _sample_of(capture, truth, mix), {**scene.facts(truth), "estimated_share": mix}
 
 
 def _sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], mix: float) -> NDArray[np.float16]:

@@ -119,6 +119,11 @@ class SceneRanges(Checked):
         check_fields(self)
         self.skin(SkinOptics())
 
+    @property
+    def numbers(self) -> tuple[range, range, range]:
+        """Of fingers that pieces are taken of, of whole ones to train on, and of those held out."""
+        return range(0), range(0), range(0)
+
     def skin(self, base: SkinOptics) -> SkinRanges:
         """The simulator's own ranges around a base skin."""
         names = ("scattering_factor", "melanin", "blood", "oxygenation", "roughness", "glare", "relief_gain")
@@ -139,9 +144,10 @@ class TrainingScene:
     textured_by: SceneRanges | None = None
     """Ranges of what varies over the skin; None: it is even."""
 
-    def facts(self) -> dict[str, Any]:
-        """What was drawn beside the skin, for the file that goes with the finger."""
+    def facts(self, truth: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+        """What was drawn, for the file that goes with the finger; the skin is in the `truth` of its photographs."""
         camera = self.rig.camera
+        names = ("scattering_factor", "melanin", "blood", "roughness", "glare")
         return {
             "finger": self.number,
             "px_per_mm": camera.px_per_mm,
@@ -150,6 +156,7 @@ class TrainingScene:
             "rim_exponent": self.settings.render.rim_exponent,
             "ridge_depth_um": self.finger.skin.ridge_depth_um,
             "led_mm": [list(led.position_mm or ()) for led in self.rig.leds],
+            "skin": {name: float(truth[f"skin_{name}"]) for name in names},
         }
 
 

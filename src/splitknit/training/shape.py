@@ -7,9 +7,7 @@ all bands agree on (:mod:`splitknit.skin.learned`); the network learns on simula
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import cv2
@@ -21,35 +19,14 @@ from splitknit.settings import Limits
 from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_SYMMETRY
 from splitknit.training.fields import (
     FIELDS,
-    FieldsLoss,
     FieldsSettings,
-    FieldsTrainer,
+    FieldsTask,
+    Run,
     Sample,
-    check_channels,
-    mean_figures,
-    one_scale,
-    patch_at,
-    patch_with_skin,
-    rounded,
-    runner_of,
-    stride_of,
-    write_fields,
 )
 from splitknit.training.networks import load_torch
-from splitknit.training.shape_data import ShapeData, shape_sample
-from splitknit.training.trainer import (
-    HELD_OUT_FROM,
-    LearningCurve,
-    NetworkKind,
-    TrainingRun,
-    files_of,
-    load_data,
-    make_data,
-    open_folder,
-    require_subjects,
-    require_torch,
-    train_in_folder,
-)
+from splitknit.training.shape_data import shape_sample
+from splitknit.training.trainer import Entry, NetworkKind, files_of
 
 NETWORK = NetworkKind(
     "shape",
@@ -63,7 +40,6 @@ SLOPES = slice(32, 34)
 WEIGHT = 34
 """Number of the weight in a sample, in [0, 1]."""
 CHANNELS = 35
-OUTPUTS = 2
 SYMMETRY = replace(SHAPE_SYMMETRY, vectors=(*SHAPE_SYMMETRY.vectors, (32, 33)))
 """Of a sample."""
 OF_NIR = (6, 7, 11, 16, 17, 18, 19, 29, 30)
@@ -76,10 +52,6 @@ _WIDE_PX = 8
 """Side of the blocks over which the loss also compares mean slopes: wide errors become the shape's."""
 _MIN_TRUST = 0.05
 """Blocks with little weight count for less than that weight."""
-_MIN_WEIGHT = 0.15
-"""Patches with a smaller mean weight are not used: they hold next to no skin."""
-_MIN_DEVIATION = 0.05
-_SCALE_PATCHES = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,16 +90,10 @@ class ShapeNetSettings(FieldsSettings):
             f"but it is {self.patch_px}.",
         )
 
-
-def _shape_trainer(settings: ShapeNetSettings, samples: Sequence[Sample]) -> FieldsTrainer:
-    """The shape network in training, its first weights from the settings' seed."""
-    check_channels(samples, CHANNELS)
-    loss = FieldsLoss(
-        lambda iteration: _draw_batch(samples, settings, iteration),
-        _shape_losses,
-        {"slope": 1.0, "wide": settings.wide_share},
-    )
-    return FieldsTrainer(settings, OUTPUTS, _field_scale(samples, settings), loss, settings.weight_decay)
+    @property
+    def loss_weights(self) -> dict[str, float]:
+        """Of the parts of the loss, in their sum."""
+        return {"slope": 1.0, "wide": self.wide_share}
 
 
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
@@ -147,7 +113,7 @@ def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, A
     return {"slope": (error**2 * weight).sum() / count, "wide": means.sum() * wide_px**2 / count}
 
 
-def _judge_whole(run: Callable[[FloatArray], FloatArray], sample: Sample, stride: int) -> dict[str, float]:
+def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
     """Figures of :func:`_judged` for a finger, as `run` turns its fields (32, h, w) into (2, h, w).
 
     The last rows and columns are left out where the sides are no multiples of `stride`.
@@ -184,114 +150,29 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
-def _draw_patch(samples: Sequence[Sample], settings: ShapeNetSettings, rng: np.random.Generator) -> FloatArray:
-    """Cut a patch (35, side, side) anywhere in any sample, as it is; zero where it reaches over the sample. Raises
-    BadInput if patches with enough skin cannot be found.
-    """
-    side, beyond = settings.patch_px, settings.beyond_px
-
-    def cut() -> FloatArray:
-        sample = samples[int(rng.integers(len(samples)))]
-        row, column = (
-            int(rng.integers(-beyond, max(1 - beyond, length - side + beyond))) for length in sample.shape[1:]
-        )
-        return patch_at(sample, row, column, side)
-
-    return patch_with_skin(cut, side, _MIN_WEIGHT)
+def _as_slopes(entry: Entry) -> Entry:
+    return {name: UNIT * value for name, value in entry.items()}
 
 
-def _without_nir(patch: FloatArray) -> FloatArray:
-    """The patch as it would be seen without near-infrared images."""
-    blind: FloatArray = np.array(patch, dtype=np.float32)
-    blind[list(OF_NIR)] = 0.0
-    return blind
-
-
-def _draw_batch(samples: Sequence[Sample], settings: ShapeNetSettings, iteration: int) -> FloatArray:
-    """The patches (batch, 35, side, side) of one iteration; they follow from its number and the settings' seed."""
-    rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0xBE, iteration]))
-    patches = []
-    for _ in range(settings.batch):
-        patch = SYMMETRY.oriented(_draw_patch(samples, settings, rng), int(rng.integers(8)))
-        patches.append(_without_nir(patch) if rng.random() < settings.no_nir_share else patch)
-    return np.stack(patches)
-
-
-def _field_scale(samples: Sequence[Sample], settings: ShapeNetSettings) -> FloatArray:
-    """(32,) factors that bring the fields to about one scale: one over their standard deviation in a few patches."""
-    rng = np.random.default_rng(np.random.SeedSequence([settings.seed, 0x5C]))
-    patches = np.stack([_draw_patch(samples, settings, rng)[:FIELDS] for _ in range(_SCALE_PATCHES)])
-    return one_scale(patches, _MIN_DEVIATION)
-
-
-def train_shape(run: TrainingRun, data: ShapeData, settings: ShapeNetSettings) -> dict[str, Any]:
-    """Simulate the fingers and train; return what came out.
-
-    Raises
-    ------
-    BadInput
-        If torch is missing, the folder is in use, what is there does not fit the settings, or no finger can be used.
-    """
-    started = time.perf_counter()
-    require_torch(settings)
-    open_folder(run, data, settings)
-
-    def fits(shape: tuple[int, ...], facts: Mapping[str, Any]) -> bool:
-        return len(shape) == 3 and shape[0] == CHANNELS and min(shape) >= settings.stride
-
-    numbers = range(data.first, data.first + data.fingers), range(HELD_OUT_FROM, HELD_OUT_FROM + data.held_out)
-    subjects = [("finger", number) for part in numbers for number in part]
-    refused = make_data(run, subjects, lambda kind, number: [shape_sample(number, data)])
-    fingers, judges = (
-        {number: found[0][0] for number, found in load_data(run.out, "finger", part, fits).items()} for part in numbers
-    )
-    require_subjects(len(fingers), "train on", refused)
-    require_subjects(len(judges), "judge the network on", refused)
-    trainer = _shape_trainer(settings, list(fingers.values()))
-    lines = {
+TASK = FieldsTask(
+    kind=NETWORK,
+    channels=CHANNELS,
+    outputs=2,
+    symmetry=SYMMETRY,
+    losses=_shape_losses,
+    judge=_judge_whole,
+    in_units=_as_slopes,
+    held_out=": error of the shape's slopes (rms of one slope, steep parts count less) before and after mending, and "
+    f"of their means over {JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the coarse grid",
+    lines={
         "training": lambda entry: UNIT * math.sqrt(entry["slope"] / 2),  # of one slope
         "held out": lambda entry: UNIT * entry["held_out_after"],
         "held out, before": lambda entry: UNIT * entry["held_out_before"],
-    }
-    curve = LearningCurve(
-        settings.report_every,
-        lambda: mean_figures([_judge_whole(trainer.run, sample, settings.stride) for sample in judges.values()]),
-        lines,
-        "error of a slope",
-    )
-    train_in_folder(run, trainer, settings.iterations, curve)
-    run.progress("exporting", 1.0)
-    facts = {
-        "command": run.command,
-        "training": {**asdict(settings), "iterations_done": trainer.done},
-        "data": {**asdict(data), "fingers_used": len(fingers), "fingers_refused": len(refused)},
-        "metrics": _network_metrics(trainer.network.state_dict(), judges),
-    }
-    written = write_fields(run.out, NETWORK, trainer.network.state_dict(), facts)
-    return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
-
-
-def _network_metrics(state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
-    """The card's figures of a network on fingers that it was not trained on.
-
-    Parameters
-    ----------
-    state : torch's ``state_dict`` of the network
-    samples : fingers (35, h, w) by their numbers
-
-    Returns
-    -------
-    dict with the figures of each finger, see :func:`_judged`, as slopes, and their means
-    """
-    run, stride = runner_of(state), stride_of(state)
-    figures = {
-        number: {name: UNIT * value for name, value in _judge_whole(run, sample, stride).items()}
-        for number, sample in samples.items()
-    }
-    return {
-        "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges: error of the "
-        "shape's slopes (rms of one slope, steep parts count less) before and after mending, and of their means over "
-        f"{JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the coarse grid",
-        "mean": rounded(mean_figures(list(figures.values()))),
-        "fingers": [{"finger": number, **rounded(entry)} for number, entry in figures.items()],
-    }
+    },
+    unit="error of a slope",
+    min_weight=0.15,
+    min_deviation=0.05,
+    scale_patches=24,
+    shoot=lambda kind, number, data: [shape_sample(number, data)],
+    of_nir=OF_NIR,
+)

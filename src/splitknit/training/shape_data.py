@@ -40,6 +40,7 @@ from splitknit.training.scenes import (
     moved_rig,
     photograph_scene,
 )
+from splitknit.training.trainer import HELD_OUT_FROM
 
 _MAX_MISSING = 3.0
 """Slopes that are missing beyond this are cut off."""
@@ -70,6 +71,12 @@ class ShapeData(SceneRanges):
     """Mean height of the relief that the reconstruction is given, over the true one."""
     gain_spread: Annotated[float, Limits(0, 0.3)] = 0.12
     """Its standard deviation from finger to finger."""
+
+    @property
+    def numbers(self) -> tuple[range, range, range]:
+        """Of fingers that pieces are taken of (none), of whole ones to train on, and of those held out."""
+        held_out = range(HELD_OUT_FROM, HELD_OUT_FROM + self.held_out)
+        return range(0), range(self.first, self.first + self.fingers), held_out
 
 
 def _draw_shape_scene(number: int, data: ShapeData) -> tuple[TrainingScene, float]:
@@ -105,10 +112,7 @@ def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dic
     """
     scene, gain = _draw_shape_scene(number, data)
     capture, truth = photograph_scene(scene)
-    names = ("scattering_factor", "melanin", "blood", "roughness", "glare")
-    skin = {name: float(truth[f"skin_{name}"]) for name in names}
-    sample = _shape_sample_of(capture, truth, gain)
-    return sample, {**scene.facts(), "skin": skin, "relief_gain": gain}
+    return _shape_sample_of(capture, truth, gain), {**scene.facts(truth), "relief_gain": gain}
 
 
 def _shape_sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], gain: float) -> NDArray[np.float16]:

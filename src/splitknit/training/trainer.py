@@ -24,11 +24,11 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit import __version__
 from splitknit.errors import BadInput, read_bytes, refusing, require
 from splitknit.io.atomic import atomic_file
 from splitknit.io.fields import parse_json, read_json
 from splitknit.io.npz import map_npy
+from splitknit.io.provenance import provenance
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import card_bytes, read_network
@@ -523,7 +523,7 @@ def packed(
         "what": kind.what,
         "architecture": architecture.words,
         "licence": "Apache-2.0",
-        "software": f"splitknit {__version__}",
+        "software": f"splitknit {provenance()['version']}",
     }
     return weights, card_bytes(kind.name, weights, _plain({**head, **facts}))
 

@@ -28,7 +28,7 @@ _WIDEST = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class LitPhoto:
+class _LitPhoto:
     """One photograph."""
 
     name: str
@@ -42,10 +42,10 @@ class LitPhoto:
 
 
 @dataclass(frozen=True, slots=True)
-class PhotoFolder:
+class _PhotoFolder:
     """The photographs of a folder, and what a person should know of them."""
 
-    photos: tuple[LitPhoto, ...]
+    photos: tuple[_LitPhoto, ...]
     plain: bool
     """A folder of photographs, no capture."""
     facts: tuple[tuple[str, str], ...] = ()
@@ -56,7 +56,7 @@ class PhotoFolder:
 
 
 @lru_cache(maxsize=16)
-def photographs_of(folder: Path) -> PhotoFolder:
+def photographs_of(folder: Path) -> _PhotoFolder:
     """Return the photographs of a capture, or of any folder that holds some, band by band.
 
     Raises
@@ -70,7 +70,7 @@ def photographs_of(folder: Path) -> PhotoFolder:
         return _plain(folder, where, out)
     plan = read_plan(folder / "capture.json")
     photos = tuple(
-        LitPhoto(name, band, number, plan.encoding, _unit(sum(vector_at_origin(plan.rig.leds[k]) for k in leds)))
+        _LitPhoto(name, band, number, plan.encoding, _unit(sum(vector_at_origin(plan.rig.leds[k]) for k in leds)))
         for band, shots in plan.bands.items()
         for number, (name, leds) in enumerate(zip(shots.names, shots.leds, strict=True))
     )
@@ -84,10 +84,10 @@ def photographs_of(folder: Path) -> PhotoFolder:
         ("Finger", str(about.get("finger") or "")),
         ("Person", str(about.get("id") or "")),
     )
-    return PhotoFolder(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
+    return _PhotoFolder(photos, False, facts, (), f"splitknit reconstruct {where} --out {out}")
 
 
-def _plain(folder: Path, where: str, out: str) -> PhotoFolder:
+def _plain(folder: Path, where: str, out: str) -> _PhotoFolder:
     table, notes = folder / "lights.txt", []
     lights: Sequence[Any] = ()
     try:
@@ -110,7 +110,7 @@ def _plain(folder: Path, where: str, out: str) -> PhotoFolder:
     notes += [f"Not used: {', '.join(skipped[:8])}{' and more' if len(skipped) > 8 else ''}."] if skipped else []
     curve, _ = encoding_of(files[:1], lambda: False)
     photos = tuple(
-        LitPhoto(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
+        _LitPhoto(file.name, "white", number, curve, _unit(lights[number]) if lights else None)
         for number, file in enumerate(files)
     )
     facts = (
@@ -120,7 +120,7 @@ def _plain(folder: Path, where: str, out: str) -> PhotoFolder:
         ("Mask", masks[0].name if masks else "none"),
     )
     named = "" if table.is_file() else "--lights FILE "
-    return PhotoFolder(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
+    return _PhotoFolder(photos, True, facts, tuple(notes), f"splitknit reconstruct --images {where} {named}--out {out}")
 
 
 def _unit(vector: Any) -> tuple[float, float, float] | None:
@@ -150,7 +150,7 @@ def photo_jpeg(entry: CatalogueEntry, number: int, width: int) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _jpeg(folder: Path, photo: LitPhoto, sha256: str, plain: bool, width: int) -> bytes:
+def _jpeg(folder: Path, photo: _LitPhoto, sha256: str, plain: bool, width: int) -> bytes:
     data = read_below(folder, photo.name)
     same = not sha256 or hashlib.sha256(data).hexdigest() == sha256
     require(same, f"{photo.name} is not the file that this result was made from: its hash is another.")

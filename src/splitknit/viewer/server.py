@@ -121,7 +121,7 @@ def _is_database(path: Path) -> bool:
         return False
 
 
-def start(service: Service, port: int) -> ViewerServer:
+def start(service: Service, port: int) -> _ViewerServer:
     """Listen on 127.0.0.1; port 0 is any free one.
 
     Raises
@@ -130,7 +130,7 @@ def start(service: Service, port: int) -> ViewerServer:
         If the port is in use or may not be used.
     """
     try:
-        return ViewerServer(service, secrets.token_urlsafe(24), port)  # 192 random bits
+        return _ViewerServer(service, secrets.token_urlsafe(24), port)  # 192 random bits
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInput(
@@ -216,7 +216,7 @@ def _gzipped(content: bytes) -> bytes:
     return gzip.compress(content, 6, mtime=0)
 
 
-class ViewerServer(ThreadingHTTPServer):
+class _ViewerServer(ThreadingHTTPServer):
     """Listens on the loopback address only."""
 
     daemon_threads = True
@@ -281,7 +281,7 @@ class ViewerServer(ThreadingHTTPServer):
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "splitknit", ""
-    server: ViewerServer
+    server: _ViewerServer
     _unread = b""
 
     def handle_one_request(self) -> None:

@@ -33,7 +33,7 @@ _TYPES = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-_PICTURES = ("normals.png", "albedo.png", "print.png", "preview.png")
+_PICTURES = ("normals.png", "albedo.png", "specular.png", "print.png", "preview.png")
 _KEPT_BYTES = 200_000_000
 """Of surfaces, but two are kept however large they are: a pair is looked at by turns."""
 _THUMB_PX = 360
@@ -337,7 +337,7 @@ def _describe(entry: CatalogueEntry, surface: ResultSurface) -> dict[str, Any]:
         "tile": TILE,
         "strides": surface.strides,
         "tiles": {str(stride): surface.filled_tiles(stride) for stride in surface.strides},
-        "pictures": [name for name in ("normals.png", "albedo.png") if (entry.folder / name).is_file()],
+        "pictures": [name for name in _PICTURES[:3] if (entry.folder / name).is_file()],
         "print": _print(entry),
         "photos": _photos(entry),
         "facts": _facts(entry, surface),

@@ -14,7 +14,7 @@ from splitknit.simulator.rigs import MirrorSettings, coloured_rig
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import _smear_kernel, simulate_capture
 
-SCALE = 0.12
+SCALE = 0.08
 
 
 def twin(**motion: float) -> TwinSettings:

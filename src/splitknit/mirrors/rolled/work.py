@@ -128,7 +128,7 @@ def _view_relief(  # noqa: PLR0917
     known = low.mask & np.isfinite(height)
     low = replace(low, mask=known)
     filled = refine(np.where(known, height, 0).astype(np.float32), known, 1, low.shape)
-    light = view_light(capture.rig.select(white.leds), glasses, Skin.of(filled, low, sight, origin))
+    light = view_light(capture.rig.select(white.lights), glasses, Skin.of(filled, low, sight, origin))
     smooth = refine(np.where(known, height, 0).astype(np.float32), known, factor, grid.shape)
     reach = np.kron(known, np.ones((factor, factor), dtype=np.bool_))
     reach = np.pad(reach, [(0, n - m) for n, m in zip(grid.shape, reach.shape, strict=True)])

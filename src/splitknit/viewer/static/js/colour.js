@@ -9,10 +9,10 @@ const CIVIDIS = [
 const DIVERGING = [[5, 48, 97], [67, 147, 195], [247, 247, 247], [253, 174, 97], [165, 60, 10]];
 const GREY = [[0, 0, 0], [255, 255, 255]];
 
-const STOPS = { height: CIVIDIS, relief: DIVERGING, difference: DIVERGING, albedo: GREY };
+const STOPS = { height: CIVIDIS, relief: DIVERGING, difference: DIVERGING, albedo: GREY, specular: GREY };
 
 /**
- * @param {"height" | "relief" | "difference" | "albedo"} name
+ * @param {"height" | "relief" | "difference" | "albedo" | "specular"} name
  * @param {number} count
  * @returns {Uint8Array} RGBA of `count` colours
  */
@@ -49,6 +49,7 @@ export function showLegend(box, colour, meta, apart) {
     relief: around(meta.relief_range_um, `relief, ${fine}`),
     difference: apart ? around(apart.range_um, `second − first, ${fine}`) : [],
     albedo: ["dark", "albedo", "bright"],
+    specular: ["dark", "specular image", "bright"],
     normals: ["red: right", "green: tip", "blue: camera"],
   }[colour];
   if (colour !== "normals") {

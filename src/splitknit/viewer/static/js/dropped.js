@@ -5,7 +5,7 @@ const FIRST_VIEW = 70_000;
 const MAX_BYTES = 600_000_000;
 const RIDGE_SIGMA_MM = 0.32;
 const MAX_SAMPLES = 20_000;
-const PICTURES = ["normals.png", "albedo.png"];
+const PICTURES = ["normals.png", "albedo.png", "specular.png"];
 
 /** Folders with a height.npz among what was dropped or chosen. @param {{path: string, file: File}[]} files */
 export function resultsIn(files) {

@@ -256,7 +256,7 @@ function describe(meta) {
 function offerColours() {
   const [meta] = metas;
   for (const option of byId("colour").options) {
-    const picture = ["normals", "albedo"].includes(option.value);
+    const picture = ["normals", "albedo", "specular"].includes(option.value);
     option.disabled = (picture && !meta.pictures.includes(`${option.value}.png`)) || (option.value === "difference" && !apart);
   }
   if (byId("colour").selectedOptions[0].disabled) byId("colour").value = look.colour = "clay";

@@ -2,7 +2,7 @@
 import { Color, DataTexture, DoubleSide, LinearFilter, Matrix2, ShaderMaterial, Vector2, Vector3 } from "../vendor/three/three.module.min.js";
 import { ramp } from "./colour.js";
 
-export const COLOURS = ["clay", "height", "relief", "normals", "albedo", "difference"];
+export const COLOURS = ["clay", "height", "relief", "normals", "albedo", "difference", "specular"];
 
 const VERTEX = `
 attribute float ridge;   // relief, mm
@@ -56,6 +56,7 @@ void main() {
     shade = 1.0; shine = 0.0;
   }
   if (colour == 4) { base = texture2D(picture, vPlace).rrr; shade = 0.45 + 0.45 * key + 0.15 * fill; shine = 0.0; }
+  if (colour == 6) { base = texture2D(picture, vPlace).rrr; shade = 1.0; shine = 0.0; }
   if (colour == 5) {
     float apart = 255.0 * texture2D(picture, vPlace).r;  // 0 is unknown, 128 is none
     base = mix(vec3(0.55), texture2D(scale, vec2(0.5 + (apart - 128.0) / 254.0, 0.5)).rgb, step(0.5, apart));

@@ -2,7 +2,7 @@
 import { address } from "./api.js";
 import { byId, make, say } from "./page.js";
 
-const BANDS = { white: "White light", nir: "Near infrared" };
+const BANDS = { white: "White light", white_crossed: "White light, crossed films", nir: "Near infrared" };
 const NS = "http://www.w3.org/2000/svg";
 const PLAY_MS = 400;
 

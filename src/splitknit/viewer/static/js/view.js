@@ -124,7 +124,7 @@ export class View {
     uniforms.colour.value = COLOURS.indexOf(colour);
     if (colour === "height" || colour === "relief") uniforms.scale.value = userData[colour];
     if (colour === "difference") uniforms.scale.value = userData.relief;
-    if (["normals", "albedo", "difference"].includes(colour)) {
+    if (["normals", "albedo", "specular", "difference"].includes(colour)) {
       if (!userData[colour]) {
         const coming = colour === "difference" ? getDifference(this.meta.key, this.other) : getPicture(this.meta.key, `${colour}.png`);
         userData[colour] = coming.then((image) => {

@@ -1,31 +1,48 @@
-"""One candidate rig: check it, photograph the fingers with it, reconstruct them, measure how far off they are."""
+"""The thesis's own experiment (4.1.1) on the twin: how a candidate rig is photographed and judged there.
+
+Beside what ``splitknit rig optimise`` does: an opaque finger, a rendering program's camera, tremor while the shutter is
+open, the finger's outline given, and Hausdorff distances from the true surface. Sweeps are those of
+:mod:`splitknit.rig.optimise`.
+"""
 
 from __future__ import annotations
 
 import functools
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import require
 from splitknit.evaluation.accuracy import high_passed
-from splitknit.model import BoolArray, Camera, FloatArray, Reconstruction, Rig
+from splitknit.model import Band, BoolArray, Camera, Capture, FloatArray, Led, Reconstruction, Rig
 from splitknit.pipeline import reconstruct
 from splitknit.rig.candidates import (
-    FIRST_SEED,
-    TRUTH_PX_PER_MM,
+    FIELD_MM,
+    FULL_PX_PER_MM,
+    FULL_WELL_E,
+    LAMPS,
+    READ_NOISE_E,
+    W_PER_UNIT,
     BuildSettings,
     Finding,
+    PhotonSettings,
+    PlannedExposure,
     PrintPoints,
     RigCandidate,
-    Study,
     candidate_rig,
+    electrons_per_s,
     examine,
+    led_intensities,
+    plan_exposure,
 )
-from splitknit.rig.photography import LAMPS, ExposedCapture, intensity_w_sr, photograph_candidate
+from splitknit.rig.optimise import FIRST_SEED, MAX_SLANT_DEG, Study
+from splitknit.simulator.camera.lens import blur_sigma_px, defocus
+from splitknit.simulator.camera.sensor import SensorSettings, record
 from splitknit.simulator.finger.finger import (
     FingerPose,
     PoseRanges,
@@ -36,17 +53,57 @@ from splitknit.simulator.finger.finger import (
 )
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.shape import FingerBody
-from splitknit.simulator.light.skin import SkinOptics, SkinRanges
+from splitknit.simulator.light.lighting import render_opaque, white_card
+from splitknit.simulator.light.renderer import RenderSettings, render_band
+from splitknit.simulator.light.skin import BAND_CHANNELS, SkinOptics, SkinRanges
+from splitknit.simulator.scene import finger_depth
 from splitknit.simulator.surface import SimulatedSurface
 
-# The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
+Array = NDArray[np.float64]
 
-FIELD_MM = (2200 / 75.7, 3200 / 75.7)
-"""Rows and columns of the thesis's field on the finger plane."""
+TRUTH_PX_PER_MM = 10.0
+"""Density of the points of the true surface."""
+BAND_SIGMA_MM = 0.32
+"""Standard deviation of the Gaussian whose complement is the ridge band (``docs/explain/conventions.md``)."""
 ABOVE_CREASE_MM = 0.5
 """The phalange is what lies further towards the tip than this, seen from its crease."""
-MAX_SLANT_DEG = 60.0
-"""The print is where the shape is flatter than this (``docs/explain/conventions.md``)."""
+_TREMOR_UM = 30.0
+"""Amplitude of a resting finger's tremor (Growdon et al. 2000: about 30 um)."""
+_TREMOR_HZ = 9.0
+"""Frequency of the tremor."""
+OPAQUE_ALBEDO = 0.5
+CLOTH_ALBEDO, CLOTH_DEPTH_MM = 0.006, 10.0
+"""Black cloth below the finger."""
+FOCUS_DEPTH_MM = 1.5
+"""The lens is focused this far below the finger's highest point."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThesisStudy(Study):
+    """A study by the thesis's measure; fingers, build and lens are those of :class:`splitknit.rig.optimise.Study`."""
+
+    _group = "study"
+
+    method: Literal["ea", "ea-poisson", "metric"] = "ea"  # type: ignore[assignment]
+    """``ea``: the thesis's plain photometric stereo; ``ea-poisson``: its normals, integrated over the mask alone."""
+    material: Literal["opaque", "skin"] = "opaque"
+    """An opaque Lambertian finger, as the thesis's sculpture; or the twin's skin."""
+    camera: Literal["sensor", "renderer"] = "sensor"
+    """The rig's, with photons, noise and defocus; or a rendering program's: pin-hole, no noise, one fixed exposure,
+    bare isotropic lamps, 8 bits sRGB."""
+
+    def findings(self, candidate: RigCandidate) -> tuple[Finding, ...]:
+        """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
+        found = examine(candidate, self.build, self.photons, finger=_typical(FIRST_SEED), bands=self.bands)
+        rendered = self.camera == "renderer"
+        return tuple(one for one in found if not (rendered and one.name.startswith(("exposure", "depth"))))
+
+    def measure(self, candidate: RigCandidate, seed: int) -> dict[str, float]:
+        """Figures of one finger."""
+        return _measure(candidate, self, seed)
+
+
+# The fingers that all rigs of a sweep photograph: surfaces, and their truth as points.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,52 +181,6 @@ def _truth(seed: int, px_per_mm: float) -> _Points:
     return _Points(points[whole], _printed(surface, whole)[whole])
 
 
-BAND_SIGMA_MM = 0.32
-"""Standard deviation of the Gaussian whose complement is the ridge band (``docs/explain/conventions.md``)."""
-DONE, REFUSED, FAILED = "done", "refused", "failed"
-
-
-def evaluate_candidate(candidate: RigCandidate, study: Study) -> dict[str, Any]:
-    """Judge and measure one candidate.
-
-    Returns
-    -------
-    dict with ``candidate``, ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger could not be
-    photographed or reconstructed), ``reason`` (one sentence, or None), ``constraints``, ``fingers`` (figures by finger)
-    and ``mean`` (of the figures over the fingers, None unless done).
-
-    Notes
-    -----
-    Never raises for what a candidate is: a broken one is a result too. Follows from its arguments alone.
-    """
-    record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}}
-    try:
-        findings = judge(candidate, study)
-        record["constraints"] = [asdict(finding) for finding in findings]
-        broken = [finding.words for finding in findings if finding.hard and not finding.ok]
-        if broken:
-            return {**record, "status": REFUSED, "reason": broken[0], "fingers": [], "mean": None}
-        fingers = [{"seed": seed, **_measure(candidate, study, seed)} for seed in study.seeds]
-    except MemoryError:
-        raise  # of the machine, not of the candidate
-    except Exception as error:
-        words = " ".join(str(error).split()) or "no further words"
-        reason = words if isinstance(error, BadInput) else f"{type(error).__name__}: {words}"
-        record.setdefault("constraints", [])
-        return {**record, "status": FAILED, "reason": reason, "fingers": [], "mean": None}
-    mean = {name: float(np.mean([one[name] for one in fingers])) for name in fingers[0] if name != "seed"}
-    return {**record, "status": DONE, "reason": None, "fingers": fingers, "mean": mean}
-
-
-def judge(candidate: RigCandidate, study: Study) -> tuple[Finding, ...]:
-    """The constraints; under a rendering program's fixed exposure that of the sensor does not count."""
-    finger = _typical(FIRST_SEED)
-    found = examine(candidate, study.build, study.photons, finger=finger, bands=study.bands)
-    if study.camera == "renderer":
-        return tuple(finding for finding in found if not finding.name.startswith(("exposure", "depth")))
-    return found
-
-
 @functools.lru_cache(maxsize=4)
 def _typical(seed: int) -> PrintPoints:
     """Print of a finger, as points and normals of its shape about half a millimetre apart."""
@@ -180,7 +191,7 @@ def _typical(seed: int) -> PrintPoints:
     return PrintPoints(points[where], surface.shape_normals[::2, ::2][where].astype(np.float64))
 
 
-def _measure(candidate: RigCandidate, study: Study, seed: int) -> dict[str, float]:
+def _measure(candidate: RigCandidate, study: ThesisStudy, seed: int) -> dict[str, float]:
     """Figures of one finger."""
     rig, known = _rigs(candidate, study)
     surface = _seen(seed, candidate.height_mm, candidate.px_per_mm, study.build)
@@ -201,16 +212,14 @@ def _measure(candidate: RigCandidate, study: Study, seed: int) -> dict[str, floa
     return {**_exposed(shot), **_compare_surfaces(result, surface, whole, seed, TRUTH_PX_PER_MM)}
 
 
-def _rigs(candidate: RigCandidate, study: Study) -> tuple[Rig, Rig]:
+def _rigs(candidate: RigCandidate, study: ThesisStudy) -> tuple[Rig, Rig]:
     """The rig that photographs, and the one that the reconstruction assumes: the thesis's methods see parallel rays."""
     build = study.build
     if study.camera == "renderer":
         build = replace(build, half_angle_deg=90.0)
         intensities = dict.fromkeys(study.bands, candidate.power_w / (4.0 * np.pi))
     else:
-        intensities = {
-            band: intensity_w_sr(candidate.power_w, LAMPS[band], build.lobe_exponent) for band in study.bands
-        }
+        intensities = led_intensities(candidate, build, study.bands)
     rig = candidate_rig(candidate, build, intensities)
     return rig, rig if study.method == "metric" else candidate_rig(candidate, build, intensities, "orthographic")
 
@@ -274,9 +283,139 @@ def _skin(seed: int) -> SkinOptics:
     return SkinRanges().draw(np.random.default_rng(np.random.SeedSequence([seed, 0x51])))
 
 
-# How far two surfaces lie apart, as sets of points.
+# The photograph.
 
-Array = NDArray[np.float64]
+
+def _tremor_blur_mm(time_s: float) -> float:
+    """Standard deviation, per axis, of where a trembling finger is while the shutter is open.
+
+    A sinusoid of amplitude a and a random phase, seen for the time t, varies by a^2 / 2 (1 - sinc^2(f t)) on average.
+    """
+    fraction = 1.0 - float(np.sinc(_TREMOR_HZ * time_s)) ** 2
+    return _TREMOR_UM * 1e-3 * float(np.sqrt(0.5 * fraction))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExposedCapture:
+    """A capture and how it was exposed."""
+
+    capture: Capture
+    exposures: Mapping[str, PlannedExposure]
+
+
+def photograph_candidate(
+    surface: SimulatedSurface,
+    rig: Rig,
+    *,
+    known_rig: Rig,
+    mask: BoolArray,
+    skin: SkinOptics | None,
+    photons: PhotonSettings,
+    seed: np.random.SeedSequence,
+    rendered: bool = False,
+) -> ExposedCapture:
+    """Photograph `surface` under every LED of `rig`.
+
+    Parameters
+    ----------
+    surface : on the pixels of `rig.camera`
+    rig : intensities in W/sr
+    known_rig : what the reconstruction is given
+    mask : (H, W) what is to be reconstructed
+    skin : its optics; None for an opaque Lambertian finger
+    photons : lens, shutter, sensor
+    seed : of the noise
+    rendered : as a rendering program stores it: one fixed exposure (a radiance of 1 W/(m^2 sr) is white), pin-hole, no
+        noise, 8 bits sRGB
+
+    Returns
+    -------
+    Shot whose capture is exposed so that the brightest skin reaches the target, where shutter and gain allow it.
+
+    Raises
+    ------
+    BadInput
+        If no LED lights the finger.
+    """
+    bands, exposures = {}, {}
+    names = [name for name in BAND_CHANNELS if any(led.band == name for led in rig.leds)]
+    require(len(names) > 0, "the rig has no LED of the bands white and nir.")
+    sharpness = np.zeros(surface.mask.shape, np.float32) if rendered else _defocus(surface, photons)
+    scale = rig.camera.px_per_mm / FULL_PX_PER_MM
+    for name, band_seed in zip(names, seed.spawn(len(names)), strict=True):
+        members = [k for k, led in enumerate(rig.leds) if led.band == name]
+        frames, brightest = _frames(surface, [rig.leds[k] for k in members], name, skin)
+        if rendered:
+            exposure = PlannedExposure(0.0, 1.0, brightest * W_PER_UNIT)
+            sensor = SensorSettings(noise=False, raw_bits=16, encoding="srgb")
+        else:
+            exposure = plan_exposure(electrons_per_s(brightest * W_PER_UNIT, LAMPS[name], photons), photons)
+            sensor = SensorSettings(
+                full_well_e=FULL_WELL_E / exposure.gain,
+                read_noise_e=READ_NOISE_E,
+                raw_bits=16,  # binned pixels have more levels than ten bits hold
+                bits=16,
+            )
+        gain = np.float32(exposure.level / brightest)
+        blur_px = _tremor_blur_mm(exposure.time_s) * rig.camera.px_per_mm
+        images = []
+        for frame, one in zip(frames, band_seed.spawn(len(frames)), strict=True):
+            light = _trembled(defocus(frame, sharpness), blur_px) * gain
+            images.append(record(light, name, one, sensor, scale))
+        bands[name] = Band(
+            name=name,
+            pixels=np.stack(images),  # type: ignore[arg-type]
+            leds=tuple((k,) for k in members),
+            exposure=np.ones(len(images)),
+            black_level=np.zeros(len(images)),
+        )
+        exposures[name] = exposure
+    material = "opaque" if skin is None else "skin"
+    encoding = "srgb" if rendered else "linear"
+    return ExposedCapture(
+        Capture(rig=known_rig, bands=bands, encoding=encoding, material=material, mask=mask), exposures
+    )
+
+
+def _frames(
+    surface: SimulatedSurface, leds: list[Led], name: str, skin: SkinOptics | None
+) -> tuple[list[FloatArray], float]:
+    """(H, W, 3) radiance of the whole frame under each LED, and that of the brightest skin without specular light."""
+    if skin is None:
+        window, matt = render_opaque(surface, leds, OPAQUE_ALBEDO)
+        diffuse, glare = matt[:, None], np.zeros_like(matt)
+    else:
+        light = render_band(surface, leds, skin.medium(name), RenderSettings(workers=1))
+        window, diffuse, glare = light.window, light.diffuse, light.glare
+    frames = []
+    for k, led in enumerate(leds):
+        card = white_card(surface.camera, led, -CLOTH_DEPTH_MM) * np.float32(CLOTH_ALBEDO)
+        frame = np.repeat(np.where(surface.mask, np.float32(0.0), card)[..., None], 3, axis=2)
+        for c in range(3):
+            frame[window][..., c] += diffuse[k, min(c, diffuse.shape[1] - 1)] + glare[k]
+        frames.append(frame)
+    lit = diffuse[diffuse > 0]
+    require(lit.size > 0, "no LED lights the finger; turn the beams towards it.")
+    brightest = max(float(np.percentile(part[part > 0], 99.9)) for part in np.moveaxis(diffuse, 1, 0) if part.any())
+    return frames, brightest
+
+
+def _defocus(surface: SimulatedSurface, photons: PhotonSettings) -> FloatArray:
+    """(H, W) width of the defocus in pixels; beyond the outline that of the outline goes on."""
+    camera = surface.camera
+    depth, top = finger_depth(surface)
+    focus = top - FOCUS_DEPTH_MM
+    aperture = photons.focal_mm(camera.height_mm) / photons.f_number
+    return blur_sigma_px(depth, focus, camera.height_mm, aperture, camera.px_per_mm)
+
+
+def _trembled(frame: FloatArray, sigma_px: float) -> FloatArray:
+    if sigma_px < 0.05:
+        return frame
+    return np.asarray(cv2.GaussianBlur(frame, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+
+
+# How far two surfaces lie apart, as sets of points.
 
 
 def _both_ways(first: Array, second: Array) -> tuple[Array, Array]:

@@ -1,0 +1,217 @@
+"""Linear polarising films of a rig: before its white LEDs, and as the analyser before the camera.
+
+All axes are seen from the camera: those of the parallel series, and of the analyser in its parallel position, lie along
+x, those of the crossed series along y. ``provenance.films`` of the rig file says which kind they are
+(:func:`splitknit.capture.pins.rig_films`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from splitknit.capture.pins import CROSSED_PINS, DEFAULT_PINS, PULSES_MS, SERVO_PIN, rig_films
+from splitknit.errors import require
+from splitknit.model import Led, Rig
+from splitknit.rig import part_settings as sizes
+from splitknit.rig.dimensions import RigDimensions
+
+TRANSMISSION = 0.45
+"""Of unpolarised white light by one film, at most: what an eye may get; half would be a film without losses."""
+
+
+def with_films(rig: Rig, kind: str | None) -> Rig:
+    """Give a rig films of a kind: its file's word for them and, for ``neighbours``, further white LEDs and their lines.
+
+    Each further LED stands half way between a white LED and the next LED counter-clockwise. None changes nothing.
+
+    Raises
+    ------
+    BadInput
+        If the rig has films of another kind, or an LED without a place, or too many for further ones.
+    """
+    given = rig_films(rig)
+    if kind is None or (given is not None and given.kind == kind):
+        return rig
+    require(
+        given is None,
+        f"the rig file has films of the kind '{given and given.kind}'; leave --films out, or take one without films.",
+    )
+    films: dict[str, object] = {"kind": kind}
+    if kind == "servo":
+        films |= {"servo": SERVO_PIN, "pulses_ms": list(PULSES_MS)}
+    if kind != "neighbours":
+        return replace(rig, provenance={**rig.provenance, "films": films})
+    white = [led for led in rig.leds if led.band == "white"]
+    require(
+        3 <= len(white) <= len(CROSSED_PINS) and all(led.position_mm is not None for led in rig.leds),
+        f"LEDs beside the white ones need a rig of 3 to {len(CROSSED_PINS)} white LEDs, each LED with its position_mm; "
+        f"this one has {len(white)}.",
+    )
+    pins = {band: list(lines) for band, lines in rig.provenance.get("pins", DEFAULT_PINS).items()}
+    pins["white"] = pins["white"][: len(white)] + list(CROSSED_PINS[: len(white)])
+    films["crossed"] = [len(rig.leds) + k for k in range(len(white))]
+    leds = (*rig.leds, *(_neighbour(led, rig.leds) for led in white))
+    return replace(rig, leds=leds, provenance={**rig.provenance, "pins": pins, "films": films})
+
+
+def _neighbour(led: Led, leds: Sequence[Led]) -> Led:
+    azimuths = [math.atan2(one.position_mm[1], one.position_mm[0]) for one in (led, *leds) if one.position_mm]
+    turn = min((gap for a in azimuths if (gap := (a - azimuths[0]) % math.tau) > 0.01), default=math.pi) / 2
+    cos, sin = math.cos(turn), math.sin(turn)
+
+    def turned(vector: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        return vector and (cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1], vector[2])
+
+    return replace(led, position_mm=turned(led.position_mm), aim=turned(led.aim))
+
+
+# Where films are mounted: a ring of windows below the LEDs, and before the lens a plate on which the analyser turns.
+
+FILM_MM = 0.8
+"""Depth of the pockets that films lie in."""
+LEVER_MM = 14.0
+"""From the analyser's axis to the hole in its lever; the servo's horn is as long, so that both turn by one angle."""
+LINK_MM = 28.0
+"""From the analyser's axis to the servo's, along -x: the length of the wire between lever and horn."""
+PLATE_MM = 2.4
+"""Thickness of the analyser's plate."""
+FLANGE_MM = 2.0
+"""Thickness of the analyser's flange and lever, above the plate."""
+POST_MM = 3.5
+"""Radius of the posts that screws through the frame's floor hold."""
+_PLATE_POSTS_DEG, _PLATE_POSTS_MM = (90.0, 215.0, 325.0), 21.5
+ROD_Y_MM = 0.85 * LEVER_MM
+"""Of the rod of an analyser that is turned by hand: half way between its places at both ends of its turn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilmMounts:
+    """Places in the rig's frame, mm, with the analyser in its parallel position."""
+
+    kind: str
+    """See :class:`splitknit.capture.pins.RigFilms`."""
+    windows: tuple[tuple[float, float, str], ...]
+    """x and y of the windows below the rig's LEDs, and the axis of the film there: ``x``, ``y`` or empty without."""
+    window_mm: float
+    """Radius of every window."""
+    ring_z_mm: float
+    """Upper face of the ring of windows."""
+    ring_posts: tuple[tuple[float, float], ...]
+    plate_z_mm: float
+    """Upper face of the analyser's plate."""
+    plate_posts: tuple[tuple[float, float], ...]
+    aperture_mm: float
+    """Radius of the analyser's opening."""
+
+    @property
+    def piece_mm(self) -> float:
+        """Side of the square pockets in the ring."""
+        return 2 * self.window_mm + 1.2
+
+    @property
+    def ring_mm(self) -> tuple[float, float]:
+        """Radii between which the ring's pockets lie."""
+        away, corner = [math.hypot(x, y) for x, y, _ in self.windows], self.piece_mm * math.sqrt(0.5) + 1.2
+        return min(away) - corner, max(away) + corner
+
+    @property
+    def analyser_piece_mm(self) -> float:
+        """Side of the analyser's square pocket."""
+        return 2 * self.aperture_mm + 1.4
+
+    @property
+    def turning_mm(self) -> float:
+        """Radius of the part of the analyser that turns in its plate."""
+        return self.analyser_piece_mm * math.sqrt(0.5) + 1.6
+
+    @property
+    def rod_z_mm(self) -> float:
+        """Height of the rod, or of the servo's wire, over the lever."""
+        return self.plate_z_mm + FLANGE_MM + 1.2
+
+
+def film_mounts(d: RigDimensions) -> FilmMounts:
+    """Work out where the films of a rig that has some are mounted.
+
+    Raises
+    ------
+    BadInput
+        If LEDs leave no room for films, screws, servo or rod.
+    """
+    camera, films = d.settings.camera, d.films
+    assert films is not None
+    lights = np.array([hole.light_mm for hole in d.holes])
+    ring_z = min(float(hole.light_mm[2]) - hole.radius_mm for hole in d.holes) - 0.3
+    down = np.array([(z - lights[:, 2]) / lights[:, 2] for z in (ring_z, ring_z - 2.0)])[..., None, None]
+    rays = lights[:, None, :2] - down * (d.lit_corners[None, :, :2] - lights[:, None, :2])  # (2, LEDs, corners, 2)
+    middles = (rays.min(axis=(0, 2)) + rays.max(axis=(0, 2))) / 2
+    spread = float(np.linalg.norm(rays - middles[:, None], axis=-1).max())
+    axes = [
+        "" if h.band == "nir" else "y" if films.kind == "neighbours" and h.index in films.crossed else "x"
+        for h in d.holes
+    ]
+    plate_z = min(d.camera_height_mm - camera.barrel_front_mm - 0.5 - FLANGE_MM, ring_z - 2.0)
+    seen = math.hypot(*d.field_mm) / 2 * (d.camera_height_mm - plate_z + PLATE_MM) / d.camera_height_mm
+    azimuths = np.sort(np.arctan2(lights[:, 1], lights[:, 0]))
+    gaps = np.diff(azimuths, append=azimuths[0] + math.tau)
+    wide = (azimuths + gaps / 2)[gaps > 0.9 * gaps.max()]
+    count = min(4, len(wide))
+    mounts = FilmMounts(
+        kind=films.kind,
+        windows=tuple((float(x), float(y), axis) for (x, y), axis in zip(middles, axes, strict=True)),
+        window_mm=spread + 0.8 * max(hole.radius_mm for hole in d.holes),
+        ring_z_mm=ring_z,
+        ring_posts=_around(d.bore_mm - POST_MM - 0.7, [float(wide[k * len(wide) // count]) for k in range(count)]),
+        plate_z_mm=plate_z,
+        plate_posts=_around(_PLATE_POSTS_MM, np.deg2rad(_PLATE_POSTS_DEG).tolist()),
+        aperture_mm=max(6.0, 3.2 + seen),
+    )
+    _check_room(d, mounts)
+    return mounts
+
+
+def _around(radius: float, azimuths: Sequence[float]) -> tuple[tuple[float, float], ...]:
+    return tuple((radius * math.cos(a), radius * math.sin(a)) for a in azimuths)
+
+
+def _check_room(d: RigDimensions, mounts: FilmMounts) -> None:
+    filmed = [(k, x, y) for k, (x, y, axis) in enumerate(mounts.windows) if axis]
+    for (i, x, y), (k, u, v) in itertools.combinations(filmed, 2):
+        require(
+            max(abs(x - u), abs(y - v)) >= mounts.piece_mm,
+            f"the films of LEDs {i} and {k}, squares of {mounts.piece_mm:.1f} mm, would overlap; move the LEDs apart.",
+        )
+    taken = [(x, y, 3.0, "a screw of the films' ring") for x, y in mounts.ring_posts]
+    taken += [(x, y, 3.0, "a screw of the analyser's plate") for x, y in mounts.plate_posts]
+    if mounts.kind == "servo":
+        taken += [(-LINK_MM, y, 7.0, "the analyser's servo") for y in (0.0, 5.3, 16.0)]
+    for hole, (x, y, radius, what) in itertools.product(d.holes, taken):
+        away = min(math.hypot(x - p[0], y - p[1]) for p in (hole.at(hole.shoulder_mm), hole.at(hole.back_mm)))
+        require(
+            away >= radius + hole.pocket_radius_mm + d.settings.joint.wall_mm,
+            f"LED {hole.index} stands where {what} must be; move the LED outwards, or take other films (--films).",
+        )
+    for hole in d.holes:
+        x, y, _ = hole.at(hole.level_mm(mounts.rod_z_mm))
+        require(
+            mounts.kind != "hand" or x < 0 or abs(y - ROD_Y_MM) >= 0.15 * LEVER_MM + 1.0 + hole.radius_mm,
+            f"the analyser's rod would cut the light of LED {hole.index}; move the LED, or take --films servo.",
+        )
+    inside, outside = mounts.ring_mm
+    horn = math.hypot(LINK_MM + LEVER_MM * math.sqrt(0.5), LEVER_MM * math.sqrt(0.5)) + 3.0
+    least = horn if mounts.kind == "servo" else _PLATE_POSTS_MM + POST_MM + 0.5
+    require(
+        inside >= least,
+        f"films below the LEDs would lie {inside:.1f} mm from the camera's axis, where {least:.1f} mm are taken by "
+        "analyser and servo; move the LEDs outwards, or take other films (--films).",
+    )
+    require(
+        outside <= d.bore_mm - 2 * sizes.JOINT_CLEARANCE_MM,
+        f"films below the LEDs would reach {outside:.1f} mm from the camera's axis, out of the tube of {d.bore_mm:g} "
+        "mm; tilt the LEDs towards the axis.",
+    )
