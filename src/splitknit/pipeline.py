@@ -573,12 +573,12 @@ def relief_and_shape(
 def locate_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
     """Segmentation mask, pose, crease and quality; where the finger moved between the shots, that is undone."""
     lit, notes = prepared_capture(capture, settings)
-    lit, films, more = aligned(lit)  # before motion is measured, which would take the shift of the image for one
+    lit, films = aligned(lit)  # before motion is measured, which would take the shift of the image for one
     steady, finger = find_steady_finger(lit, settings)
     steady = without_films(steady)
     facts, doubts = _doubt_of_lights(steady, finger)
-    warnings = (*notes, *more, *finger.warnings, *doubts)
-    return steady, replace(finger, facts={**finger.facts, **films, **facts}, warnings=warnings)
+    facts = {**finger.facts, **films, **facts}
+    return steady, replace(finger, facts=facts, warnings=(*notes, *finger.warnings, *doubts))
 
 
 def _doubt_of_lights(capture: Capture, finger: Finger) -> tuple[dict[str, Any], tuple[str, ...]]:

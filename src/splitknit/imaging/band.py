@@ -278,7 +278,8 @@ def _lit_light(  # noqa: PLR0917
         lights, clipped = [], np.False_
         for one, room in ((own, ambient), (band.crossed, dark)):
             light = _lit_light(one, k, encoding, window, binning, room)
-            stored = light if room is None else light + room
+            stored = light if one.transmission is None else light * one.transmission[k].astype(np.float32)
+            stored = stored if room is None else stored + room
             full = (stored >= _clip_levels(one, encoding)[k]).sum(axis=-1, keepdims=True)
             clipped = clipped | (full >= min(2, light.shape[-1]))
             lights.append(light)

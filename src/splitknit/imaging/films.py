@@ -10,17 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.band import GREY_WEIGHTS, linear_channels
+from splitknit.imaging.band import GREY_WEIGHTS
 from splitknit.model import Band, Capture, Films, FloatArray
 
-_SIDE = 300
-"""Images of about so many pixels a side are enough to compare two series."""
-_BRIGHTER = 1.03
-"""Crossed over parallel light beyond which films cannot be the cause."""
 
-
-def aligned(capture: Capture) -> tuple[Capture, dict[str, Any], tuple[str, ...]]:
-    """The capture whose crossed series has the place and the brightness of the parallel one; facts and warnings.
+def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
+    """The capture whose crossed series has the place and the brightness of the parallel one, and facts on its films.
 
     The rig's films give both (:class:`splitknit.model.Films`). Without them the crossed series stays as it is: skin
     does not show its brightness, because light that is scattered once keeps its polarisation. In a path-traced finger
@@ -32,18 +27,9 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any], tuple[str, ...]]
     BadInput
         If the rig's films were measured under other LEDs.
     """
-    parallel, crossed = capture.bands["white"], capture.bands.get("white_crossed")
-    if crossed is None:
-        return capture, {}, ()
-    films = capture.rig.films
-    if films is None:
-        ratio = _over_parallel(capture)
-        facts: dict[str, Any] = {"films": "taken as ideal", "crossed_over_parallel": round(ratio, 3)}
-        note = (
-            f"the crossed images are {ratio:.2f} times as bright as the parallel ones even where the finger shines "
-            "least; exchange the series if they are swapped, or measure the films by 'splitknit calibrate polarisers'."
-        )
-        return capture, facts, (note,) if ratio > _BRIGHTER else ()
+    parallel, crossed, films = capture.bands["white"], capture.bands.get("white_crossed"), capture.rig.films
+    if crossed is None or films is None:
+        return capture, {} if crossed is None else {"films": "taken as ideal"}
     brightness = np.array(films.brightness)[_lights(films, parallel)]
     if crossed.pixels.shape[3] == 1:
         brightness = brightness @ GREY_WEIGHTS[:, None]
@@ -51,16 +37,7 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any], tuple[str, ...]]
         pixels = np.stack([undone(image, films).reshape(image.shape) for image in crossed.pixels])
         crossed = replace(crossed, pixels=pixels)
     crossed = replace(crossed, transmission=brightness)
-    return replace(capture, bands={**capture.bands, crossed.name: crossed}), {"films": "measured"}, ()
-
-
-def _over_parallel(capture: Capture) -> float:
-    """Crossed over parallel red light of the brighter pixels, under lights that are mirrored little there."""
-    every = max(1, max(capture.shape) // _SIDE)
-    bands = (capture.bands[name].sampled(every) for name in ("white", "white_crossed"))
-    p, c = (linear_channels(band, capture.encoding, ("red",))[0] for band in bands)
-    lit = p.min(axis=0) > 0.25 * np.percentile(p.mean(axis=0), 99)
-    return float(np.median(np.percentile(c[:, lit] / p[:, lit], 70, axis=0))) if lit.any() else 1.0
+    return replace(capture, bands={**capture.bands, crossed.name: crossed}), {"films": "measured"}
 
 
 def contrast(capture: Capture) -> NDArray[np.float64]:

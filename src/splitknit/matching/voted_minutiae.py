@@ -253,7 +253,7 @@ def left_out_pictures(
     from splitknit.prints.ridges import PrintSettings, ink
 
     chosen = chosen or LeaveOneOutSettings()
-    capture, _, _ = aligned(prepared_capture(capture, settings)[0])
+    capture, _ = aligned(prepared_capture(capture, settings)[0])
     if finger is None:
         capture, finger = find_steady_finger(capture, settings)
     white, window = without_films(capture).bands["white"], finger.window
