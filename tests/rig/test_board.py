@@ -251,8 +251,9 @@ def test_kicad_reads_the_same_board(kicad, nets, pads):
 def test_the_nominal_rig_gets_the_files_as_they_are(tmp_path: Path):
     circuit_to_folder(tmp_path / "board", default_rig(), CircuitSettings())
     for file in _BOARD.iterdir():
-        assert (tmp_path / "board" / file.name).read_bytes() == file.read_bytes(), file.name
-        if file.suffix == ".svg":
+        if not file.name.startswith("films"):  # those are of rigs with films
+            assert (tmp_path / "board" / file.name).read_bytes() == file.read_bytes(), file.name
+        if file.suffix == ".svg" and file.name != "films-hand.svg":
             image = Path(__file__).resolve().parents[2] / "docs" / "images" / file.name
             assert image.read_bytes() == file.read_bytes()
 
