@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.band import Window, block_means, has_colour, linear_channels
+from splitknit.imaging.films import contrast
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.view import view_of
 from splitknit.model import Band, BoolArray, Capture, FloatArray
@@ -80,7 +81,8 @@ class SkinImages:
     bands: tuple[BandImages, ...]
     """The white band first."""
     crossed: BandImages | None
-    """The white band behind crossed films, where it was photographed so too; `bands` are without films."""
+    """The white band behind crossed films, where it was photographed so too, without the specular light that films leak;
+    `bands` are as without films."""
     networks: Networks | None
     """Of relief and shape, where they can read the images."""
     binning: float
@@ -125,6 +127,8 @@ def working_images(
     crossed = None
     if bands[0].crossed is not None:
         light = linear_channels(bands[0].crossed, capture.encoding, _names(bands[0]), seen, binning)
+        leaked = 1 / contrast(capture).astype(np.float32)[:, None, None] - 1  # of the specular light, in both series
+        light -= leaked * (images[0].stack - light)
         crossed = BandImages(images[0].channels, light, capture.rig.select(bands[0].crossed.lights))
     wanted = settings.relief == "network"
     able = can_learn(images[0], grid.pitch_mm)

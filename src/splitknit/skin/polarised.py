@@ -53,6 +53,8 @@ LOCAL_RHO = 0.3
 """Relative standard deviation of the scattered part about its mean over `SLOW_MM`: valleys are darker."""
 MODEL_ERROR = 0.03
 """Error of the prediction, over the image."""
+SCATTERED_ERROR = 0.2
+"""Error of the prediction, over its scattered part."""
 LIT, SEEN = (0.1, 0.3), (0.35, 0.2)
 """Cosine towards the light, and towards the camera, from which a facet is used, and how much more gives it all its
 weight."""
@@ -156,7 +158,8 @@ def polarised_heights(
             specular = replace(specular, strength=_first_strength(difference, weight, made, grid, mask))
         rho, rho_mean = _scattered(difference, weight * gate, made, specular.strength, grid=grid, mask=mask)
         left = difference - np.float32(specular.strength) * made.specular - rho * made.scattered
-        gate = (made.trust / (1 + weight * left * left / 9)).astype(np.float32)
+        doubt = 1 + weight * (SCATTERED_ERROR * rho * made.scattered) ** 2
+        gate = (made.trust / doubt / (1 + weight * left * left / 9)).astype(np.float32)
         off = slopes[0] - before[0], slopes[1] - before[1]
         rho_prior = (1 / (LOCAL_RHO * rho_mean) ** 2).astype(np.float32)
         beside = _Prior(prior, off, rho_prior, (rho - rho_mean) * mask, known)
