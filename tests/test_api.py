@@ -155,8 +155,7 @@ def test_the_viewer_shows_a_result(
     at_exit[0]()
     assert list(tmp_path.iterdir()) == []
 
-    served = server._ViewerServer
-    monkeypatch.setattr(served, "serve_forever", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(server.ViewerServer, "serve_forever", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     address = result.show()
     assert capsys.readouterr().out == f"{address}\nOpen this address; Ctrl-C ends it.\n"
     assert list(tmp_path.iterdir()) == []
