@@ -441,7 +441,7 @@ def test_surfaces_that_are_not_looked_at_are_let_go(
 
     def surfaces() -> int:
         gc.collect()
-        return sum(isinstance(thing, ResultSurface) for thing in gc.get_objects())
+        return sum(type(thing) is ResultSurface for thing in gc.get_objects())
 
     before = surfaces()
     server = asking(tmp_path)

@@ -141,9 +141,7 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
 
 def _in_um(entry: Entry) -> Entry:
     """Figures with the error of the relief in micrometres."""
-    return {
-        "rms_um" if name == "rms" else name: value * (UNIT_UM if name == "rms" else 1) for name, value in entry.items()
-    }
+    return {**{name: value for name, value in entry.items() if name != "rms"}, "rms_um": UNIT_UM * entry["rms"]}
 
 
 def _shoot(kind: str, number: int, data: ReliefData) -> Sequence[Stored]:
