@@ -45,12 +45,12 @@ class BlackBallScene(SphereScene):
         leak = self.extinction - float(np.sqrt(self.extinction**2 - 1.0))  # of both films 2 leak / (1 + leak^2)
         return 0.5 * reflected_through(to_led, to_camera, polariser, analyser, leak)
 
-    def turn_deg(self, index: int) -> float:
-        """Of the polarisation of an LED's specular reflection towards the camera."""
+    def highlight(self, index: int) -> tuple[float, float]:
+        """Turn in degrees of an LED's reflection towards the camera, and what of it is left when films are crossed."""
         point, led = self.highlights_mm()[index], self.leds[index]
         ways = unit(np.asarray(led.position_mm) - point), unit(self._towards_camera(point))
         level, up, slant = (float(replace(self, analyser_deg=a)._passed(led, *ways)) for a in (0.0, 90.0, 45.0))
-        return float(np.rad2deg(0.5 * np.arctan2(2.0 * slant - level - up, level - up)))
+        return float(np.rad2deg(0.5 * np.arctan2(2.0 * slant - level - up, level - up))), up / (level + up)
 
 
 def drawn_films(
@@ -72,14 +72,12 @@ def drawn_films(
         extinction=extinction,
         angle_deg=tuple(float(angle) for angle in angles),
     )
-    turns = tuple(ball.turn_deg(k) for k in leds)
-    lost = np.sin(np.deg2rad(turns)) ** 2
-    leak = (lost + (1.0 - lost) / extinction) / (1.0 + 1.0 / extinction)
+    turns, leak = zip(*(ball.highlight(k) for k in leds), strict=True)
     tint = rng.uniform(0.93, 1.02, 3) * rng.uniform(0.95, 1.05, (len(leds), 1))
     x, y = rng.uniform(-2.0, 2.0, 2)
     films = Films(
         leds=leds,
-        leak=tuple(float(one) for one in leak),
+        leak=leak,
         brightness=tuple((float(r), float(g), float(b)) for r, g, b in tint),
         shift_px=(float(x), float(y)),
         scale=float(1.0 + rng.normal(0.0, 5e-4)),
