@@ -81,7 +81,7 @@ class SkinImages:
     bands: tuple[BandImages, ...]
     """The white band first."""
     crossed: BandImages | None
-    """The white band behind crossed films, where it was photographed so too, without the specular light that films leak;
+    """The white band behind crossed films, where it was photographed so too, without what films leak of specular light;
     `bands` are as without films."""
     networks: Networks | None
     """Of relief and shape, where they can read the images."""
