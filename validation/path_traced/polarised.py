@@ -1,0 +1,101 @@
+"""Heights with and without polarising films, on fingers whose light the fast twin did not make.
+
+    python validation/path_traced/polarised.py FOLDER...    # captures with NAME_truth.npz beside them, or folders of such
+
+For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both series, which is the
+photograph without films. It prints a table, and JSON with ``--json``. Captures are made by ``make.py --polarised``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import splitknit
+from splitknit.errors import BadInput, require
+from splitknit.io.npz import read_npz
+from splitknit.model import Capture
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from score import score
+
+CLASSES = ("", "_0_15", "_15_30", "_30_45", "_45_60")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in given
+    try:
+        folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
+        require(bool(folders), "give folders of polarised captures with their truth beside them.")
+        found = {folder.name: both_ways(folder) for folder in folders}
+    except BadInput as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(json.dumps(found, indent=1) if as_json else table(found))
+    return 0
+
+
+def _captures(folder: Path) -> Iterator[Path]:
+    """The capture `folder`, or those in it."""
+    for one in (folder, *sorted(folder.iterdir())) if folder.is_dir() else ():
+        if (one / "capture.json").is_file() and _truth(one).is_file():
+            yield one
+
+
+def _truth(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}_truth.npz")
+
+
+def both_ways(folder: Path) -> dict[str, dict[str, float]]:
+    """Figures of :func:`score.score` from both series, and from their mean."""
+    capture, truth = splitknit.read_capture(folder), read_npz(_truth(folder))
+    truth.setdefault("px_mm", np.float64(capture.rig.camera.pitch_mm))
+    ways = {"films": capture, "no films": without_films(capture)}
+    return {way: _figures(one, truth) for way, one in ways.items()}
+
+
+def without_films(capture: Capture) -> Capture:
+    """The photographs as they were without films: half the sum of both series."""
+    require(
+        capture.encoding == "linear" and "white_crossed" in capture.bands, "the capture is not polarised and linear."
+    )
+    white, crossed = capture.bands["white"], capture.bands["white_crossed"]
+    mean = (white.pixels.astype(np.uint32) + crossed.pixels) // 2
+    bands = {name: band for name, band in capture.bands.items() if name != "white_crossed"}
+    bands["white"] = replace(white, pixels=mean.astype(white.pixels.dtype), polarisation="")
+    return replace(capture, bands=bands)
+
+
+def _figures(capture: Capture, truth: dict[str, np.ndarray]) -> dict[str, float]:
+    result = splitknit.reconstruct(capture)
+    figures = score({name: getattr(result, name) for name in ("height_mm", "mask", "uncertainty_um")}, truth)
+    specular = result.facts["optics"].get("specular", {})
+    return figures | {f"fitted_{name}": value for name, value in specular.items()}
+
+
+def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Correlation, gain and rms error of the ridges, by slant; no films in brackets."""
+    lines = ["finger | surface mm | " + " | ".join(name[1:].replace("_", " to ") or "below 60 deg" for name in CLASSES)
+             + " | error over stated | false um"]  # fmt: skip
+    for name, ways in found.items():
+        a, b = ways["films"], ways["no films"]
+        cells = [f"{a['surface_rms_mm']:.3f} ({b['surface_rms_mm']:.3f})"]
+        for each in CLASSES:
+            keys = [f"ridge_{figure}{each}" for figure in ("corr", "gain", "rms_um")]
+            texts = [f"{w[keys[0]]:.3f}, {w[keys[1]]:.2f}, {w[keys[2]]:.1f}" if keys[0] in w else "-" for w in (a, b)]
+            cells.append(f"{texts[0]} ({texts[1]})")
+        cells.append(f"{a.get('error_over_stated', np.nan):.2f} ({b.get('error_over_stated', np.nan):.2f})")
+        cells.append(f"{a['false_relief_um']:.1f} ({b['false_relief_um']:.1f})" if "false_relief_um" in a else "-")
+        lines.append(" | ".join([name, *cells]))
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
