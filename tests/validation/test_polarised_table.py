@@ -1,0 +1,28 @@
+"""The table of heights with and without polarising films, on one small simulated finger."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import splitknit
+from script_folder import VALIDATION, scripts_of
+
+
+def test_both_ways_and_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capture, truth = splitknit.simulate_capture(3, settings={"scale": 0.2, "films.kind": "analyser"})
+    splitknit.write_capture(capture, tmp_path / "finger")
+    np.savez(tmp_path / "finger_truth.npz", **{name: truth[name] for name in ("height_mm", "shape_mm", "mask")})
+    with scripts_of(VALIDATION / "path_traced") as script:
+        table = script("polarised")
+        mean = table.without_films(capture)
+        assert set(mean.bands) == {"white", "nir"}
+        both = [capture.bands[name].pixels.astype(float) for name in ("white", "white_crossed")]
+        assert np.abs(mean.bands["white"].pixels - (both[0] + both[1]) / 2).max() <= 0.5
+        assert table.main([str(tmp_path)]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[1].startswith("finger | ")
+        assert table.main([str(tmp_path / "nothing")]) == 2
+        assert "give folders" in capsys.readouterr().err
