@@ -514,27 +514,36 @@ def metric_polarised(
     grid, both, crossed = images.grid, images.bands[0], images.crossed
     assert crossed is not None
     diffuse = metric_skin((crossed, *images.bands[1:]), grid, skin, p, networks)
-    relief, deviation = diffuse.relief_mm, diffuse.deviation_mm
+    shape, relief, deviation = diffuse.shape_mm, diffuse.relief_mm, diffuse.deviation_mm
+    slant = slant_of(shape, grid.pitch_mm)
     if networks is not None:
-        shape, network = diffuse.shape_mm, relief_network(networks.relief, (UPRIGHT, *TURNED))
+        network = relief_network(networks.relief, (UPRIGHT, *TURNED))
         light = lighting(both.rig, grid, shape, normals_from_gradients(*height_gradients(shape, grid.pitch_mm)))
         estimate = relief_by_network(features(both, grid, shape, light), grid, shape, network)
         first = variance_restored(estimate)
-        steep = smooth_step((slant_of(shape, grid.pitch_mm) - np.float32(BOTH_DEG[0])) / np.float32(BOTH_DEG[1])) / 2
+        steep = _beyond(BOTH_DEG, slant) / 2
         relief, deviation = first.relief_mm + steep * (relief - first.relief_mm), first.deviation_mm
-    found = polarised_heights(specular_images(both, crossed), grid, diffuse.shape_mm + relief, deviation)
+    found = polarised_heights(specular_images(both, crossed), grid, shape + relief, deviation)
     if found.facts["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found.facts})
-    rest = found.height_mm - diffuse.shape_mm
+    rest = found.height_mm - shape
     slow = grid.smooth(rest, grid.mask, KNIT_MM)
+    ridges = np.asarray(rest - slow + _beyond(UNSEEN_DEG, slant) * (relief - rest + slow), dtype=np.float32)
     facts = {**diffuse.facts, "relief_by": "polarised", "specular": found.facts}
-    return SkinSurface(diffuse.shape_mm + slow, rest - slow, found.deviation_mm, diffuse.albedo, facts)
+    return SkinSurface(shape + slow, ridges, found.deviation_mm, diffuse.albedo, facts)
 
 
-BOTH_DEG = (30.0, 10.0)
-"""Slant from which the first relief is the mean of that of both series and that of the crossed one, and the width of
-the transition: the one is too high there, the other too low."""
+def _beyond(limits_deg: tuple[float, float], slant_deg: FloatArray) -> FloatArray:
+    """(h, w) in [0, 1]: from one slant to another."""
+    return smooth_step((slant_deg - np.float32(limits_deg[0])) / np.float32(limits_deg[1] - limits_deg[0]))
+
+
+BOTH_DEG = (30.0, 40.0)
+"""Slants between which the first relief becomes the mean of that of both series and that of the crossed one: the one
+is too high there, the other too low."""
+UNSEEN_DEG = (40.0, 60.0)
+"""Slants between which the specular image fades, and the relief becomes the first one."""
 FAINT = 3.0
 """Specular reflection over noise below which it says nothing of heights."""
 
