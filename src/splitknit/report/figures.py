@@ -165,12 +165,18 @@ def _uncertainty_picture(result: Reconstruction, small: _SmallFields) -> Picture
         return None
     values, weight = to_frame(result.uncertainty_um, known, small.frame)
     high = float(np.percentile(values[weight > 0.5], 98))
+    modelled = (
+        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
+        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left."
+    )
+    measured = (
+        "Ridges are measured by what the skin's surface reflects, which shows least where the finger turns away. This "
+        "is the standard deviation (one sigma) of their height."
+    )
     return captioned(
         "Uncertainty of the relief",
         on_paper(colour(values, 0.0, high), weight),
-        "Skin blurs what light shows of the ridges, and specular reflection covers it; both are undone as far as "
-        "simulated skin teaches it. This is the standard deviation (one sigma) of what is left. Good: small against "
-        "the relief.",
+        f"{measured if result.facts.get('heights') == 'measured' else modelled} Good: small against the relief.",
         small.frame.pitch_mm,
         charts.colour_bar(0.0, float(f"{high:.2g}"), "µm"),
     )

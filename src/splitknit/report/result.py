@@ -346,7 +346,12 @@ EXPLAINED = {
     "likeness_before": "Correlation of every image's details with the expected ones, before the motion was undone.",
     "likeness_after": "The same afterwards.",
     "scattering_per_mm": "How often light is scattered in the skin, a millimetre; assumed for the shape.",
-    "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone.",
+    "relief_by": "network: ridges drawn by the trained network; colour: specular reflection removed by colour alone; "
+    "polarised: ridges from what the surface reflects, parallel less crossed images.",
+    "heights": "Of the ridges: measured in this finger's images, or modelled, as blurred by skin that was simulated.",
+    "roughness": "Of the skin's surface for the light that it reflects (GGX alpha): 0.1 oily, 0.5 dry.",
+    "specular_over_noise": "What the surface reflects, by the brightest light, over the noise. Good: above 10.",
+    "residual_over_noise": "What the specular image leaves unexplained, over the noise. Good: below 1.5.",
     "separation": "What was done about specular reflection and about light that spreads inside the skin.",
 }
 """Name in ``quality`` or ``facts`` to what it means and what good looks like."""
