@@ -4,6 +4,8 @@
 
 For each capture that has a parallel and a crossed series: `metric` on it, and on the mean of both series, which is the
 photograph without films. It prints a table, and JSON with ``--json``. Captures are made by ``make.py --polarised``.
+
+    python validation/path_traced/polarised.py --picture FILE CAPTURE    # true relief, error without and with films
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 import splitknit
@@ -23,7 +26,7 @@ from splitknit.model import Capture
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from score import score
+from score import _ridge_band, score
 
 CLASSES = ("", "_0_15", "_15_30", "_30_45", "_45_60")
 
@@ -32,6 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     try:
+        if given[:1] == ["--picture"]:
+            require(len(given) == 3, "give a file and a capture: --picture FILE CAPTURE.")
+            picture(Path(given[1]), Path(given[2]))
+            return 0
         folders = [folder for one in given if one != "--json" for folder in _captures(Path(one))]
         require(bool(folders), "give folders of polarised captures with their truth beside them.")
         found = {folder.name: both_ways(folder) for folder in folders}
@@ -59,6 +66,31 @@ def both_ways(folder: Path) -> dict[str, dict[str, float]]:
     truth.setdefault("px_mm", np.float64(capture.rig.camera.pitch_mm))
     ways = {"films": capture, "no films": without_films(capture)}
     return {way: _figures(one, truth) for way, one in ways.items()}
+
+
+def picture(file: Path, folder: Path) -> None:
+    """Relief of the truth, and what the results have beyond it without and with films: mid-grey is zero."""
+    capture, truth = splitknit.read_capture(folder), read_npz(_truth(folder))
+    pitch_mm, shape = capture.rig.camera.pitch_mm, np.asarray(truth["shape_mm"], dtype=np.float64)
+    panels = []
+    for one in (None, without_films(capture), capture):
+        result = splitknit.reconstruct(capture if one is None else one)
+        inside = result.mask & np.asarray(truth["mask"], dtype=np.bool_)
+        true, found = (_ridge_band(np.where(inside, z - shape, 0.0), inside, pitch_mm)
+                       for z in (np.asarray(truth["height_mm"], dtype=np.float64), result.height_mm))  # fmt: skip
+        values = true if one is None else found - true
+        panels.append(np.where(inside, np.clip(128 + values * 127 / FULL_MM, 0, 255), 255).astype(np.uint8))
+    rows, columns = (np.flatnonzero(truth["mask"].any(axis=axis)) for axis in (1, 0))
+    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    row = np.concatenate([panel[part] for panel in panels], axis=1)
+    size = (PICTURE_PX, round(row.shape[0] * PICTURE_PX / row.shape[1]))
+    cv2.imwrite(str(file), cv2.resize(row, size, interpolation=cv2.INTER_AREA), [cv2.IMWRITE_JPEG_QUALITY, 85])
+
+
+PICTURE_PX = 1260
+"""Width of the picture."""
+FULL_MM = 0.04
+"""Height of white above mid-grey in the picture."""
 
 
 def without_films(capture: Capture) -> Capture:
