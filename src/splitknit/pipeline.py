@@ -523,7 +523,9 @@ def metric_polarised(
         first = variance_restored(estimate)
         steep = _beyond(BOTH_DEG, slant) / 2
         relief, deviation = first.relief_mm + steep * (relief - first.relief_mm), first.deviation_mm
-    found = polarised_heights(specular_images(both, crossed), grid, shape + relief, deviation)
+    found = polarised_heights(
+        specular_images(both, crossed, images.parallel, grid, shape), grid, shape + relief, deviation
+    )
     if found.facts["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found.facts})

@@ -118,7 +118,9 @@ def test_the_difference_and_its_noise() -> None:
     crossed = 0.3 + rng.normal(0, 0.002, (3, 7, 60, 70)).astype(np.float32)
     parallel = crossed + 0.1 + rng.normal(0, 0.003, crossed.shape).astype(np.float32)
     names = ("red", "green", "blue")
-    images = specular_images(BandImages(names, (parallel + crossed) / 2, rig), BandImages(names, crossed, rig))
+    grid, flat = _grid((60, 70)), np.zeros((60, 70), dtype=np.float32)
+    bands = BandImages(names, (parallel + crossed) / 2, rig), BandImages(names, crossed, rig)
+    images = specular_images(*bands, rig, grid, flat)
     assert float(images.stack.mean()) == pytest.approx(0.1, abs=1e-3)
     assert images.noise == pytest.approx(0.003 / np.sqrt(3), rel=0.1)
 
@@ -144,3 +146,13 @@ def test_films_that_are_not_crossed_say_so(simulated: tuple[Capture, dict[str, F
     result = splitknit.reconstruct(replace(capture, bands={**capture.bands, "white_crossed": white}))
     assert result.facts["heights"] == "modelled"
     assert NO_SPECULAR in result.warnings
+
+
+def test_crossed_leds_beside_the_parallel_ones_do_as_well() -> None:
+    capture, truth = splitknit.simulate_capture(3, settings={"scale": 0.25, "films.kind": "leds"})
+    assert capture.bands["white"].leds != capture.bands["white_crossed"].leds
+    result = splitknit.reconstruct(capture)
+    assert result.facts["heights"] == "measured"
+    figures = splitknit.compare(result, truth).figures
+    assert figures["ridge_correlation"] > 0.95
+    assert figures["ridge_gain"] == pytest.approx(1.0, abs=0.1)

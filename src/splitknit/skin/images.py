@@ -16,7 +16,7 @@ from splitknit.imaging.band import Window, block_means, has_colour, linear_chann
 from splitknit.imaging.films import contrast
 from splitknit.imaging.geometry import bounding_box
 from splitknit.imaging.view import view_of
-from splitknit.model import Band, BoolArray, Capture, FloatArray
+from splitknit.model import Band, BoolArray, Capture, FloatArray, Rig
 from splitknit.networks.unet import load_network, run_network
 from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin.grid import BandImages, Grid
@@ -83,6 +83,8 @@ class SkinImages:
     crossed: BandImages | None
     """The white band behind crossed films, where it was photographed so too, without what films leak of specular light;
     `bands` are as without films."""
+    parallel: Rig
+    """The rig of the white band's own LEDs; those of a crossed series may stand beside them."""
     networks: Networks | None
     """Of relief and shape, where they can read the images."""
     binning: float
@@ -139,7 +141,8 @@ def working_images(
     networks = shipped_networks(settings) if able else None
     warnings = (GREY,) if not has_colour(bands[0]) else (NO_NETWORK,) if wanted and not able else ()
     size = inside.shape[0], inside.shape[1]
-    return SkinImages(grid, images, crossed, networks, binning, finer, (rows, columns), size, warnings)
+    parallel = capture.rig.select(bands[0].leds) if crossed is not None else images[0].rig
+    return SkinImages(grid, images, crossed, parallel, networks, binning, finer, (rows, columns), size, warnings)
 
 
 def _within(whole: slice, part: slice) -> slice:

@@ -31,8 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.imaging.chunks import for_each_chunk
+from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.light_field import light_vectors_at
 from splitknit.model import BoolArray, FloatArray, Rig
+from splitknit.photometric.equations import shading
 from splitknit.skin.glare import fresnel_reflectance
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.light import slant_of
@@ -59,7 +61,7 @@ LIT, SEEN = (0.1, 0.3), (0.35, 0.2)
 """Cosine towards the light, and towards the camera, from which a facet is used, and how much more gives it all its
 weight."""
 STEEP = 1.0
-"""Strength, roughness and path are fitted where the start is less steep than this."""
+"""Strength, roughness, path and blur are fitted where the start is less steep than this."""
 START = (0.25, 2.0, 0.8)
 """Roughness, path and blur."""
 BOUNDS = ((1e-9, 1e9), (0.06, 0.8), (0.3, 8.0), (0.3, 1.5))
@@ -111,20 +113,36 @@ class SpecularImages:
     """`rig.leds[k]` lights image k."""
 
 
-def specular_images(both: BandImages, crossed: BandImages) -> SpecularImages:
+def specular_images(
+    both: BandImages, crossed: BandImages, rig: Rig, grid: Grid, surface_mm: FloatArray
+) -> SpecularImages:
     """The difference of two polarised series.
+
+    Where the crossed series has LEDs of its own, beside those of the parallel one, it is taken as under the latter:
+    by the brightness of the matt surface under both.
 
     Parameters
     ----------
-    both : mean of the parallel and the crossed series; its rig has the lights of the parallel one
+    both : mean of the parallel and the crossed series
     crossed : the crossed series
+    rig : `rig.leds[k]` lights parallel image k
+    grid : of the images
+    surface_mm : (h, w) smooth surface
     """
-    stack = np.asarray(2 * (both.stack - crossed.stack).mean(axis=0), dtype=np.float32)
+    stack = 2 * (both.stack - crossed.stack).mean(axis=0)
+    if rig.leds != crossed.rig.leds:
+        normals = np.moveaxis(normals_from_gradients(*height_gradients(surface_mm, grid.pitch_mm)), -1, 0)
+        matt = []
+        for lights in (rig, crossed.rig):
+            vectors = grid.view.turned(light_vectors_at(lights, *grid.view.points(surface_mm)))
+            matt.append(np.maximum(shading(normals, vectors), np.float32(0.05)))
+        stack -= (matt[0] / matt[1] - 1) * crossed.stack.mean(axis=0)
+    stack = np.asarray(stack, dtype=np.float32)
     laplacian = 4 * stack[:, 1:-1, 1:-1] - stack[:, :-2, 1:-1] - stack[:, 2:, 1:-1]
     laplacian -= stack[:, 1:-1, :-2] + stack[:, 1:-1, 2:]
     lit = crossed.stack[0, :, 1:-1, 1:-1] > 0
     noise = float(np.median(np.abs(laplacian[lit])) / 0.6745 / np.sqrt(20)) if lit.any() else 0.0
-    return SpecularImages(stack, max(noise, 1e-6), both.rig)
+    return SpecularImages(stack, max(noise, 1e-6), rig)
 
 
 def polarised_heights(
