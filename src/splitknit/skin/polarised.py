@@ -164,24 +164,24 @@ def polarised_heights(
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
     known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
     known = known if known.any() else mask
-    doubt = PRIOR_FACTOR * RIDGES_PER_MM * np.maximum(deviation_mm, np.float32(1e-3))
-    prior = (1 / np.minimum(doubt, 1.0) ** 2).astype(np.float32)
+    spread = PRIOR_FACTOR * RIDGES_PER_MM * np.maximum(deviation_mm, np.float32(1e-3))
+    prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
     weight = (mask / (noise * noise + (MODEL_ERROR * difference) ** 2)).astype(np.float32)
     specular = Specular(0.0, *START)
     gate: FloatArray = np.ones_like(difference)
     for _ in range(TURNS):
         slopes = _slopes(nodes, grid.pitch_mm)
-        made = _predicted(lights, slopes, specular, mask, grid)
+        predicted = _predicted(lights, slopes, specular, mask, grid)
         if specular.strength == 0:
-            specular = replace(specular, strength=_first_strength(difference, weight, made, grid, mask))
-        rho, rho_mean = _scattered(difference, weight * gate, made, specular.strength, grid=grid, mask=mask)
-        left = difference - np.float32(specular.strength) * made.specular - rho * made.scattered
-        doubt = 1 + weight * (SCATTERED_ERROR * rho * made.scattered) ** 2
-        gate = (made.trust / doubt / (1 + weight * left * left / 9)).astype(np.float32)
+            specular = replace(specular, strength=_first_strength(difference, weight, predicted, grid, mask))
+        rho, rho_mean = _scattered(difference, weight * gate, predicted, specular.strength, grid=grid, mask=mask)
+        residual = difference - np.float32(specular.strength) * predicted.specular - rho * predicted.scattered
+        doubt = 1 + weight * (SCATTERED_ERROR * rho * predicted.scattered) ** 2
+        gate = (predicted.trust / doubt / (1 + weight * residual * residual / 9)).astype(np.float32)
         off = slopes[0] - before[0], slopes[1] - before[1]
         rho_prior = (1 / (LOCAL_RHO * rho_mean) ** 2).astype(np.float32)
         beside = _Prior(prior, off, rho_prior, (rho - rho_mean) * mask, known)
-        system = _equations(made, specular, rho, (weight * gate, left), beside)
+        system = _equations(predicted, specular, rho, (weight * gate, residual), beside)
         change = system.change()
         step, added = solver.solve(system.tensor, system.force(change), nodes)
         nodes = nodes + added
@@ -189,15 +189,15 @@ def polarised_heights(
     slant = slant_of(grid.smooth(start_mm, grid.mask, 0.3), grid.pitch_mm)
     share = np.sqrt(np.clip(2 * prior / np.maximum(system.tensor[0] + system.tensor[2], prior), 0, 1))
     factor = np.maximum(np.interp(slant, SLANT_DEG, SLANT_ERROR), share)
-    shown = np.maximum(np.float32(specular.strength) * made.specular, np.float32(1e-9))
+    shown = np.maximum(np.float32(specular.strength) * predicted.specular, np.float32(1e-9))
     facts = {
         "roughness": specular.roughness,
         "strength": specular.strength,
         "path_mm": specular.path_px * grid.pitch_mm,
         "blur_mm": specular.blur_px * grid.pitch_mm,
-        "scattered_over_specular": float((rho * made.scattered)[:, mask].mean() / shown[:, mask].mean()),
+        "scattered_over_specular": float((rho * predicted.scattered)[:, mask].mean() / shown[:, mask].mean()),
         "specular_over_noise": float(np.median(shown.max(axis=0)[mask]) / noise),
-        "residual_over_noise": float(np.sqrt(np.median(left[:, mask] ** 2) / 0.455) / noise),
+        "residual_over_noise": float(np.sqrt(np.median(residual[:, mask] ** 2) / 0.455) / noise),
     }
     return PolarisedHeights(_shifted(nodes, -0.5, -1), (deviation_mm * factor).astype(np.float32), facts)
 
@@ -324,27 +324,29 @@ def _facets(
     return image, (specular[0], specular[1]), matt, (scattered[0], scattered[1]), rougher, cosine
 
 
-def _first_strength(difference: FloatArray, weight: FloatArray, made: _Predicted, grid: Grid, mask: BoolArray) -> float:
+def _first_strength(
+    difference: FloatArray, weight: FloatArray, predicted: _Predicted, grid: Grid, mask: BoolArray
+) -> float:
     """Strength of the specular part by least squares, the scattered part fitted in turns with it."""
-    power = float((weight * made.specular**2).sum(dtype=np.float64))
-    strength = float((weight * made.specular * difference).sum(dtype=np.float64)) / max(power, 1e-12)
+    power = float((weight * predicted.specular**2).sum(dtype=np.float64))
+    strength = float((weight * predicted.specular * difference).sum(dtype=np.float64)) / max(power, 1e-12)
     for _ in range(6):
-        _, rho = _scattered(difference, weight, made, strength, grid=grid, mask=mask)
-        left = difference - rho * made.scattered
-        strength = max(float((weight * made.specular * left).sum(dtype=np.float64)) / max(power, 1e-12), 1e-9)
+        _, rho = _scattered(difference, weight, predicted, strength, grid=grid, mask=mask)
+        residual = difference - rho * predicted.scattered
+        strength = max(float((weight * predicted.specular * residual).sum(dtype=np.float64)) / max(power, 1e-12), 1e-9)
     return strength
 
 
 def _scattered(
-    difference: FloatArray, weight: FloatArray, made: _Predicted, strength: float, *, grid: Grid, mask: BoolArray
+    difference: FloatArray, weight: FloatArray, predicted: _Predicted, strength: float, *, grid: Grid, mask: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """(h, w) strength of the scattered part at each pixel, and its local mean."""
-    left = ((difference - np.float32(strength) * made.specular) * made.scattered * weight).sum(axis=0)
-    power = (made.scattered * made.scattered * weight).sum(axis=0)
-    means = grid.smooth(np.stack([left, power]), mask, SLOW_MM)
+    residual = ((difference - np.float32(strength) * predicted.specular) * predicted.scattered * weight).sum(axis=0)
+    power = (predicted.scattered * predicted.scattered * weight).sum(axis=0)
+    means = grid.smooth(np.stack([residual, power]), mask, SLOW_MM)
     mean = np.maximum(means[0] / np.maximum(means[1], np.float32(1e-9)), np.float32(1e-6))
     prior = 1 / (LOCAL_RHO * mean) ** 2
-    return np.where(mask, (left + prior * mean) / (power + prior), np.float32(0.0)), mean
+    return np.where(mask, (residual + prior * mean) / (power + prior), np.float32(0.0)), mean
 
 
 # One step: linear equations for slopes, scattered part and the finger's three numbers.
@@ -378,18 +380,18 @@ PRIOR_WEIGHTS = (0.0, 0.0, 4.0, 4.0)
 
 
 def _equations(
-    made: _Predicted, specular: Specular, rho: FloatArray, weighted: tuple[FloatArray, FloatArray], prior: _Prior
+    predicted: _Predicted, specular: Specular, rho: FloatArray, weighted: tuple[FloatArray, FloatArray], prior: _Prior
 ) -> _Equations:
     """Normal equations of the residual.
 
     Parameters
     ----------
-    made : at the current slopes
+    predicted : at the current slopes
     specular, rho : at which the residual was taken
     weighted : (L, h, w) weights, and residual
     prior : beside the images
     """
-    weight, left = weighted
+    weight, residual = weighted
     strength = np.float32(specular.strength)
     shape = rho.shape
     tensor = np.empty((3, *shape), dtype=np.float32)
@@ -398,14 +400,14 @@ def _equations(
 
     def work(rows: slice) -> None:
         columns = (
-            strength * made.specular_x[:, rows] + rho[rows] * made.scattered_x[:, rows],
-            strength * made.specular_y[:, rows] + rho[rows] * made.scattered_y[:, rows],
-            made.scattered[:, rows],
-            left[:, rows],
-            strength * made.specular[:, rows],
-            strength * made.by_roughness[:, rows],
-            rho[rows] * made.by_path[:, rows],
-            strength * made.by_blur[:, rows],
+            strength * predicted.specular_x[:, rows] + rho[rows] * predicted.scattered_x[:, rows],
+            strength * predicted.specular_y[:, rows] + rho[rows] * predicted.scattered_y[:, rows],
+            predicted.scattered[:, rows],
+            residual[:, rows],
+            strength * predicted.specular[:, rows],
+            strength * predicted.by_roughness[:, rows],
+            rho[rows] * predicted.by_path[:, rows],
+            strength * predicted.by_blur[:, rows],
         )
         heavy = [weight[:, rows] * column for column in columns]
         gram = {(i, j): (heavy[i] * columns[j]).sum(axis=0) for i in range(8) for j in range(i, 8)}
@@ -434,7 +436,7 @@ def _equations(
                 total[n, m] = rest[here].sum(dtype=np.float64)
         sums[rows.start] = total
 
-    for_each_chunk(work, shape[0], shape[1], len(left))
+    for_each_chunk(work, shape[0], shape[1], len(residual))
     total = np.sum([sums[start] for start in sorted(sums)], axis=0)
     return _Equations(tensor, forces, total[:, 1:], total[:, 0])
 
@@ -492,20 +494,20 @@ class _Solver:
             turned = damped[0] * along + damped[1] * up, damped[1] * along + damped[2] * up
             return np.asarray(self._forward(_transposed(*turned, self._pitch)) + (self._slow + rest) * x)
 
-        left = self._forward(_transposed(force[0], force[1], self._pitch))
-        left -= self._slow * self._forward(nodes - self.start)
-        x = np.zeros_like(left)
-        better = precondition * left
-        along, size = better, _dot(left, better)
+        residual = self._forward(_transposed(force[0], force[1], self._pitch))
+        residual -= self._slow * self._forward(nodes - self.start)
+        x = np.zeros_like(residual)
+        better = precondition * residual
+        along, size = better, _dot(residual, better)
         first = size
         for _ in range(SOLVER_STEPS):
             if size <= 1e-6 * first:
                 break
             image = product(along)
             length = np.float32(size / _dot(along, image))
-            x, left = x + length * along, left - length * image
-            better = precondition * left
-            size, last = _dot(left, better), size
+            x, residual = x + length * along, residual - length * image
+            better = precondition * residual
+            size, last = _dot(residual, better), size
             along = better + np.float32(size / last) * along
         added = self._inverse(x)
         steepest = float(np.percentile(np.hypot(*_slopes(added, self._pitch))[self._mask], 99.5))
