@@ -237,6 +237,39 @@ def test_the_figures_of_the_readme_are_those_of_the_experiments() -> None:
         assert figures or any(set(numbers) <= set(re.findall(r"[\d.]+", line)) for line in lines), row
 
 
+def faults_of_claim(row: str, page: Path) -> list[str]:
+    """What a row of the claims' tables states that is not so: verdict, page with its intervals, script and options."""
+    number, _, measured, verdict, again = (cell.strip() for cell in row.strip("|").split(" | "))
+    faults = [] if re.search(r"confirmed|refuted|not decided|not measured", verdict) else [f"no verdict: {verdict}"]
+    targets = [target.partition("#")[0] for target in re.findall(r"\]\(([^)]+)\)", measured)]
+    texts = "".join((page.parent / target).read_text(encoding="utf-8") for target in targets).replace("**", "")
+    stated = re.findall(r"[+-]?[\d.]+ \[[^\]]+\](?: \([^)\]]*\))?|[\d.]+ \([\d.]+(?: to |-)[\d.]+\)", measured)
+    faults += [] if targets else ["no page"]
+    faults += [f"not on the page: {one}" for one in stated if re.sub(r" \([^\d+-].*", "", one) not in texts]
+    scripts = re.findall(r"`((?:validation|benchmarks)/[\w/]+\.py)([^`]*)`", again)
+    faults += [] if scripts or "](" in again else [f"no command: {again}"]
+    for script, arguments in scripts:
+        source = (ROOT / script).read_text(encoding="utf-8") if (ROOT / script).is_file() else ""
+        named = [word for word in arguments.split() if not word.isupper() and not word.isdecimal()]
+        faults += [] if source else [f"no such script: {script}"]
+        faults += [
+            f"{script} does not know {word}"
+            for word in named
+            if not re.search(rf"['\"]{word}['\"]" if word[0] == "-" else rf"\b{word}\b", source)
+        ]
+    return [f"claim {number}: {fault}" for fault in faults]
+
+
+def test_the_claims_stand_on_their_pages_and_their_commands_exist() -> None:
+    page = ROOT / "docs" / "experiments" / "claims.md"
+    rows = re.findall(r"^\| \d+ \|.*$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert [int(row.split()[1]) for row in rows] == list(range(1, len(rows) + 1)) and len(rows) >= 30
+    assert [fault for row in rows for fault in faults_of_claim(row, page)] == []
+    row = "| 1 | claim | 99.9 [1.2, 3.4], [page](motion.md) | perhaps | `validation/motion/run.py --never` |"
+    assert len(faults_of_claim(row, page)) == 3
+    assert len(faults_of_claim(row.replace("motion/run", "motion/walk").replace("[page](motion.md)", ""), page)) == 5
+
+
 def test_the_sums_of_the_rigs_checklist_are_right() -> None:
     text = (ROOT / "docs" / "guide" / "rig-checklist.md").read_text(encoding="utf-8")
     order, prints = text.partition("## Order")[2].partition("## Solder")[0].split("## Print")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from splitknit.api import read_photographs as read_photographs
     from splitknit.errors import BadInput as BadInput
     from splitknit.evaluation.accuracy import compare as compare
+    from splitknit.evaluation.pair import compare_results as compare_results
     from splitknit.io.capture import read_capture as read_capture
     from splitknit.io.capture import write_capture as write_capture
     from splitknit.io.results import read_result as read_result
@@ -57,6 +58,7 @@ _HOMES = {
     "presets": ("preset_settings",),
     "simulator.twin": ("simulate_capture",),
     "evaluation.accuracy": ("compare",),
+    "evaluation.pair": ("compare_results",),
     "model": ("Band", "Camera", "Capture", "Led", "Mirror", "Reconstruction", "Rig"),
     "errors": ("BadInput",),
 }

@@ -47,6 +47,7 @@ def read_photographs(
     crossed: AnyPath | None = None,
     mosaic: Literal["mono", "colour"] | None = None,
     film_deg: float = 90.0,
+    nir: AnyPath | None = None,
 ) -> Capture:
     """Read photographs of one object under one light after the other, taken by any camera, as a capture.
 
@@ -54,7 +55,8 @@ def read_photographs(
 
     Parameters
     ----------
-    folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, in the order of the lights by their names
+    folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, in the order of the lights by their names; or a pattern
+        of their names, such as ``photos/white_{light}.png``
     lights : list of lights, ``.lp`` file or rig file, directions (L, 3) or rig; by default ``lights.txt`` in the folder
         Directions point towards the lights: x right, y up, z to the camera.
     px_per_mm : pixels a millimetre on the object; without it results are in pixels
@@ -67,6 +69,7 @@ def read_photographs(
     crossed : folder of the same photographs through crossed films; those of `folder` are then the parallel ones
     mosaic : of a camera with films on its pixels, see :func:`splitknit.imaging.polarised.split_mosaic`
     film_deg : direction of the film before the LEDs, for a mosaic
+    nir : folder, or pattern, of photographs under near-infrared lights: the rig's NIR LEDs, or a list in that folder
 
     Returns
     -------
@@ -87,7 +90,7 @@ def read_photographs(
     from splitknit.io.plain import PhotographOptions, capture_from_photographs
 
     options = PhotographOptions(
-        mask, material, encoding, background, tip_direction_deg, max_megapixels, crossed, mosaic, film_deg
+        mask, material, encoding, background, tip_direction_deg, max_megapixels, crossed, mosaic, film_deg, nir=nir
     )
     found = capture_from_photographs(folder, lights, px_per_mm, options, _LOG.warning)
     for note in found.notes:

@@ -385,6 +385,12 @@ class Band:
     crossed: Band | None = None
     """The crossed series of a parallel one, image by image. The band's light is then the mean of both, which is that
     without films."""
+    flat: PixelArray | None = None
+    """(L, h, w) a flat matt surface under every light, as stored, on a coarse grid over the whole image; images are
+    divided by it, at its mean brightness."""
+    promised: FloatArray | None = None
+    """(L, h, w) brightness of a flat surface under the rig's lights: images over `flat` are multiplied by it. Not in a
+    file."""
     transmission: NDArray[np.float64] | None = None
     """(L, C) by which the light of each image's channels is divided, where films before lights and camera differ."""
 
@@ -415,6 +421,20 @@ class Band:
         return replace(self, pixels=self.pixels[step], ambient=ambient, crossed=crossed)
 
 
+_FLAT_SIDE = 300
+"""Longer side of a coarse flat image: dust and a coat's grain, which move with the object, do not stay in it."""
+
+
+def coarse_grid(image: FloatArray) -> FloatArray:
+    """A flat surface's image (H, W) on the coarse grid, smoothed over its pixels."""
+    import cv2  # large
+
+    scale = min(1.0, _FLAT_SIDE / max(image.shape))
+    size = (max(2, round(image.shape[1] * scale)), max(2, round(image.shape[0] * scale)))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(small if scale == 1.0 else cv2.GaussianBlur(small, (0, 0), 1.0))
+
+
 def spectral_band(name: str) -> str:
     """Band of the LEDs that light the images of the band `name` of a capture: ``white`` of ``white_crossed``."""
     return name.partition("_")[0]
@@ -439,6 +459,8 @@ class Capture:
     captured_at: str | None = None
     truth: Path | None = None
     """A simulator's ``truth.npz``."""
+    shading: Path | None = None
+    """Calibration of ``splitknit calibrate shading``: slopes follow from it, not from the rig's lights."""
     hashes: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of every file that was read, by its name in the folder."""
 

@@ -22,17 +22,23 @@ from splitknit.errors import BadInput, Note, require
 from splitknit.finger.contrast import clahe
 from splitknit.finger.locate import Finger, FingerSettings, prepared_capture
 from splitknit.finger.mask import MaskSettings
+from splitknit.finger.orientation import as_it_lies
 from splitknit.finger.ridge_period import ridge_period, scale_of_ridges
 from splitknit.finger.steady import find_steady_finger
 from splitknit.imaging.band import has_colour, linear_channels, linear_stack
 from splitknit.imaging.coloured import balanced
 from splitknit.imaging.films import aligned
-from splitknit.imaging.geometry import gradients_from_normals, height_gradients, normals_from_gradients, smoothed
+from splitknit.imaging.geometry import (
+    gradients_from_normals,
+    smoothed,
+    wide_blur,
+)
+from splitknit.imaging.light_field import flat_promised
 from splitknit.imaging.polarised import doubts_of_series, specular_of, without_films
 from splitknit.imaging.view import view_of
 from splitknit.integration.frankot_chellappa import frankot_chellappa
 from splitknit.integration.knit import add, crossover
-from splitknit.integration.poisson import poisson
+from splitknit.integration.poisson import poisson, trusted_height
 from splitknit.integration.rays import place
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelet_response, shapelets
 from splitknit.mirrors.settings import MirrorShapeSettings
@@ -43,6 +49,7 @@ from splitknit.photometric.hanrahan_krueger import hanrahan_krueger
 from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.near_light import NearLightSettings, near_light
 from splitknit.photometric.robust import robust
+from splitknit.photometric.shading import Shading, read_shading, shading_slopes
 from splitknit.plausible import RELIEF, RIDGE_PERIOD, TOP, VIEW
 from splitknit.presets import (
     PRESETS,
@@ -69,7 +76,7 @@ from splitknit.skin.learned import (
     relief_network,
     variance_restored,
 )
-from splitknit.skin.light import lighting, slant_of
+from splitknit.skin.light import slant_of
 from splitknit.skin.polarised import polarised_heights, specular_images
 from splitknit.skin.relief import KNIT_MM, ReliefEstimate, detail_of, measure, relief_by_colour
 from splitknit.skin.shape import CoarseImages, Shape, coarse_images, coarse_shape, on_fine_grid, white_light_on
@@ -102,6 +109,8 @@ NO_PLACE_FOR_MIRRORS = (
     "metric or snk."
 )
 OPAQUE = "none (opaque material)"
+FEW_EXTRAPOLATED = 0.001
+"""Fraction of a surface steeper than what was calibrated, above which that is noted."""
 FRAME_SIDE = 300
 """Images of at least so many pixels a side are enough to detect in which frame the lights were measured."""
 
@@ -162,6 +171,15 @@ def reconstruct(
     require("white" in capture.bands, "the capture has no band 'white'; every reconstruction needs it.")
     notes = TOP.notes(chosen.top_mm, "it is the setting top_mm")
     capture, doubt = _with_working_scale(capture)
+    if capture.shading is not None:
+        require(
+            chosen.method == "metric" and capture.material == "opaque" and chosen.shape.source != "mirror",
+            "a calibrated shading goes with the preset metric and opaque things alone.",
+        )
+        with steps.timed_run(progress, memory) as seconds:
+            result = _shaded_result(capture)
+        return replace(result, preset=preset, settings=asdict(chosen), timings_s=dict(seconds))
+    capture = _with_promised_light(capture)
     with steps.timed_run(progress, memory) as seconds:
         capture, finger = locate_finger(capture, chosen.finding())
         specular = specular_of(capture, finger.mask)
@@ -440,6 +458,46 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
     return FingerSurface(height_mm, relief, height_mm - relief, albedo, normals)
 
 
+def shaded_surface(capture: Capture, shading: Shading, inside: BoolArray) -> FingerSurface:
+    """The surface of an opaque thing whose slopes follow from a shading calibrated on balls.
+
+    Parameters
+    ----------
+    capture : its white band over its flat images is what the calibration saw
+    shading : of :func:`splitknit.photometric.shading.read_shading`
+    inside : (H, W) pixels that are wanted
+
+    Returns
+    -------
+    FingerSurface
+        Its uncertainty is that of heights against their surroundings, over about a ball.
+    """
+    pitch = np.float32(shading.pitch_mm)
+    images = _linear_grey(capture.bands["white"], capture.encoding, "grey")
+    gradient, deviation = _slopes_of_shading(shading, images)
+    albedo = images.mean(axis=0)
+    del images
+    if not inside.all():
+        gradient *= inside
+    extrapolated = float(np.mean((gradient[0] ** 2 + gradient[1] ** 2 > np.float32(shading.max_slope**2))[inside]))
+    height_mm = _trusted_height(gradient, deviation, inside) * pitch
+    relief = _fast_part(height_mm, inside, SLOW_MM / shading.pitch_mm)
+    facts = {
+        "slopes": "calibrated on balls",
+        "separation": OPAQUE,
+        "heights": "measured",
+        "max_slope_calibrated": shading.max_slope,
+        "extrapolated": extrapolated,
+    }
+    notes = (
+        f"{100 * extrapolated:.1f} % of the surface is steeper than the balls of the calibration showed (a slope of "
+        f"{shading.max_slope:.2f}, {np.rad2deg(np.arctan(shading.max_slope)):.0f} deg): its slopes are extrapolated.",
+    )
+    deviation *= np.float32(1000.0 * shading.height_mm_per_slope)
+    beyond = extrapolated > FEW_EXTRAPOLATED
+    return FingerSurface(height_mm, relief, height_mm - relief, albedo, None, deviation, facts, notes if beyond else ())
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinSurface:
     """Reconstructed skin on the working grid; heights are finite everywhere and valid inside the mask."""
@@ -513,27 +571,21 @@ def metric_polarised(
     """
     grid, both, crossed = images.grid, images.bands[0], images.crossed
     assert crossed is not None
-    diffuse = metric_skin((crossed, *images.bands[1:]), grid, skin, p, networks)
-    shape, relief, deviation = diffuse.shape_mm, diffuse.relief_mm, diffuse.deviation_mm
-    slant = slant_of(shape, grid.pitch_mm)
-    if networks is not None:
-        network = relief_network(networks.relief, (UPRIGHT, *TURNED))
-        light = lighting(both.rig, grid, shape, normals_from_gradients(*height_gradients(shape, grid.pitch_mm)))
-        estimate = relief_by_network(features(both, grid, shape, light), grid, shape, network)
-        first = variance_restored(estimate)
-        steep = _beyond(BOTH_DEG, slant) / 2
-        relief, deviation = first.relief_mm + steep * (relief - first.relief_mm), first.deviation_mm
-    found = polarised_heights(
-        specular_images(both, crossed, images.parallel, grid, shape), grid, shape + relief, deviation
-    )
+    first = metric_skin((replace(crossed, unpolarised=both), *images.bands[1:]), grid, skin, p, networks)
+    shape, relief, deviation = first.shape_mm, first.relief_mm, first.deviation_mm
+    if networks is None:  # a relief by colour alone would lead astray
+        relief, deviation = 0 * relief, np.full_like(deviation, UNKNOWN_MM)
+    specular = specular_images(both, crossed, images.parallel, grid, shape)
+    found = polarised_heights(specular, grid, shape + relief, deviation)
     if found.facts["specular_over_noise"] < FAINT:
         modelled = metric_skin(images.bands, grid, skin, p, networks)
         return replace(modelled, facts={**modelled.facts, "specular": found.facts})
     rest = found.height_mm - shape
     slow = grid.smooth(rest, grid.mask, KNIT_MM)
-    ridges = np.asarray(rest - slow + _beyond(UNSEEN_DEG, slant) * (relief - rest + slow), dtype=np.float32)
-    facts = {**diffuse.facts, "relief_by": "polarised", "specular": found.facts}
-    return SkinSurface(shape + slow, ridges, found.deviation_mm, diffuse.albedo, facts)
+    unseen = _beyond(UNSEEN_DEG, slant_of(shape, grid.pitch_mm)) * np.float32(networks is not None)
+    ridges = np.asarray(rest - slow + unseen * (relief - rest + slow), dtype=np.float32)
+    facts = {**first.facts, "relief_by": "polarised", "specular": found.facts}
+    return SkinSurface(shape + slow, ridges, found.deviation_mm, first.albedo, facts)
 
 
 def _beyond(limits_deg: tuple[float, float], slant_deg: FloatArray) -> FloatArray:
@@ -546,6 +598,8 @@ BOTH_DEG = (30.0, 40.0)
 is too high there, the other too low."""
 UNSEEN_DEG = (40.0, 60.0)
 """Slants between which the specular image fades, and the relief becomes the first one."""
+UNKNOWN_MM = 0.02
+"""Standard deviation of the relief where no network gives a first one."""
 FAINT = 3.0
 """Specular reflection over noise below which it says nothing of heights."""
 
@@ -556,24 +610,35 @@ def relief_and_shape(
     """Smooth shape (h, w) on the fine grid and the relief on it by networks, each from the other, in turns.
 
     The last relief is the mean over three orientations of the finger, of which the round before gave the upright one;
-    its variance is restored, as a minimum-mean-square-error estimate shrinks.
+    its variance is restored, as a minimum-mean-square-error estimate shrinks. Of crossed images that one stands apart:
+    the last relief is that of the same images as without films.
     """
     grid, last = images.fine, rounds if networks.shape is not None else 1
     orientations: tuple[int, ...] = (UPRIGHT,)
     earlier: FloatArray | None = None
     estimate: ReliefEstimate | None = None
     for turn in range(1, last + 1):
+        before = estimate
         if estimate is not None and networks.shape is not None:
             shape = refined_shape(shape, estimate.relief_mm, images, optics, networks.shape)
         if turn == last:
-            orientations, earlier = (TURNED, estimate.output) if estimate is not None else ((UPRIGHT, *TURNED), None)
+            orientations = TURNED if estimate is not None else (UPRIGHT, *TURNED)
+            if images.white.unpolarised is not None:
+                images = replace(images, white=images.white.unpolarised)
+            elif estimate is not None:
+                earlier = estimate.output
         smooth = on_fine_grid(shape.height_mm, images)
         network = relief_network(networks.relief, orientations, earlier)
         estimate = relief_by_network(
             features(images.white, grid, smooth, white_light_on(shape.height_mm, images)), grid, smooth, network
         )
     assert estimate is not None  # of one round at least
-    return smooth, variance_restored(estimate)
+    found = variance_restored(estimate)
+    if before is None or earlier is not None:
+        return smooth, found
+    of_crossed = variance_restored(before).relief_mm - found.relief_mm
+    part = _beyond(BOTH_DEG, slant_of(smooth, grid.pitch_mm)) / 2
+    return smooth, replace(found, relief_mm=found.relief_mm + part * of_crossed)
 
 
 # The steps.
@@ -754,8 +819,8 @@ def integrated(slopes: Slopes, photographs: FingerBand, p: HeightSettings) -> Fl
     """(h, w) heights in mm of slopes: masked least squares, or Frankot-Chellappa."""
     if p.method == "frankot_chellappa":
         return frankot_chellappa(*slopes, photographs.inside, p.padding) * photographs.pitch_mm
-    steepness = 1.0 / np.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
-    return poisson(*slopes, photographs.inside, steepness, p.poisson) * photographs.pitch_mm
+    certainty = 1.0 / np.square(1.0 + slopes[0] ** 2 + slopes[1] ** 2)  # 1 / variance of a slope, of a normal's noise
+    return poisson(*slopes, photographs.inside, certainty, p.poisson) * photographs.pitch_mm
 
 
 @step("surface")
@@ -874,6 +939,53 @@ def _separation_of(direct: DirectSettings, material: str) -> str:
     if material != "skin":
         return "none (opaque material: all light is direct)"
     return f"direct light by the network '{direct.network}'"
+
+
+def _with_promised_light(capture: Capture) -> Capture:
+    """Where images are divided by flat ones: with the brightness that the rig's lights have on a flat surface."""
+    bands = {
+        name: band
+        if band.flat is None
+        else replace(band, promised=flat_promised(capture.rig.select(band.lights), band.flat.shape))
+        for name, band in capture.bands.items()
+    }
+    return capture if all(band.flat is None for band in bands.values()) else replace(capture, bands=bands)
+
+
+_slopes_of_shading = step("normals")(shading_slopes)
+
+
+@step("surface")
+def _trusted_height(gradient: FloatArray, deviation: FloatArray, inside: BoolArray) -> FloatArray:
+    """(H, W) height in pixels, slopes weighted by the inverse of their variance."""
+    trust = (deviation.min() / deviation) ** 2
+    if not inside.all():
+        trust *= inside
+    return trusted_height(gradient[0], gradient[1], trust)
+
+
+@step("surface")
+def _fast_part(height: FloatArray, inside: BoolArray, sigma_px: float) -> FloatArray:
+    """:func:`fast_part` for large fields: means on a coarser copy."""
+    share = np.maximum(wide_blur(inside.astype(np.float32), sigma_px), np.float32(1e-6))
+    rest: FloatArray = height * inside
+    for _ in range(2):
+        rest -= wide_blur(rest, sigma_px) / share
+        rest *= inside
+    return rest
+
+
+def _shaded_result(capture: Capture) -> Reconstruction:
+    """The result of :func:`shaded_surface`, as it lies; everything in view where the capture has no mask."""
+    assert capture.shading is not None
+    shading = read_shading(capture.shading)
+    inside = np.ones(capture.shape, dtype=bool) if capture.mask is None else capture.mask
+    require(bool(inside.any()), "the mask is empty; it must be white where the object is.")
+    surface = shaded_surface(capture, shading, inside)
+    finger = Finger(inside, inside, np.s_[:, :], as_it_lies(inside), {}, {}, ())
+    camera = replace(capture.rig.camera, px_per_mm=1.0 / shading.pitch_mm, scale_known=True)
+    seen = replace(capture, rig=replace(capture.rig, camera=camera))
+    return replace(_finished(seen, finger, surface, 0.0), whole=True, warnings=surface.warnings)
 
 
 @step("finger")

@@ -42,6 +42,18 @@ def test_the_thesis_has_six_pairs_of_sessions() -> None:
     assert (int(averaged.label.sum()), int((~averaged.label).sum())) == (170, 28_730)
 
 
+def test_impostors_of_one_session_are_compared_once() -> None:
+    finger, session = ["x", "y", "z"] * 2, [1] * 3 + [2] * 3
+    plain, every = comparisons(finger, session), comparisons(finger, session, within=True)
+    assert every.a.size == plain.a.size + 6
+    assert every.genuine.sum() == plain.genuine.sum()
+    found = {frozenset(pair) for pair in zip(every.a.tolist(), every.b.tolist(), strict=True)}
+    assert len(found) == every.a.size == 6 * 5 // 2  # all pairs of six captures
+    scores = scores_of_comparisons(every, np.arange(15.0), finger, session)
+    alone = scores_of_comparisons(plain, np.arange(9.0), finger, session)
+    assert np.array_equal(average_sessions(scores).score, average_sessions(alone).score)
+
+
 def test_a_finger_that_is_missing_in_a_session() -> None:
     pairs = comparisons(["x", "y", "x"], [1, 1, 2])
     assert pairs.a.tolist() == [0, 1] and pairs.b.tolist() == [2, 2] and pairs.genuine.tolist() == [True, False]

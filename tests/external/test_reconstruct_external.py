@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -182,3 +183,60 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
     assert main(["print", str(out), "--method", "relief", "--out", str(tmp_path / "print")]) == 0
     prints = cv2.imread(str(tmp_path / "print" / "print.png"), cv2.IMREAD_GRAYSCALE)
     assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
+
+
+def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
+    """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast shadows."""
+    folder = needed(data_dir / "elastomer")
+    names = [f"image{k:02d}.png" for k in range(7, 13)]
+    pressed, flat = (
+        np.stack([cv2.imread(str(folder / part / name), cv2.IMREAD_GRAYSCALE) for name in names]).astype(np.float32)
+        for part in ("BGA-001", "Flat-001")
+    )
+    ratio = pressed / np.maximum(flat, 1)
+    outlines = re.findall(r"x: ([\d.]+)\s+y: ([\d.]+)", (folder / "BGA-001" / "scan.yaml").read_text("utf-8"))
+    centres, pitch_mm, radius_mm = np.array(outlines, dtype=float), 0.00340346, 0.2475
+    radius = radius_mm / pitch_mm
+
+    def cap(x: float, y: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Pixels (n,) within 0.6 of the radius, and the ball's normals (3, n) there."""
+        rows, columns = np.mgrid[int(y - 50) : int(y + 50), int(x - 50) : int(x + 50)]
+        u, v = (columns - x) / radius, (y - rows) / radius
+        part = u * u + v * v < 0.36
+        return (rows[part], columns[part]), np.stack([u, v, np.sqrt(np.clip(1 - u * u - v * v, 0, None))])[:, part]
+
+    left = [cap(x, y) for x, y in centres if 60 < x < 900 and 60 < y < len(ratio[0]) - 60]
+    truth = np.concatenate([normals.T for _, normals in left])
+    light = np.concatenate([ratio[:, *part].T for part, _ in left])
+    *vectors, ambient = np.linalg.lstsq(np.c_[truth, np.ones(len(truth))], light, rcond=None)[0]
+    lights = np.array(vectors).T
+    crop = np.s_[500:1400, 1000:1900]
+    strength = np.linalg.norm(lights, axis=1)
+    images = ((ratio - ambient[:, None, None]) / strength[:, None, None])[:, *crop] * 12000
+    leds = tuple(Led("white", direction=(float(x), float(y), float(z))) for x, y, z in lights / strength[:, None])
+    band = Band(
+        "white",
+        np.clip(images, 0, 65535).astype(np.uint16)[..., None],
+        tuple((k,) for k in range(6)),
+        np.ones(6),
+        np.zeros(6),
+    )
+    capture = Capture(
+        Rig(Camera(1 / pitch_mm, images.shape[1:]), leds),
+        {"white": band},
+        material="opaque",
+        mask=np.ones(images.shape[1:], bool),
+    )
+    error = {}
+    for preset in ("metric", "ea"):
+        height = np.full(ratio.shape[1:], np.nan)
+        height[crop] = reconstruct(capture, preset).height_mm * 1000
+        rms = []
+        for x, y in centres:
+            if not (1060 < x < 1840 and 560 < y < 1340):
+                continue
+            part, normals = cap(x, y)
+            rms.append((height[part] - normals[2] * radius_mm * 1000).std())
+        error[preset] = float(np.sqrt(np.mean(np.square(rms))))
+        assert len(rms) == 6
+    assert error["metric"] < min(1.6, error["ea"])

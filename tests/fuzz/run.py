@@ -61,6 +61,7 @@ NO_READERS = {
     "capture.pi.open_pi": "opens devices",
     "capture.streams.open_genicam": "opens a device",
     "capture.streams.open_uvc": "opens a device",
+    "capture.live.open_frames": "opens a device, or reads what io.images.read_image reads, or OpenCV a film",
     "rig.devices.read_settings": "sorts settings that are read already",
     "prints.rolled.read_rolled": "reconstructs what io.capture.read_capture reads",
     "training.networks.load_torch": "imports a package",

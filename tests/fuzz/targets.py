@@ -45,7 +45,9 @@ from splitknit.calibration.light_table import COLUMNS, read_tips
 from splitknit.calibration.lights_found import _check_tips
 from splitknit.calibration.nail_photos import read_stack
 from splitknit.calibration.radiometry_folder import _read_radiometry_plan
+from splitknit.calibration.shading_folder import read_centres
 from splitknit.capture.enrolment import open_enrolment
+from splitknit.capture.tree import read_tree
 from splitknit.cli.options import parse_assignment, read_changes
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import read_truth
@@ -58,11 +60,14 @@ from splitknit.gallery.key import Key, ScryptSettings, code_secret, key_of
 from splitknit.gallery.manage import export_gallery, gallery_info, import_gallery, list_gallery
 from splitknit.gallery.shards import Shards, _seal, write_shards
 from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.clouds import read_cloud
 from splitknit.io.finger_image import encode_finger_images
+from splitknit.io.height_maps import tmd_bytes, x3p_bytes
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_iso19794, read_iso19794
 from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
 from splitknit.io.light_list import read_named_lights
+from splitknit.io.mesh import stl_chunks
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
 from splitknit.io.minutiae_files import (
     decode_ansi378,
@@ -72,7 +77,8 @@ from splitknit.io.minutiae_files import (
 )
 from splitknit.io.npz import read_npz, write_npz
 from splitknit.io.photos import read_photo
-from splitknit.io.plain import capture_from_plain_images
+from splitknit.io.plain import capture_from_plain_images, read_flat
+from splitknit.io.ply import write_ply
 from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile, encode_print_tiff, read_print_png, write_print_png
 from splitknit.io.results import read_result
@@ -99,6 +105,7 @@ from splitknit.matching.surface_code import SurfaceCode, pack_surface_code, unpa
 from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
 from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
+from splitknit.photometric.shading import Shading, read_shading, write_shading
 from splitknit.presets import preset_settings
 from splitknit.prints.from_file import (
     _ridge_period_px,
@@ -110,6 +117,7 @@ from splitknit.prints.from_file import (
 from splitknit.prints.sources import read_source
 from splitknit.rig.candidates import RigCandidate
 from splitknit.rig.optimise import Study, _SweepFolder
+from splitknit.scanners.cloud import CloudView, result_of_cloud
 from splitknit.separation.folder import _read_light
 from splitknit.separation.pattern_folder import read_pattern_folder
 from splitknit.settings import override
@@ -300,6 +308,44 @@ def _print() -> Any:
     return (127 + 120 * np.sin(0.7 * np.hypot(rows - 70, 1.2 * columns - 50))).astype(np.uint8)
 
 
+# --- point clouds ------------------------------------------------------------------------------------------------
+
+
+@cache
+def _clouds() -> list[Files]:
+    y, x = np.mgrid[8:0:-1, 0:7] * 0.5
+    points = np.stack([x, y, 3 - 0.1 * (x - 2) ** 2 - 0.02 * y * y], axis=2).astype("<f4")
+    flat = points.reshape(-1, 3)
+    rows = [" ".join(map(str, row)) for row in flat.tolist()]
+    up, shade = np.tile(np.float32([0, 0, 1]), (56, 1)), np.arange(56, dtype=np.uint8)
+    pcd = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 7\nHEIGHT 8\nPOINTS 56\nDATA {}\n"
+    ply = "ply\nformat ascii 1.0\nelement vertex 56\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    text = "\n".join(rows).encode() + b"\n"
+    faces = np.arange(54).reshape(-1, 3).astype(np.int32)
+    solid = "".join(f"facet normal 0 0 1\nvertex {row}\nvertex {row}\nvertex {row}\n" for row in rows)
+    return [
+        *_written("x.ply", lambda path: write_ply(path, flat, up, shade)),
+        {"x.ply": ply.encode() + text},
+        {"x.pcd": pcd.format("binary").encode() + points.tobytes()},
+        {"x.pcd": pcd.format("ascii").encode() + text},
+        {"x.xyz": b"# made\n" + text},
+        {"x.obj": ("v " + "\nv ".join(rows) + "\nf 1 2 3\n").encode()},
+        {"x.stl": b"".join(stl_chunks(flat, faces))},
+        {"x.stl": f"solid x\n{solid}endsolid\n".encode()},
+        {"x.tmd": tmd_bytes(points[..., 2], 0.5)},
+        {"x.x3p": x3p_bytes(points[..., 2], 0.5, "made")},
+    ]
+
+
+def _cloud(folder: Path, files: Files) -> object:
+    name = next((one for one in files if one.startswith("x.")), "x.ply")
+    cloud = read_cloud(folder / name)
+    result = result_of_cloud(cloud, CloudView(material="opaque"))
+    assert np.isfinite(result.height_mm[result.mask]).all()
+    assert 0 < result.pitch_mm < 1000
+    return result
+
+
 # --- captures and results ----------------------------------------------------------------------------------------
 
 
@@ -347,6 +393,24 @@ def _plain_capture(folder: Path, files: Files) -> None:
     assert np.isfinite(lights).all()
     capture_from_plain_images([folder / f"{k}.png" for k in range(3)], lights, 10.0)
     read_photographs(folder)
+
+
+def _flat_images() -> list[Files]:
+    return [{f"flat/{k}.png": encode_image(_noise(16, 17, seed=k) // 2 + 90, ".png") for k in range(3)}]
+
+
+def _shadings() -> list[Files]:
+    shading = Shading(
+        pitch_mm=0.01, image_size=(16, 17), direction=np.eye(3), nearness=np.zeros(3), ambient=np.zeros(3),
+        fall_off=np.zeros((3, 6)), relative=False, degree=1, weights=np.ones((4, 2)), covariance=np.eye(4),
+        deviation=np.full(9, 0.01), max_slope=1.0, height_mm_per_slope=0.1,
+    )  # fmt: skip
+    return _written("shading.npz", lambda path: write_shading(path, shading))
+
+
+def _trees() -> list[Files]:
+    names = [f"{who}/{session}/right_index/white_{k}.png" for who in "ab" for session in (1, 2) for k in range(2)]
+    return [dict.fromkeys(names, b"x")]
 
 
 @cache
@@ -942,6 +1006,7 @@ TARGETS = (
     Target("template_payload", lambda: _each("bytes", waves("S01", 1)), _of_bytes(unpack)),
     Target("packed", _packed, _of_bytes(unpack_minutiae, unpack_space_minutiae, unpack_surface_code), _packed_repaired),
     Target("minutiae_record", lambda: _each("x.fmr", ISO_BYTES, ANSI_BYTES, ANSI_2009_BYTES), _record),
+    Target("cloud", _clouds, _cloud),
     Target("minutiae3d", _spaces, _of_files("x.json", read_minutiae3d)),
     Target("transaction", _transactions, _of_files("x.eft", read_prints)),
     Target("wsq", lambda: _each("x.wsq", encode_wsq(_print())), _of_files("x.wsq", read_prints)),
@@ -966,6 +1031,12 @@ TARGETS = (
     Target("rig_sweep", _sweeps, _sweep),
     Target("earlier_output", lambda: _each("out/report.json", b'{"format": "x", "settings": {"a": [1, 2]}}'),
            lambda folder, files: check_target(folder / "out", "report.json", "an earlier x", form="x")),
+    Target("flat_images", _flat_images, lambda folder, files: read_flat(folder / "flat", 3, "linear")),
+    Target("shading", _shadings, _of_files("shading.npz", read_shading)),
+    Target("centres", lambda: _each("centres.txt", b"# balls\n10.5 20\n30, 40.25\n"),
+           _of_files("centres.txt", read_centres)),
+    Target("tree", _trees,
+           lambda folder, files: read_tree(folder, ["{subject}/{session}/{finger}/white_{light}.png"])),
     Target("light_table", _tips, _of_bytes(_tipped)),
     Target("radiometry", _radiometry, _radiometric),
     Target("patterns", _patterns, _pattern),

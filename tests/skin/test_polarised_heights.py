@@ -55,18 +55,21 @@ def _photographed(height_mm: FloatArray, grid: Grid, rig: Rig, roughness: float,
 def test_derivatives_are_those_of_the_prediction() -> None:
     grid = _grid((24, 30))
     dome, _ = _ridged(grid)
-    light = polarised._lights(_rig((24, 30)), grid, dome)[2]
+    light = polarised._Lights.of(_rig((24, 30)), grid, dome).on(slice(0, 24))
     slopes = [np.random.default_rng(k).normal(0, 0.3, dome.shape).astype(np.float32) for k in range(2)]
-    _, specular, _, matt, rougher, _ = polarised._facets(light, (slopes[0], slopes[1]), 0.3)
+    _, _, *derivatives = polarised._facets(light, (slopes[0], slopes[1]), 0.3, derivatives=True)
     for axis in range(2):
         sides = []
         for change in (-1e-2, 1e-2):
             moved = [s + np.float32(change * (axis == k)) for k, s in enumerate(slopes)]
             sides.append(polarised._facets(light, (moved[0], moved[1]), 0.3))
-        np.testing.assert_allclose(specular[axis], (sides[1][0] - sides[0][0]) / 2e-2, atol=2e-3)
-        np.testing.assert_allclose(matt[axis], (sides[1][2] - sides[0][2]) / 2e-2, atol=2e-3)
-    other = polarised._facets(light, (slopes[0], slopes[1]), 0.3 * float(np.exp(polarised._STEP)))[0]
-    np.testing.assert_allclose(rougher, other, rtol=1e-4)
+        for image in range(2):  # specular, matt
+            by = (sides[1][image] - sides[0][image]) / 2e-2
+            np.testing.assert_allclose(derivatives[2 * image + axis], by, atol=4e-3)
+    smoother, rougher = (
+        polarised._facets(light, (slopes[0], slopes[1]), 0.3 * float(np.exp(change)))[0] for change in (-1e-2, 1e-2)
+    )
+    np.testing.assert_allclose(derivatives[4], (rougher - smoother) / 2e-2, atol=2e-3)
 
 
 def test_the_lobe_is_that_of_the_glare_model() -> None:
@@ -74,10 +77,11 @@ def test_the_lobe_is_that_of_the_glare_model() -> None:
     dome, ridges = _ridged(grid)
     height = dome + ridges
     x, y = height_gradients(height, grid.pitch_mm)
-    lights = polarised._lights(rig, grid, height)
-    made = np.stack([polarised._facets(light, (x, y), 0.3)[0] for light in lights])
+    lights = polarised._Lights.of(rig, grid, height)
+    parts = (slice(0, 17), slice(17, 40))
+    made = np.concatenate([polarised._facets(lights.on(p), (x[p], y[p]), 0.3)[0] for p in parts], axis=1)
     ratio = made / _photographed(height, grid, rig, 0.3, 0.0)
-    np.testing.assert_allclose(ratio, ratio.mean(), rtol=2e-3)
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=3e-3)
 
 
 def test_slopes_and_their_transpose() -> None:

@@ -173,7 +173,7 @@ def test_normals_that_are_none_are_not_exported(shown: Path, asking: Serve, tmp_
 
 def test_an_answer_that_is_not_finite_is_refused() -> None:
     with pytest.raises(BadInput, match="NaN or infinite"):
-        service._json({"pitch_mm": float("nan")})
+        service.json_reply({"pitch_mm": float("nan")})
 
 
 def test_a_picture_that_is_too_large_is_not_sent(shown: Path, asking: Serve, tmp_path: Path) -> None:

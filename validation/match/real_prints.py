@@ -5,7 +5,7 @@
 
 writes ``real_prints.json`` beside this file. Settings of the enhancement were chosen on simulated presses of other
 seeds (``pressed_prints.py``, seeds from 90,000); the fusion of minutiae and ridges is fitted on those of seeds from
-92,000: ``fitted`` holds the constants of ``splitknit.matching.fusion``. Reported are simulated presses that served for
+92,000 (the fusion that splitknit ships is measured by ``fvc.py``). Reported are simulated presses that served for
 neither (from 95,000), the real prints, and these turned by any angle. (Of the matcher ``ridge`` a few settings were
 chosen with a look at the real ones.)
 """
@@ -117,17 +117,6 @@ def turned(image: Image, angle_deg: float) -> Image:
     return np.asarray(cv2.warpAffine(image, matrix, (side, side), flags=cv2.INTER_CUBIC, borderValue=paper), np.uint8)
 
 
-def constants(table: NDArray[np.float64], label: NDArray[np.bool_]) -> dict[str, list[float]]:
-    """Slopes and offset of logistic regressions on minutiae and ridges (N, 2), on both and on each alone."""
-    result = {}
-    for name, columns in (("both", [0, 1]), ("minutiae_alone", [0]), ("ridges_alone", [1])):
-        model = fit_logistic(table[:, columns], label)
-        slope = model.weight / model.scale
-        offset = model.intercept - float(slope @ model.offset)
-        result[name] = [round(float(value), 4) for value in (*slope, offset)]
-    return result
-
-
 def fused(systems: Sequence[Scores], models: dict[str, Any]) -> list[Scores]:
     """The systems, and minutiae joined with ridges by models that were fitted elsewhere."""
     table = np.stack([systems[1].score, systems[2].score], axis=1)
@@ -180,12 +169,6 @@ def main() -> None:
     fit = measured(*drawn, options.impostors, FITTED)
     table = np.stack([fit[1].score, fit[2].score], axis=1)
     models = {"linear": fit_linear(table), "trained": fit_logistic(table, fit[0].label)}
-    facts["fitted"] = {
-        "fingers": options.fingers,
-        "presses": options.presses,
-        "first_seed": FITTED,
-        **constants(table, fit[0].label),
-    }
     folder = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data")) / "fvc2002_db1b"
     files = sorted(folder.glob("*.png"))
     images = [read_print_png(file).image for file in files]

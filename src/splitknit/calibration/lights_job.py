@@ -192,7 +192,7 @@ def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> CalibratedLi
 
 def _is_list(out: Path | None) -> bool:
     """Whether a list of lights is to be written, as ``reconstruct --lights`` reads it, instead of a rig file."""
-    return out is not None and out.suffix.lower() == ".txt"
+    return out is not None and out.suffix.lower() in (".txt", ".lp")
 
 
 def _written(rig: Rig, out: Path | None, facts: Mapping[str, Any]) -> CalibratedLights:

@@ -207,12 +207,19 @@ def developed(
 class _Uvc:
     """A webcam by OpenCV, on Video4Linux: exposure times in 0.1 ms, gain at its smallest, 8 bits."""
 
-    def __init__(self, capture: Any, number: int) -> None:
+    def __init__(self, capture: Any, number: int, size: tuple[int, int] | None) -> None:
         self._capture = capture
+        device = Path(f"/dev/video{number}")
         require(
             bool(capture.isOpened()),
-            f"no UVC camera {number} was found; 'v4l2-ctl --list-devices' lists them, pi.number chooses one.",
+            f"camera {number} may not be used ('{device}'); add yourself to its group, video, and log in again."
+            if device.exists() and not os.access(device, os.R_OK | os.W_OK)
+            else f"no UVC camera {number} was found, or another program uses it; 'v4l2-ctl --list-devices' lists "
+            "cameras (number: pi.number, or view --live N).",
         )
+        if size is not None:
+            capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[0])
+            capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[1])
         for what, value in (
             (cv2.CAP_PROP_AUTO_EXPOSURE, 1),  # Video4Linux's manual mode
             (cv2.CAP_PROP_AUTO_WB, 0),
@@ -262,20 +269,31 @@ class _Uvc:
         self._capture.release()
 
 
-def open_uvc(number: int, make: Callable[[int], Any] = cv2.VideoCapture) -> Stream:
+def _opened(number: int) -> Any:
+    """OpenCV's camera; what it prints where there is none is left to the sentence of the caller."""
+    log: Any = cv2.utils.logging
+    level = log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        return cv2.VideoCapture(number)
+    finally:
+        log.setLogLevel(level)
+
+
+def open_uvc(number: int, make: Callable[[int], Any] = _opened, size: tuple[int, int] | None = None) -> Stream:
     """Open a webcam.
 
     Parameters
     ----------
     number : of the camera, as the system counts them
     make : ``cv2.VideoCapture``, or what behaves like it
+    size : rows and columns to ask for; the camera may give others
 
     Raises
     ------
     BadInput
         If there is no such camera.
     """
-    return _Uvc(make(number), number)
+    return _Uvc(make(number), number, size)
 
 
 _FORMATS = tuple(

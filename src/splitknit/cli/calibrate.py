@@ -19,6 +19,7 @@ def add_calibrate(verbs: Any) -> None:
     _add_radiometry(kinds)
     _add_lights(kinds)
     _add_polarisers(kinds)
+    _add_shading(kinds)
 
 
 def _add_camera(kinds: Any) -> None:
@@ -486,3 +487,74 @@ def _film_lines(facts: Mapping[str, Any]) -> list[str]:
     )
     lines += [f"Please note: {warning}" for warning in facts["warnings"]]
     return [*lines, f"Written: {', '.join(facts['files'])}."]
+
+
+def _add_shading(kinds: Any) -> None:
+    """Add ``calibrate shading``."""
+    verb = new_verb(
+        kinds,
+        "shading",
+        "how slopes shade a gel sensor's images, from balls of known radius; or the fall-off of its light, from a card",
+        _calibrate_shading,
+    )
+    verb.add_argument(
+        "--images",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="photographs of balls, one for each light, or one of three colours; several folders of one ball pressed "
+        "in many places; without --flat of one ball lying free before a dark background, or, with --pitch and "
+        "--centres, of balls in a gel that is flat between them",
+    )
+    verb.add_argument(
+        "--flat", type=Path, metavar="DIR", help="the same of the sensor pressed on nothing, or of a card"
+    )
+    verb.add_argument("--ball-radius", type=_positive, metavar="MM", help="radius of the balls")
+    verb.add_argument(
+        "--pitch",
+        type=_positive,
+        metavar="MM",
+        help="distance of neighbouring balls (default: scale of their outlines)",
+    )
+    verb.add_argument(
+        "--centres",
+        type=Path,
+        metavar="FILE",
+        help="the balls' 'column row [radius]' in pixels, where they are not found",
+    )
+    verb.add_argument(
+        "--encoding", choices=("linear", "srgb"), help="of the photographs (default: as their files state, else linear)"
+    )
+    verb.add_argument("--out", type=Path, required=True, metavar="FILE", help="calibration to write (.npz)")
+    verb.add_argument("--report", type=Path, metavar="HTML", help="page to write (default: beside --out)")
+
+
+def _calibrate_shading(options: argparse.Namespace) -> Outcome:
+    """Calibrate."""
+    from splitknit.calibration.shading_folder import ShadingJob, shading_to_file  # only this verb pays for it
+    from splitknit.report.shading import check_page, write_page
+
+    page = options.report or options.out.with_suffix(".html")
+    check_page(page)
+    job = from_options(ShadingJob, options, images=tuple(options.images))
+    with Progress(options) as progress:
+        fit = shading_to_file(job, progress.update)
+        write_page(page, fit)
+    facts = {**fit.shading.facts, "pitch_mm": fit.shading.pitch_mm, "out": str(options.out), "report": str(page)}
+    lines = []
+    if facts["balls"]:
+        lines.append(
+            f"{facts['balls_used']} of {facts['balls']} balls calibrate {len(fit.shading.direction)} lights, "
+            f"{1000 * fit.shading.pitch_mm:.4f} um a pixel."
+        )
+        if facts["cap_rms_um"] is not None:
+            low, middle, high = facts["cap_gain"]
+            lines.append(
+                f"Caps within 0.6 of the radius, {facts['left_out']} left out: {facts['cap_rms_um']:.2f} um rms, gain "
+                f"{middle:.3f} ({low:.3f} to {high:.3f})."
+            )
+        lines.append(f"Slopes up to {facts['max_slope']:.2f} were seen; steeper ones are extrapolated.")
+    lines += [f"Please note: {note}" for note in fit.notes]
+    lines.append(f"Written: {options.out}, {page}.")
+    return facts, lines

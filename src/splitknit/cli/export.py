@@ -11,7 +11,7 @@ from splitknit.cli.gallery_options import add_key, count
 from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, from_options, new_verb
 
 TO = ("iso-19794-2", "ansi-378", "ansi-378-2009", "iso-19794-4", "ansi-nist-itl", "wsq", "png", "tiff")
-MESHES = ("stl", "obj", "glb")
+SURFACES = ("stl", "obj", "glb", "x3p", "tmd", "ptm", "lp")
 
 
 def add_export(verbs: Any) -> None:
@@ -27,10 +27,11 @@ def add_export(verbs: Any) -> None:
     )
     verb.add_argument(
         "--to",
-        choices=(*TO, *MESHES),
+        choices=(*TO, *SURFACES),
         required=True,
         help="minutiae: iso-19794-2 (of 2005), ansi-378 (of 2004), ansi-378-2009; pictures: iso-19794-4 (of 2005), "
-        "ansi-nist-itl (Type-14), wsq, png, tiff; surfaces of captures and results, in mm: stl, obj, glb",
+        "ansi-nist-itl (Type-14), wsq, png, tiff; surfaces of captures and results, in mm: stl, obj, glb, x3p (extra "
+        "x3p), tmd, and ptm, a relightable picture of them; the lights of captures, for RTI: lp",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write, one file a finger")
     verb.add_argument(
@@ -48,7 +49,9 @@ def add_export(verbs: Any) -> None:
         default="none",
         help="of iso-19794-4 and ansi-nist-itl (default: none; wsq loses a little)",
     )
-    verb.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="of the capture, which ansi-nist-itl states")
+    verb.add_argument(
+        "--date", type=_date, metavar="YYYY-MM-DD", help="of the capture, which ansi-nist-itl and x3p state"
+    )
     verb.add_argument(
         "--minutiae",
         choices=("phase", "mindtct"),
@@ -92,6 +95,12 @@ def export_words(facts: dict[str, Any]) -> list[str]:
     lines = [f"Wrote {count(len(files), 'file')} and export.json to {facts['out']}{first}{mean}."]
     if "vertices" in files[0]:
         lines.append(f"{files[0]['vertices']:,} vertices, {files[0]['faces']:,} triangles, in mm.")
+    if "relief_roughness" in files[0]:
+        rough = files[0]["relief_roughness"]
+        lines.append(
+            f"Relief: Sa {rough['Sa_um']:.1f} um, Sq {rough['Sq_um']:.1f} um, Sz {rough['Sz_um']:.0f} um, Sdr "
+            f"{rough['Sdr_percent']:.1f} %."
+        )
     failed = facts["failures_to_acquire"]
     if failed:
         lines.append(

@@ -114,6 +114,8 @@ def _words(found: Identification, raw: bool) -> list[str]:
             f"Please note: {searched.without_code} captures had no code of this version, or none in the shards; "
             "'splitknit gallery index' keeps them for the next search."
         )
+    if searched.note:
+        lines.append(f"Please note: {searched.note}")
     if searched.failures:
         lines.append(f"Please note: {searched.failures} failures to acquire in the gallery match nobody.")
     return lines

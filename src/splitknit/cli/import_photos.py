@@ -1,4 +1,5 @@
-"""``splitknit import``: photographs and light directions in, a capture folder out; or prints of other systems.
+"""``splitknit import``: photographs and light directions in, a capture folder out; point clouds and meshes, a result
+folder out; or prints of other systems.
 
 ``splitknit reconstruct`` takes the same options of photographs.
 """
@@ -18,14 +19,22 @@ from splitknit.errors import naming, require
 if TYPE_CHECKING:
     from splitknit.model import Capture
 
-_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background", "max_size", "crossed", "mosaic")
+_UNITS = ("um", "mm", "cm", "in", "m")
+_UP = ("x", "y", "z", "-x", "-y", "-z")
+_CLOUDS = (".ply", ".pcd", ".xyz", ".asc", ".obj", ".stl", ".x3p", ".tmd")
+_OF_PHOTOGRAPHS = ("lights", "mask", "material", "encoding", "background", "max_size", "crossed", "mosaic", "flat")
+_CIRCLE = ("led_height_cm", "led_radius_cm", "led_centre_px", "keep")
 
 
 def add_import(verbs: Any) -> None:
     """Add ``splitknit import``."""
-    what = "turn photographs and light directions into a capture folder (--images), or prints of other systems into PNG"
+    what = (
+        "turn photographs and light directions into a capture folder (--images), a point cloud into a result folder, "
+        "or prints of other systems into PNG"
+    )
     verb = new_verb(verbs, "import", what, _run)
     add_photo_options(verb, required=False)
+    _add_rig_captures(verb)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     add_overwrite(verb)
     group = verb.add_argument_group("prints of other systems")
@@ -36,9 +45,44 @@ def add_import(verbs: Any) -> None:
         metavar="FILE",
         help="WSQ, ISO 19794-4, ANSI/NIST-ITL, PNG, TIFF, JPEG, BMP: each print becomes a PNG with its resolution; "
         "ISO 19794-2, ANSI 378: the minutiae of each finger become an ISO 19794-2 file; match, enroll, identify take "
-        "all of them as they are",
+        "all of them as they are; PLY, PCD, XYZ, OBJ, STL, X3P, TMD: see point clouds",
     )
     add_input_ppi(group)
+    clouds = verb.add_argument_group(
+        "point clouds, meshes and height maps",
+        "one FILE (.ply, .pcd, .xyz, .obj, .stl, .x3p, .tmd) becomes a result folder; --material is skin, a finger, "
+        "unless given, and --tip-direction counts from the top of the view",
+    )
+    clouds.add_argument(
+        "--unit", choices=tuple(_UNITS), help="of the coordinates (default: mm; X3P and TMD state theirs)"
+    )
+    clouds.add_argument(
+        "--up",
+        choices=_UP,
+        metavar="AXIS",
+        help="axis that points to the viewer: x, y, z, or -x as --up=-x (default: found by normals or by the shape)",
+    )
+    clouds.add_argument(
+        "--pitch", type=float, metavar="MM", help="of the grid (default: the cloud's own, or as its points carry it)"
+    )
+
+
+def _add_rig_captures(verb: argparse.ArgumentParser) -> None:
+    """Add what captures of a rig like the thesis's are imported by."""
+    group = verb.add_argument_group("white and near-infrared photographs of a rig, of one finger or of many people")
+    for option, kind, metavar, words in (
+        ("--nir", Path, "DIR", "near-infrared photographs: a folder, or a pattern as for --images; their lights are "
+         "the NIR LEDs of --table or a rig file, else lights.txt in that folder"),
+        ("--table", Path, "CSV", "lights by nail and shadow tips, as 'calibrate lights --table' reads it"),
+        ("--led-height-cm", float, "N", "of --table: LEDs above the finger plane"),
+        ("--led-radius-cm", float, "N", "of --table: radius of the LEDs' circle"),
+        ("--led-centre-px", str, "X,Y", "of --table: pixel of the circle's centre (default: the middle)"),
+        ("--people", Path, "TREE", "folder of many people's photographs: --images and --nir are patterns of paths "
+         "below it, such as '{subject}/{session}/{finger}/white_{light}.jpg', --out a population for 'batch'"),
+    ):  # fmt: skip
+        group.add_argument(option, type=kind, metavar=metavar, help=words)
+    group.add_argument("--keep", action="store_true", help="of --table: keep LEDs that its check refuses")
+    group.add_argument("--dry-run", action="store_true", help="of --people: say what goes where, write nothing")
 
 
 def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
@@ -49,8 +93,8 @@ def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
         type=Path,
         required=required,
         metavar="DIR",
-        help="folder of photographs, one for each light, in the order of their names: JPEG, PNG, TIFF, WEBP, BMP; with "
-        "the extra 'photos' HEIC and camera RAW",
+        help="folder of photographs, one for each light, in the order of their names (or a pattern of names, such as "
+        "'photos/white_{light}.jpg'): JPEG, PNG, TIFF, WEBP, BMP; with the extra 'photos' HEIC and camera RAW",
     )
     group.add_argument(
         "--lights",
@@ -110,6 +154,19 @@ def add_photo_options(verb: argparse.ArgumentParser, *, required: bool) -> None:
         default=90.0,
         metavar="DEG",
         help="of --mosaic: direction of the film before the LEDs, 0 along the rows (default: 90)",
+    )
+    group.add_argument(
+        "--flat",
+        type=Path,
+        metavar="DIR",
+        help="photographs of a flat matt surface, one for each light in the same order and exposure: those of "
+        "the object are divided by them",
+    )
+    group.add_argument(
+        "--shading",
+        type=Path,
+        metavar="FILE",
+        help="calibration of 'calibrate shading': slopes and scale follow from it; no --lights are needed",
     )
     group.add_argument(
         "--light-frame",
@@ -177,6 +234,14 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
     both = rig_file is not None and options.lights is not None
     require(not both, "--rig and --lights both give the lights; choose one.")
     lights = options.lights or rig_file
+    px_per_mm = options.px_per_mm
+    if options.shading is not None:
+        from splitknit.photometric.shading import read_shading
+
+        scale = (options.px_per_mm, options.ridge_period, options.max_size) == (None, None, None)
+        require(scale and lights is None, "--shading gives lights and scale: leave out the options that give others.")
+        shading = read_shading(options.shading)
+        lights, px_per_mm = shading.direction, 1.0 / shading.pitch_mm
     require(
         rig_file is None or rig_file.suffix.lower() == ".json",
         f"--rig must name a rig file (.json), not '{rig_file}'; name a list of lights with --lights.",
@@ -184,7 +249,7 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
     found = capture_from_photographs(
         options.images,
         lights,
-        options.px_per_mm,
+        px_per_mm,
         PhotographOptions(
             options.mask,
             options.material or "opaque",
@@ -195,6 +260,9 @@ def capture_of_photographs(options: argparse.Namespace) -> tuple[Capture, list[s
             options.crossed,
             options.mosaic,
             options.film_angle,
+            options.flat,
+            options.shading,
+            getattr(options, "nir", None),
         ),
         announce=lambda words: print(f"splitknit: note: {words}", file=sys.stderr),
     )
@@ -214,7 +282,129 @@ def _run(options: argparse.Namespace) -> Outcome:
         options.images is not None or bool(options.files),
         "name photographs (--images DIR --lights FILE) or files of prints to import.",
     )
-    return _import_photos(options) if options.images is not None else _import_prints(options)
+    clouds = [file for file in options.files if file.suffix.lower() in _CLOUDS]
+    if clouds:
+        require(len(options.files) == 1, "point clouds are imported one at a time: each makes a result folder.")
+        return _import_cloud(options, clouds[0])
+    needless = next((name for name in ("unit", "up", "pitch") if getattr(options, name) is not None), None)
+    require(needless is None, f"--{needless} goes with a point cloud ({', '.join(_CLOUDS)}).")
+    if options.images is None:
+        return _import_prints(options)
+    _check_rig_captures(options)
+    return _import_people(options) if options.people is not None else _import_photos(options)
+
+
+def _check_rig_captures(options: argparse.Namespace) -> None:
+    """Refuse options that lack their partner; a finger is skin."""
+    needless = [name for name in _CIRCLE if options.table is None and getattr(options, name)]
+    require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} goes with --table.")
+    require(options.table is None or options.lights is None, "--table and --lights both give the lights; choose one.")
+    require(options.table is None or options.px_per_mm is not None, "--table needs the scale; give --px-per-mm.")
+    require(options.people is not None or not options.dry_run, "--dry-run goes with --people.")
+    if options.nir is not None or options.people is not None:
+        options.material = options.material or "skin"
+
+
+def _with_table(options: argparse.Namespace, images: Path) -> argparse.Namespace:
+    """The options, with the rig that the table of tips gives to photographs of this size in place of the scale."""
+    if options.table is None:
+        return options
+    from splitknit.calibration.lights_job import LightsJob, lights_to_rig
+    from splitknit.io.photos import read_photo
+    from splitknit.io.plain import photographs_in
+
+    found, _, _ = photographs_in(images, options.table)
+    require(len(found) > 0, f"{images} holds no photographs.")
+    rows, columns = read_photo(found[0]).pixels.shape[:2]
+    circle = {name: getattr(options, name) for name in _CIRCLE}
+    scale = 10.0 * options.px_per_mm
+    job = LightsJob(table=options.table, px_per_cm=scale, image_size=f"{rows},{columns}", **circle)
+    return argparse.Namespace(**{**vars(options), "lights": lights_to_rig(job).rig, "px_per_mm": None})
+
+
+def _import_people(options: argparse.Namespace) -> Outcome:
+    """Write a population."""
+    from splitknit.capture.enrolment import PLAN_FILE, open_enrolment, plan_enrolment
+    from splitknit.capture.tree import read_tree
+    from splitknit.errors import BadInput
+    from splitknit.io.capture import write_capture
+
+    check_photo_options(options)
+    require(options.crossed is None and options.mosaic is None, "--people takes neither --crossed nor --mosaic.")
+    tree = read_tree(options.people, [str(one) for one in (options.images, options.nir) if one is not None])
+    enrolment = plan_enrolment(options.out, **tree.plan)
+    require(
+        not (options.out / PLAN_FILE).is_file() or plan_enrolment(options.out).plan == enrolment.plan,
+        f"'{options.out}' is a population of other people, sessions or fingers than this tree; name another folder.",
+    )
+    waiting = [one for one in tree.captures if options.overwrite or not enrolment.finished(one[0])]
+    faults, written = list(tree.faults), 0
+    notes: dict[str, None] = {}
+    if waiting and not options.dry_run:
+        options = _with_table(options, waiting[0][1][0])
+        with Progress(options) as progress:
+            for k, (place, (images, *nir)) in enumerate(waiting):
+                progress.update(place.words, k / len(waiting))
+                own = argparse.Namespace(**{**vars(options), "images": images, "nir": nir[0] if nir else None})
+                about = {"id": place.subject, "finger": place.finger, "session": place.session}
+                try:
+                    capture, told = capture_of_photographs(own)
+                except BadInput as error:
+                    faults.append(f"{place.words}: {error}")
+                    continue
+                open_enrolment(options.out, **tree.plan)
+                notes |= dict.fromkeys(told)
+                write_capture(replace(capture, subject=about), enrolment.path(place), overwrite=options.overwrite)
+                written += 1
+    why = " ".join(faults[len(tree.faults) :][:1] or faults[:1])
+    require(bool(written or options.dry_run or enrolment.folder.exists()), f"nothing was written: {why}")
+    there, planned = len(tree.captures) - len(waiting), enrolment.plan.total
+    facts: dict[str, Any] = {"out": str(options.out), "dry_run": options.dry_run, **tree.plan, "faults": faults}
+    facts |= {"notes": list(notes), "planned": planned, "written": written, "there_already": there}
+    facts["captures"] = {place.folder: [str(path) for path in paths] for place, paths in tree.captures}
+    lines = [f"{place.folder}: {', '.join(map(str, paths))}" for place, paths in waiting if options.dry_run]
+    did = f"{len(waiting)} would be written" if options.dry_run else f"{written} written to {options.out}"
+    lines += [f"{planned} captures planned, {len(tree.captures)} complete: {did}, {there} there already."]
+    lines += [f"Please note: {one}" for one in (*faults, *notes)]
+    return facts, [*lines, f"Next: splitknit batch {options.out} --out STORE"]
+
+
+def _import_cloud(options: argparse.Namespace, file: Path) -> Outcome:
+    """Write a result folder."""
+    from splitknit.io.clouds import read_cloud
+    from splitknit.io.provenance import file_hash
+    from splitknit.io.targets import check_target
+    from splitknit.report.result import write_results
+    from splitknit.scanners.cloud import CloudView, result_of_cloud
+
+    taken = ("tip_direction", "material", "overwrite", "film_angle", "unit", "up", "pitch")
+    of_others = (*_OF_PHOTOGRAPHS, "light_frame", "px_per_mm", "ridge_period", "input_ppi")
+    needless = [name for name in of_others if name not in taken and getattr(options, name) is not None]
+    require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} does not go with a point cloud.")
+    tip, pitch = options.tip_direction, options.pitch
+    require(tip is None or abs(tip) <= 360.0, "--tip-direction must be an angle from -360 to 360 degrees, 0 = up.")
+    require(pitch is None or 1e-4 <= pitch <= 10.0, f"--pitch must be millimetres from 0.0001 to 10, not {pitch}.")
+    require(
+        options.overwrite or not options.out.exists(), f"'{options.out}' exists; give --overwrite, or another --out."
+    )
+    check_target(options.out, "height.npz", "an earlier result", keep=file)
+    view = CloudView(options.up, pitch, tip, options.material or "skin")
+    with Progress(options) as progress:
+        progress.update("reading", 0.1)
+        cloud = read_cloud(file, options.unit)
+        progress.update("surface", 0.4)
+        result = naming(file, lambda: result_of_cloud(cloud, view))
+        progress.update("writing", 0.7)
+        result = replace(result, hashes={file.name: file_hash(file)})
+        facts = write_results(result, None, options.out)
+    about, (rows, columns) = result.facts["cloud"], result.mask.shape
+    return {**facts, "out": str(options.out)}, [
+        f"{about['points']:,} points ({about['format']}, {about['grid']}) are {columns} x {rows} pixels of "
+        f"{1000 * result.pitch_mm:.1f} um, {result.mask.sum() * result.pitch_mm**2:.0f} mm2, seen against "
+        f"{' '.join(f'{one:g}' for one in about['towards_viewer'])} ({about['found_by']}); written to {options.out}.",
+        *(f"Please note: {note}" for note in result.warnings),
+        f"Next: splitknit print {options.out} --out PRINT, splitknit view {options.out}",
+    ]
 
 
 def _import_prints(options: argparse.Namespace) -> Outcome:
@@ -223,7 +413,18 @@ def _import_prints(options: argparse.Namespace) -> Outcome:
     from splitknit.gallery.records import Exporting, import_records
 
     check_photo_options(options)
-    of_photographs = ("tip_direction", "light_frame", "px_per_mm", "ridge_period", "overwrite")
+    of_photographs = (
+        "nir",
+        "table",
+        "people",
+        "dry_run",
+        "keep",
+        "tip_direction",
+        "light_frame",
+        "px_per_mm",
+        "ridge_period",
+        "overwrite",
+    )
     needless = [name for name in of_photographs if getattr(options, name)]
     require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} goes with --images.")
     settings = Exporting(input_ppi=options.input_ppi)
@@ -239,10 +440,11 @@ def _import_photos(options: argparse.Namespace) -> Outcome:
 
     check_photo_options(options)
     for folder in (options.images, *([options.crossed] if options.crossed else [])):
-        check_capture(options.out, overwrite=options.overwrite, keep=folder)
+        keep = folder.parent if "{light}" in folder.name else folder
+        check_capture(options.out, overwrite=options.overwrite, keep=keep)
     with Progress(options) as progress:
         progress.update("reading", 0.1)
-        capture, notes = capture_of_photographs(options)
+        capture, notes = capture_of_photographs(_with_table(options, options.images))
         progress.update("writing", 0.7)
         write_capture(capture, options.out, overwrite=options.overwrite)
     band, camera = capture.bands["white"], capture.rig.camera
@@ -259,11 +461,13 @@ def _import_photos(options: argparse.Namespace) -> Outcome:
         "mask": capture.mask is not None,
         "notes": notes,
     }
+    facts["nir"] = len(capture.bands["nir"].leds) if "nir" in capture.bands else 0
     kind = "colour" if channels == 3 else "grey"
     if facts["polarised"]:
         kind = f"parallel and {count} crossed {kind}"
     scale = f"{camera.px_per_mm:g} px/mm" if camera.scale_known else "scale unknown"
     covered = "no mask" if capture.mask is None else f"the mask covers {100 * capture.mask.mean():.0f} %"
+    kind += f" and {facts['nir']} near-infrared" if facts["nir"] else ""
     lines = [
         f"{count} {kind} photographs of {columns} x {rows} pixels ({capture.encoding}, {capture.material}, {scale}, "
         f"{covered}) written to {options.out}.",

@@ -87,6 +87,7 @@ _VERBS = {
     "calibrate": "calibrate.add_calibrate",
     "rig": "rig.add_rig",
     "evaluate": "evaluate.add_evaluate",
+    "compare": "compare.add_compare",
     "match": "match.add_match",
     "enroll": "enroll.add_enroll",
     "identify": "identify.add_identify",

@@ -16,8 +16,7 @@ _DIGITS = {"minutiae": 0, "voted": 0, "fusion": 2}
 _IN_SPACE = ("minutiae3d", "tetrahedra")
 _NULLS = {
     "fusion": ("similarity_of_minutiae",),
-    "minutiae": ("similarity_with_ridges", "nfiq2"),
-    "voted": ("similarity_with_ridges",),
+    "minutiae": ("nfiq2",),
 }
 """Fields that ``--json`` has even where the method found none."""
 
@@ -33,7 +32,7 @@ def add_match(verbs: Any) -> None:
         default="auto",
         help="auto (the default: fusion of two prints, minutiae where one holds minutiae only, else ridge), ridge, "
         "fusion (of ridges and minutiae of two prints), thesis (local binary patterns; needs captures or results), "
-        "minutiae (of the prints, compared by NIST's bozorth3; like fusion it needs the extra minutiae, on x86-64 "
+        "minutiae (of the prints, compared by NIST's bozorth3; needs the extra minutiae, on x86-64 "
         "Linux), voted (minutiae on which sets of images that leave one out agree; needs captures), or of surfaces "
         "(captures or results): minutiae3d (Kumar's), surface-code (Kumar's finger surface codes), tetrahedra (Lin's)",
     )
@@ -109,11 +108,6 @@ def _words(found: Match, raw: bool) -> list[str]:
     if raw:
         lines += _raw_words(found)
     lines += _how(found) + _failure_notes(found.method, found.a, found.b)
-    if found.fusion_missing is not None:
-        lines.append(
-            "Please note: compared by ridges alone; ridges and minutiae together distinguish prints better, which "
-            "needs nbis-py: pip install 'splitknit[minutiae]' (x86-64 Linux)."
-        )
     return lines if found.template is None else [*lines, _template_words(found.template)]
 
 
@@ -142,10 +136,8 @@ def _raw_words(found: Match) -> list[str]:
     lines = [f"Score {_score(found)}{needed}."]
     if found.similarity_of_ridges is not None and found.compared:
         score = found.similarity_of_minutiae
-        minutiae = "too few" if score is None else f"{score:.0f}"
+        minutiae = "too few" if score is None else f"{score:.1f}"
         lines.append(f"Its parts: ridges {found.similarity_of_ridges:.4f}, minutiae {minutiae}.")
-    if found.similarity_with_ridges is not None:
-        lines.append(f"Fused with the ridges {found.similarity_with_ridges:.2f} (log-likelihood ratio).")
     if found.distance is not None and found.compared:
         lines.append(f"{found.distance:.1%} of the bits differ.")
     return lines

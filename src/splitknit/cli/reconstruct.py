@@ -109,6 +109,8 @@ def _reconstruct_to_folder(
             capture = read_capture(source)
             if options.rig is not None:
                 capture = with_rig(capture, options.rig)
+            if options.shading is not None:
+                capture = replace(capture, shading=options.shading)
             if options.tip_direction is not None:
                 capture = replace(capture, tip_direction_deg=options.tip_direction)
             if options.light_frame is not None:

@@ -38,6 +38,20 @@ def add_rig(verbs: Any) -> None:
     _add_optimise(kinds)
     _add_circuit(kinds)
     _add_cad(kinds)
+    verb = new_verb(kinds, "phantom", "write a finger with ridges of known height for a resin printer (STL)", _phantom)
+    verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+
+
+def _phantom(options: argparse.Namespace) -> Outcome:
+    """Write the phantom."""
+    from splitknit.rig.phantom import phantom_to_folder
+
+    facts = phantom_to_folder(options.out)
+    size = " x ".join(f"{side:.1f}" for side in facts["size_mm"])
+    line = f"{options.out / 'phantom.stl'}: {size} mm, {len(facts['fields'])} fields of ridges, {facts['triangles']} "
+    return {"out": str(options.out), **facts}, [
+        f"{line}triangles, closed; its heights as drawn are B of 'splitknit compare A {options.out} --out R'."
+    ]
 
 
 def _add_target(kinds: Any) -> None:

@@ -91,7 +91,14 @@ def one_line(error: object) -> str:
     return printable(" ".join(text.split()) or "no further words")
 
 
-_OPTIONS = {"max_megapixels": "--max-size", "ridge_period_mm": "--ridge-period", "f_number": "--aperture"}
+_OPTIONS = {
+    "max_megapixels": "--max-size",
+    "ridge_period_mm": "--ridge-period",
+    "f_number": "--aperture",
+    "radius_mm": "--ball-radius",
+    "spacing_mm": "--pitch",
+    "pitch_mm": "--pitch",
+}
 """Those with other names than the argument."""
 
 

@@ -1,6 +1,6 @@
-"""Scores from a gallery: every finger of a session with every finger of each later session, by the ridge matcher.
+"""Scores from a gallery: every finger of a session with every other finger and with itself in each later session.
 
-Where all are prints with minutiae, by ridges and minutiae.
+By ridges, or, where templates of prints hold minutiae, by ridges and minutiae: on the same scale without them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.csv_table import csv_text
 from splitknit.io.provenance import file_hash
-from splitknit.matching.fusion import can_fuse, fused_match
+from splitknit.matching.fusion import fused_match, with_fusion
 from splitknit.matching.minutiae import minutiae_match
 from splitknit.matching.minutiae_record import holds_minutiae, unpack_minutiae
 from splitknit.matching.ridge import Prepared, ridge_match
@@ -67,22 +67,26 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
     when = [sessions.index(one.entry.session) for one in rows]
     fingers = [f"{person}/{one.entry.finger}" for person, one in zip(persons, rows, strict=True)]
     try:
-        pairs = comparisons(fingers, when)
-        score = _similarities([templates[one.row] for one in rows], pairs, progress)
+        pairs = comparisons(fingers, when, within=True)
+        score, note = _similarities([templates[one.row] for one in rows], pairs, progress)
         session_names = [one.entry.session for one in rows]
         scores = scores_of_comparisons(pairs, score, fingers, session_names, persons, name=path.stem)
     except BadInput as error:
         raise BadInput(f"the gallery '{path}' cannot be evaluated: {error}") from error
     failures = sum(one.template_bytes == 0 for one in rows)
     notes = [f"{failures} of {len(rows)} captures are failures to acquire."] if failures else []
+    if note:
+        notes.append(note)
     if encrypted:
         notes.append("The gallery is encrypted: its people are numbered in the order of enrolment.")
     table = _table(pairs, score, [one.entry.finger for one in rows], persons, session_names)
     return GalleryScores(scores, table, sha256, tuple(notes))
 
 
-def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progress) -> NDArray[np.float64]:
-    """(N,) similarity of each pair, NaN where a side is a failure to acquire.
+def _similarities(
+    payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
+) -> tuple[NDArray[np.float64], str | None]:
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire, and what is to be noted.
 
     What a side keeps for many comparisons is large where it is turned (7 MB) and small where it is not (2 MB): pairs go
     in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
@@ -91,9 +95,10 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
     if any(holds_minutiae(payload) for payload in payloads):
         sides = [unpack_minutiae(payload) for payload in payloads]
         both = [(sides[a], sides[b]) for a, b in zip(pairs.a.tolist(), pairs.b.tolist(), strict=True)]
-        return np.array([minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both])
+        return np.array([minutiae_match(a, b) if a.acquired and b.acquired else np.nan for a, b in both]), None
     templates = [unpack(payload) for payload in payloads]
-    match = fused_match if can_fuse(*(one for one in templates if not one.empty)) else ridge_match
+    fused, note = with_fusion([one for one in templates if not one.empty])
+    match = fused_match if fused else ridge_match
     keys = [Prepared(one).key for one in templates]
     rank = np.empty(len(keys), dtype=np.int64)
     rank[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
@@ -114,7 +119,7 @@ def _similarities(payloads: Sequence[bytes], pairs: Comparisons, progress: Progr
         if a != last[0]:
             last = (a, Prepared(templates[a]))
         score[n] = match(last[1], ready.setdefault(b, Prepared(templates[b]))).similarity
-    return score
+    return score, note
 
 
 def _table(

@@ -31,7 +31,11 @@ def _session_pairs(sessions: Iterable[Any]) -> list[tuple[Any, Any]]:
 
 
 def comparisons(
-    finger: Sequence[Any], session: Sequence[Any], drawn: Callable[[Any, Any], bool] | None = None
+    finger: Sequence[Any],
+    session: Sequence[Any],
+    drawn: Callable[[Any, Any], bool] | None = None,
+    *,
+    within: bool = False,
 ) -> Comparisons:
     """Every finger of a session with every finger of every later session.
 
@@ -40,6 +44,7 @@ def comparisons(
     finger, session : of each capture, one capture for each finger and session
     drawn : whether two different fingers are compared, in all sessions; None: all are. It is asked once for two
         fingers, before their comparisons are listed, so that memory follows what is compared.
+    within : whether different fingers of one session are compared, too, each two once, after all others
 
     Returns
     -------
@@ -69,6 +74,11 @@ def comparisons(
         at_first, at_second = np.nonzero(wanted[np.ix_(number[first], number[second])])
         a.append(first[at_first])
         b.append(second[at_second])
+    for one in np.unique(sessions) if within else ():
+        here = np.flatnonzero(sessions == one)
+        at_first, at_second = np.nonzero(np.triu(wanted[np.ix_(number[here], number[here])], 1))
+        a.append(here[at_first])
+        b.append(here[at_second])
     at_a, at_b = np.concatenate(a), np.concatenate(b)
     return Comparisons(at_a, at_b, fingers[at_a] == fingers[at_b])
 
@@ -114,10 +124,14 @@ def average_sessions(scores: Scores, *, ordered: bool = True) -> Scores:
     -----
     The thesis "averaged out the scores over the four sessions" (5.3.2) and does not say which; the former is the
     default. Averaging is not what a user meets, who has one finger to show: it takes six pairs of captures to make a
-    decision. Missing scores are left out of a mean; where all are missing, the mean is too.
+    decision. Missing scores are left out of a mean; where all are missing, the mean is too. So are comparisons within a
+    session.
     """
     if scores.finger is None or scores.session is None:
         raise BadInput(f"{scores.name}: to average over sessions, columns for fingers and sessions are needed.")
+    scores = scores.taken(~scores.session.same)
+    assert scores.finger is not None
+    assert scores.session is not None
     finger, session = scores.finger.codes, scores.session.codes
     turned = session[:, 0] > session[:, 1] if ordered else finger[:, 0] > finger[:, 1]
     first, second = np.where(turned, finger[:, 1], finger[:, 0]), np.where(turned, finger[:, 0], finger[:, 1])

@@ -18,7 +18,7 @@ from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.gallery.shards import Shards
 from splitknit.matching.code import CODE_VERSION, code_of
-from splitknit.matching.fusion import can_fuse, fused_match
+from splitknit.matching.fusion import fused_match, with_fusion
 from splitknit.matching.inputs import read_side
 from splitknit.matching.methods import (
     ComparedSide,
@@ -101,6 +101,8 @@ class Searched:
     captures: int
     compared: int
     """How many of them were compared, the others were left out by their codes."""
+    note: str | None = None
+    """Which were compared by less than the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +268,7 @@ def _search(
 ) -> tuple[list[_Found], Searched]:
     """Compare these, or those that codes (of shards, or of the gallery) choose.
 
-    By ridges and minutiae where the probe and all of them have both.
+    By ridges and minutiae where the probe and one of them at least have both, on the same scale where one has not.
     """
     codes: dict[int, NDArray[np.int8]] = {}
     fingers, people = None, None
@@ -303,7 +305,7 @@ def _search(
     ready = prepared(probe, settings.ridge)
     found = []
     payloads = gallery.templates(acquired)
-    fused = can_fuse(probe) and all(can_fuse(_unpacked(gallery, *one)) for one in payloads.items())
+    fused, note = with_fusion((_unpacked(gallery, *one) for one in payloads.items()), probe)
     for k, (row, payload) in enumerate(payloads.items()):
         progress("comparing", 0.5 + 0.5 * k / len(acquired))
         if row in rows:  # else removed just now
@@ -311,7 +313,7 @@ def _search(
             match = (fused_match if fused else ridge_match)(ready, other)
             found.append((match.similarity, score.get(row), rows[row]))
     by = "fusion" if fused else "ridge"
-    return sorted(found, key=_order), replace(facts, compared_by=by, compared=len(found))
+    return sorted(found, key=_order), replace(facts, compared_by=by, compared=len(found), note=note)
 
 
 def _by_shards(

@@ -23,18 +23,21 @@ from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint, read_capture
+from splitknit.io.fields import read_json
+from splitknit.io.light_list import write_light_list
 from splitknit.io.minutiae_record import FINGER_CODES, IMPRESSIONS, FingerView
 from splitknit.io.print_formats import FORMATS, WRITTEN, WSQ_PPI, PrintFormat, Writing
 from splitknit.io.prints import PrintFile, provenance_texts
 from splitknit.io.provenance import file_hash, json_text, provenance
-from splitknit.io.results import MESHES, mesh_chunks, read_result
+from splitknit.io.results import SURFACES as KINDS
+from splitknit.io.results import read_result, surface_chunks
 from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import PPI, holds_minutiae, no_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.template import VERSION, Template, unpack
-from splitknit.model import Progress, no_progress
+from splitknit.model import Led, Progress, no_progress
 from splitknit.pipeline import reconstruct
 from splitknit.prints.from_file import (
     coded_finger,
@@ -48,6 +51,8 @@ from splitknit.prints.make import Print, enhance, make_print, measured, minutiae
 from splitknit.prints.sources import read_source
 
 FACTS_FILE = "export.json"
+SURFACES = (*KINDS, "lp")
+"""Formats of surfaces, and of lights."""
 _FORMAT = "splitknit-export"
 _SQLITE = b"SQLite format 3\0"
 _KEPT_PPI = (500, 1000)
@@ -60,6 +65,7 @@ _CLOSED_MM = 1.5
 """Gaps in a template that are narrower than twice this are grey, and beside them no ridge ends."""
 
 Extractor = Literal["phase", "mindtct"]
+Facts = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +73,8 @@ class Exporting:
     """How fingers become records."""
 
     to: str | None = None
-    """A name of :data:`splitknit.io.print_formats.FORMATS` or of :data:`splitknit.io.results.MESHES`; None: PNG for
-    pictures, ISO/IEC 19794-2 for minutiae."""
+    """A name of :data:`splitknit.io.print_formats.FORMATS` or :data:`SURFACES`; None: PNG for pictures, ISO/IEC 19794-2
+    for minutiae."""
     finger: str | None = None
     """``right_thumb`` to ``left_little``, or ``unknown``; None: as the source states."""
     impression: str | None = None
@@ -86,8 +92,8 @@ class Exporting:
 
     def __post_init__(self) -> None:
         require(
-            self.to is None or self.to in (*WRITTEN, *MESHES),
-            f"'{self.to}' is no format to write; choose one of {', '.join((*WRITTEN, *MESHES))}.",
+            self.to is None or self.to in (*WRITTEN, *SURFACES),
+            f"'{self.to}' is no format to write; choose one of {', '.join((*WRITTEN, *SURFACES, 'lp'))}.",
         )
         fingers = f"choose one of {', '.join(FINGER_CODES)}."
         require(self.finger is None or self.finger in FINGER_CODES, f"'{self.finger}' is no finger; {fingers}")
@@ -149,8 +155,9 @@ def export_records(
         for number, source in enumerate(sources):
             progress(source.name, number / len(sources))
             own: dict[str, str] = {}
-            if settings.to in MESHES:
-                rows.append(_mesh(source, folder, settings, taken, hashes))
+            if settings.to in SURFACES:
+                write = _lights if settings.to == "lp" else _surface
+                rows.append(write(source, folder, settings, taken, hashes))
                 continue
             for item in _items(source, settings, key, own):
                 form = FORMATS[settings.to or ("iso-19794-2" if item.picture is None else "png")]
@@ -244,8 +251,25 @@ def _of_surface(source: Path, name: str, settings: Exporting, hashes: dict[str, 
     return _Item(name, taken.kind, PrintFile(made.image, PPI, {}, finger, "contactless"), made=made)
 
 
-def _mesh(source: Path, folder: Path, settings: Exporting, taken: set[str], hashes: dict[str, str]) -> dict[str, Any]:
-    """Write the surface of a capture or a result as a mesh; its facts."""
+def _lights(source: Path, folder: Path, _: Exporting, taken: set[str], hashes: dict[str, str]) -> Facts:
+    """Write the lights of a capture's white photographs as RTI has them; their facts."""
+    capture = read_capture(source)
+    band = capture.bands.get("white")
+    names = read_json(source / "capture.json", f"{source}: capture.json is damaged.")[0]["bands"].get("white", {})
+    if band is None or len(names.get("images", ())) != len(band.lights):
+        raise BadInput(f"'{source}' has no band 'white' with one photograph for each light.")
+    hashes.update(capture.hashes)
+    rows = capture.rig.select(band.lights).light_vectors()
+    leds = [Led("white", direction=(float(x), float(y), float(z))) for x, y, z in rows]
+    file = _free(_safe(source.resolve().name), ".lp", taken)
+    write_light_list(leds, folder / file, names["images"])
+    return {"file": file, "source": str(source), "kind": "capture", "lights": len(leds)}
+
+
+def _surface(
+    source: Path, folder: Path, settings: Exporting, taken: set[str], hashes: dict[str, str]
+) -> dict[str, Any]:
+    """Write the surface of a capture or a result; its facts."""
     arrays = source / "height.npz" if source.is_dir() else source
     if source.is_dir() and not arrays.is_file() and (source / "capture.json").is_file():
         capture = read_capture(source)
@@ -253,12 +277,12 @@ def _mesh(source: Path, folder: Path, settings: Exporting, taken: set[str], hash
         kind, result = "capture", naming(source, lambda: reconstruct(capture, settings.preset))
     else:
         named = arrays.suffix.lower() == ".npz" and arrays.is_file()
-        require(named, f"'{source}' has no surface for a mesh; name a result (height.npz) or a capture (capture.json).")
+        require(named, f"'{source}' has no surface to export; name a result (height.npz) or a capture (capture.json).")
         hashes[f"{source.name}/{arrays.name}"] = file_hash(arrays)
         kind, result = "result", read_result(source)
     assert settings.to is not None
     title = f"splitknit {provenance({}, {})['version']}, preset {result.preset or settings.preset}"
-    facts, chunks = naming(source, lambda: mesh_chunks(result, cast(str, settings.to), title))
+    facts, chunks = naming(source, lambda: surface_chunks(result, cast(str, settings.to), title, settings.date))
     file = _free(_safe(source.resolve().name if source.is_dir() else source.stem), f".{settings.to}", taken)
     with (folder / file).open("wb") as stream:
         stream.writelines(chunks)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.view import lens_shading
-from splitknit.model import Band, FloatArray, PixelArray
+from splitknit.model import Band, FloatArray, PixelArray, coarse_grid
 from splitknit.steps import let_go
 
 # Linear light of one stored image.
@@ -294,9 +294,69 @@ def _lit_light(  # noqa: PLR0917
         rows, columns = (range(*part.indices(n)) for part, n in zip(window, band.pixels.shape[1:3], strict=True))
         fall_off = lens_shading(band.shading, band.pixels.shape[1:3], rows.start, columns.start, binning, light.shape)
         light /= fall_off[..., None]
+    if band.flat is not None:
+        corner = tuple(part.indices(n)[0] for part, n in zip(window, band.pixels.shape[1:3], strict=True))
+        flat = flat_light(band, encoding)
+        own = flat[k] / flat.mean() if band.promised is None else flat[k] / flat.mean() / band.promised[k]
+        light /= _flat_at(own, band.pixels.shape[1:3], corner, binning, light.shape)[..., None]
     if band.transmission is not None:
         light /= band.transmission[k].astype(np.float32)
     return light
+
+
+def flat_light(band: Band, encoding: str) -> FloatArray:
+    """(L, h, w) linear light of a band's flat images. Raises BadInput if they are black in places."""
+    assert band.flat is not None
+    scale = float(np.iinfo(band.flat.dtype).max) / float(np.iinfo(band.pixels.dtype).max)
+    light = [
+        linear_image(image[..., None], encoding, float(exposure), scale * float(black))[..., 0]
+        for image, exposure, black in zip(band.flat, band.exposure, band.black_level, strict=True)
+    ]
+    return np.stack([_lit(one) for one in light])
+
+
+def _lit(flat: FloatArray) -> FloatArray:
+    dark = "the flat photographs are black in places; light the whole field, and check their black level."
+    require(float(flat.min()) > 1e-4 * float(flat.max()) > 0.0, dark)
+    return flat
+
+
+def coarse_flat(image: FloatArray) -> FloatArray:
+    """A flat surface's image (H, W) on a coarse grid, smoothed over its pixels.
+
+    Raises
+    ------
+    BadInput
+        If it is black in places.
+    """
+    return _lit(np.asarray(coarse_grid(image), dtype=np.float32))
+
+
+def over_flat(images: FloatArray, flat: FloatArray) -> FloatArray:
+    """Images (L, H, W) divided by those of a flat surface (L, h, w) on the coarse grid.
+
+    Raises
+    ------
+    BadInput
+        If they differ in number.
+    """
+    count, shape = len(images), images.shape[1:]
+    require(len(flat) == count, f"there are {len(flat)} flat photographs for {count} of the object; give one a light.")
+    return np.stack([image / _flat_at(one, shape, (0, 0), 1, shape) for image, one in zip(images, flat, strict=True)])
+
+
+def _flat_at(
+    flat: FloatArray, size: tuple[int, ...], corner: tuple[int, ...], binning: float, shape: tuple[int, ...]
+) -> FloatArray:
+    """A coarse flat image (h, w) of images of `size` on the pixels of a window that begins at `corner`."""
+    places = []
+    for axis in (1, 0):
+        step = flat.shape[axis] / size[axis]
+        places.append((binning * step, (corner[axis] + 0.5 * binning) * step - 0.5))
+    (x_step, x), (y_step, y) = places
+    matrix = np.array([[x_step, 0.0, x], [0.0, y_step, y]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(flat, matrix, shape[1::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
 
 
 def _colours_apart(

@@ -71,6 +71,18 @@ def light_vectors_at(rig: Rig, x: FloatArray, y: FloatArray, z: FloatArray) -> F
     return field
 
 
+def flat_promised(rig: Rig, shape: tuple[int, ...]) -> FloatArray:
+    """(L, h, w) light of a flat matt surface in the finger plane by the rig's lights, on a grid over the image.
+
+    Images over flat photographs over this are those that the rig's lights would give.
+    """
+    _, rows, columns = shape
+    step = rig.camera.image_size[1] / columns / rig.camera.px_per_mm
+    x, y = np.meshgrid(np.arange(columns) - 0.5 * (columns - 1), 0.5 * (rows - 1) - np.arange(rows))
+    x, y = (step * x).astype(np.float32), (step * y).astype(np.float32)
+    return np.maximum(light_vectors_at(rig, x, y, np.zeros_like(x))[:, 2], np.float32(1e-3))
+
+
 def _alone(led: Led) -> Led:
     """An exposure's light without images in mirrors and without shadows."""
     if led.shade is None and not any(other.reflected for other in led.also):

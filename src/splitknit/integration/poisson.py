@@ -72,7 +72,8 @@ def _predicted_differences(
 ) -> tuple[FloatArray, FloatArray]:
     """Integral of the slopes (y up) along every edge; what lies outside the mask is never used.
 
-    ``trapezoidal`` is the mean of the two pixels' slopes, weighted where there are weights. ``cubic`` integrates the
+    ``trapezoidal`` is the mean of the two pixels' slopes; a slope of weight zero is not used. Weights do not shift the
+    mean: where they fall with the slope, as trust does, steep sides would come out too low. ``cubic`` integrates the
     parabola-exact rule (-1, 13, 13, -1) / 24 where an edge has two more pixels of the surface in line, and falls back
     to the mean elsewhere and wherever there are weights.
     """
@@ -86,9 +87,9 @@ def _predicted_differences(
 def _edge_integral(slope: FloatArray, mask: BoolArray, weights: FloatArray | None, cubic: bool) -> FloatArray:
     """Integral between successive rows, (H - 1, W)."""
     if weights is not None:
-        weighted = slope * weights
-        total = np.maximum(weights[1:] + weights[:-1], np.float32(1e-12))
-        return np.asarray((weighted[1:] + weighted[:-1]) / total)
+        used = (weights > _WEIGHT_FLOOR).astype(np.float32)
+        kept = slope * used
+        return np.asarray((kept[1:] + kept[:-1]) / np.maximum(used[1:] + used[:-1], np.float32(1)))
     mean = np.float32(0.5) * (slope[1:] + slope[:-1])
     if cubic and slope.shape[0] > 3:
         # (13 (b + c) - (a + d)) / 24 = (b + c) / 2 + (b + c - a - d) / 24
@@ -367,6 +368,43 @@ def poisson(
     result = np.full(inside.shape, np.nan, dtype=np.float32)
     result[window] = zero_mean_by_component(height, np.ascontiguousarray(inside[window]))
     return result
+
+
+def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: FloatArray, factor: int = 4) -> FloatArray:
+    """Height of a whole rectangle by weighted least squares, the weights acting on a grid so many times coarser.
+
+    :func:`poisson` with weights takes ten seconds for five megapixels. Where the weights are even nearly everywhere,
+    the unweighted height, which cosine transforms give in one, differs from it by what is smooth: the weighted height
+    of the slopes that it leaves, in means over blocks of pixels.
+
+    Parameters
+    ----------
+    gradient_x, gradient_y : (H, W) float32
+        dz/dx and dz/dy, y up.
+    weights : (H, W) float32
+        Trust in each pixel's gradient, in [0, 1].
+    factor : pixels a side of a block
+
+    Returns
+    -------
+    (H, W) float32
+        Height in pixels, its mean about zero.
+    """
+    height = poisson(gradient_x, gradient_y)
+    if min(height.shape) < 8 * factor:
+        return poisson(gradient_x, gradient_y, weights=weights)
+    size = tuple(-(-side // factor) for side in height.shape[::-1])
+    trust = np.minimum(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32(1.0))
+    least = np.maximum(trust, np.float32(_WEIGHT_FLOOR))
+    left = []
+    for axis, gradient in ((1, gradient_x), (0, gradient_y)):
+        own = np.gradient(height, axis=axis)
+        own = (gradient - own if axis else gradient + own) * weights  # y is up
+        block = np.float32(height.shape[axis] / size[1 - axis])
+        left.append(cv2.resize(own, size, interpolation=cv2.INTER_AREA) * (block / least))
+    rest = poisson(left[0], left[1], weights=trust)
+    height += cv2.resize(rest, height.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return height
 
 
 def _check_weights(weights: Any, mask: BoolArray) -> FloatArray:

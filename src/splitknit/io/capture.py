@@ -27,11 +27,11 @@ from splitknit.io.capture_file import (
     read_plan,
 )
 from splitknit.io.content import check_content, mask_from_image
-from splitknit.io.images import ImageSettings, StackReader, encode_image
+from splitknit.io.images import ImageSettings, StackReader, encode_image, read_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
-from splitknit.model import Band, Capture, PixelArray, Rig
+from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid
 from splitknit.steps import let_go
 
 
@@ -90,6 +90,15 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
     }
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(check_content, () if settings.may_be_dark else bands.values()))
+    for key, band in plan.bands.items():
+        if band.flat:
+            flat = [coarse_grid(read_image(file).mean(axis=2, dtype=np.float32)) for file in band.flat]
+            kind = read_image(band.flat[0]).dtype
+            scale = 65535.0 / float(np.iinfo(kind).max)
+            bands[key] = replace(bands[key], flat=np.rint(scale * np.stack(flat)).astype(np.uint16))
+            hashes |= {str(file): file_hash(file) for file in band.flat}
+    if plan.shading is not None:
+        hashes[str(plan.shading)] = file_hash(plan.shading)
     hashes |= {str(file): hashlib.sha256(data).hexdigest() for file, data in plan.documents.items()}
     return Capture(
         rig=plan.rig,
@@ -101,6 +110,7 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         subject=plan.subject,
         captured_at=plan.captured_at,
         truth=plan.truth,
+        shading=plan.shading,
         hashes={Path(name).relative_to(folder).as_posix(): hashes[name] for name in sorted(hashes)},
     )
 
@@ -171,18 +181,23 @@ def write_capture(
         plain["white"] = plain["white_crossed"] = plain["white"] and plain["white_crossed"]
     with atomic_folder(folder, overwrite=overwrite) as target:
         images: list[tuple[str, PixelArray]] = []
+        bands: dict[str, JsonValue] = {
+            key: _band_json(capture.bands[key], suffix, images, plain=plain[key])
+            for key in BANDS
+            if key in capture.bands
+        }
         document: dict[str, JsonValue] = {
             "format": CAPTURE_FORMAT,
             "version": CAPTURE_VERSION,
             "rig": "rig.json",
-            "bands": {
-                key: _band_json(capture.bands[key], suffix, images, plain=plain[key])
-                for key in BANDS
-                if key in capture.bands
-            },
+            "bands": bands,
             "encoding": capture.encoding,
             "material": capture.material,
         }
+        if capture.shading is not None:
+            require(capture.shading.is_file(), f"{capture.shading}, the shading of the capture, does not exist.")
+            shutil.copyfile(capture.shading, target / "shading.npz")
+            document["shading"] = "shading.npz"
         if capture.tip_direction_deg is not None:
             document["tip_direction_deg"] = float(capture.tip_direction_deg)
         if capture.mask is not None:
@@ -316,6 +331,10 @@ def _band_json(band: Band, suffix: str, images: list[tuple[str, PixelArray]], *,
     if band.ambient is not None:
         name = f"ambient_{band.name}{suffix}"
         result["ambient"] = entry(name, band.ambient, band.ambient_exposure, band.ambient_black_level)
+    if band.flat is not None:
+        names = [f"flat_{band.name}_{k}{suffix}" for k in range(len(band.flat))]
+        images += [(name, image[..., None]) for name, image in zip(names, band.flat, strict=True)]
+        result["flat"] = list(names)
     return result
 
 

@@ -37,6 +37,7 @@ class BandPlan:
     ambient: Path | None
     ambient_exposure: float
     ambient_black_level: float
+    flat: tuple[Path, ...]
     polarisation: str
     exposed: bool
     """Whether the document states the exposures."""
@@ -56,6 +57,7 @@ class CapturePlan:
     subject: dict[str, Any]
     captured_at: str | None
     truth: Path | None
+    shading: Path | None
     documents: dict[Path, bytes]
     """The JSON files and what was read from them."""
 
@@ -103,6 +105,7 @@ def read_plan(document_file: Path) -> CapturePlan:
         subject=fields.mapping("subject"),
         captured_at=fields.text("captured_at") if fields.has("captured_at") else None,
         truth=truth,
+        shading=inside(folder, fields.get("shading"), name, "shading") if fields.has("shading") else None,
         documents={document_file: data, rig_file: rig_data},
     )
 
@@ -186,6 +189,11 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
     ambient = None
     if fields.has("ambient"):
         ambient = _entry(fields, fields.get("ambient"), folder, fields.path("ambient"))
+    flat = fields.items("flat") if fields.has("flat") else []
+    require(
+        len(flat) in (0, len(images)),
+        f"{fields.name}: {fields.path('flat')} names {len(flat)} images; it needs one for each of the {len(images)}.",
+    )
     return BandPlan(
         files=tuple(entry.file for entry in entries),
         names=tuple(entry.name for entry in entries),
@@ -197,6 +205,7 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
         ambient_black_level=_ambient_value(
             fields, ambient, [entry.black_level for entry in entries], "black_level", 0.0
         ),
+        flat=tuple(inside(folder, item, fields.name, f"{fields.path('flat')}[{k}]") for k, item in enumerate(flat)),
         polarisation=_choice(fields, "polarisation", POLARISATIONS),
         exposed=all(entry.exposure is not None for entry in entries),
     )

@@ -105,9 +105,16 @@ def _words_of(line: str) -> tuple[list[str], bool]:
 def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]) -> None:
     """Write lights as :func:`read_named_lights` reads them: directions, or places in mm where the lights have some.
 
-    `photographs` show where each light was found; they are comments, since other photographs are to be taken.
+    `photographs` show where each light was found; they are comments, since other photographs are to be taken. Where
+    `path` ends in ``.lp`` it is a file of RTI instead: the count, then the photograph and unit direction of each light.
     """
     near = leds[0].position_mm is not None
+    if path.suffix.lower() == ".lp":
+        require(not near, "an .lp file holds directions, and these lights have places; write a .txt or a rig file.")
+        rows = [np.asarray(led.direction) / np.linalg.norm(led.direction or ()) for led in leds]
+        lines = [f"{name} {x:.6f} {y:.6f} {z:.6f}" for name, (x, y, z) in zip(photographs, rows, strict=True)]
+        write_file(path, "\n".join([str(len(lines)), *lines, ""]).encode("utf-8"))
+        return
     lines = [LIST_TITLE, PLACES if near else "x y z"]
     for led, photograph in zip(leds, photographs, strict=True):
         vector = led.position_mm if near else led.direction

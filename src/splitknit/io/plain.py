@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_lights, naming, require
-from splitknit.imaging.band import block_means, decode_table, linear_image, shading_is_srgb
+from splitknit.imaging.band import (
+    block_means,
+    coarse_flat,
+    decode_table,
+    linear_image,
+    pick_channel,
+    shading_is_srgb,
+    srgb_code,
+)
 from splitknit.imaging.light_field import few_lights
 from splitknit.imaging.polarised import NOT_SPECULAR, split_mosaic
 from splitknit.io.content import check_content, mask_from_image
@@ -28,6 +37,7 @@ from splitknit.model import (
     Band,
     Camera,
     Capture,
+    FloatArray,
     Led,
     PixelArray,
     Rig,
@@ -74,6 +84,14 @@ class PhotographOptions:
     :func:`splitknit.imaging.polarised.split_mosaic`."""
     film_deg: float = 90.0
     """Direction of the film before the LEDs, for a mosaic."""
+    flat: str | os.PathLike[str] | None = None
+    """Folder of photographs of a flat matt surface, one for each light in the same order; images are divided by
+    them."""
+    shading: str | os.PathLike[str] | None = None
+    """Calibration of ``splitknit calibrate shading``, by which slopes are found instead of by the lights."""
+    nir: str | os.PathLike[str] | None = None
+    """Folder, or pattern, of photographs under near-infrared lights: the band ``nir``. Their lights are the NIR LEDs of
+    the rig, or those of a list in their own folder."""
 
     def __post_init__(self) -> None:
         require(
@@ -92,6 +110,8 @@ class PhotographOptions:
             "a mosaic of films is linear and holds both series in each frame: leave out --encoding srgb, --max-size, "
             "--crossed and a --background that is a photograph.",
         )
+        alone = self.nir is None or (self.mosaic is None and self.shading is None)
+        require(alone, "`nir` goes with neither `mosaic` nor `shading`.")
 
     @property
     def background_image(self) -> str | os.PathLike[str] | None:
@@ -124,7 +144,8 @@ def capture_from_photographs(
 
     Parameters
     ----------
-    folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of their names
+    folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of their names; or a
+        pattern of their names, such as ``photos/white_{light}.png``, in the order of the lights' numbers
     lights : list (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions
         (L, 3) or rig; by default ``lights.txt`` in the folder, or the only ``.lp`` file there
     px_per_mm : pixels a millimetre on the object; None where it is unknown: heights are then in pixels
@@ -148,7 +169,7 @@ def capture_from_photographs(
     ('notes.docx (not a photograph)',)
     """
     root = Path(folder)
-    require(root.is_dir(), f"{os.fspath(folder)} is not a folder; name the folder of the photographs.")
+    require(_home(root).is_dir(), f"{_home(root)} is not a folder; name the folder of the photographs.")
     table, rig, names = _lights_of(root, lights)
     named = (options.mask, options.background_image, table)
     own = [Path(os.path.realpath(value)) for value in named if value is not None]
@@ -178,15 +199,51 @@ def capture_from_photographs(
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if skipped:
         notes.append(f"skipped in {root}: {_listed(skipped)}.")
-    return Photographs(capture, tuple(skipped), tuple(notes))
+    white = Photographs(capture, tuple(skipped), tuple(notes))
+    if options.nir is None:
+        return white
+    own_rig = isinstance(lights, Rig) or table.suffix.lower() == ".json"
+    require(
+        own_rig or _home(Path(options.nir)) != _home(root),
+        f"white and near-infrared photographs lie in one folder, {_home(root)}, but have lights of their own: give "
+        "them by a rig file, or put each series into a folder with its list.",
+    )
+    encoding = options.encoding or (capture.encoding if options.max_megapixels is None else None)
+    near = replace(options, nir=None, crossed=None, flat=None, mask=None, encoding=encoding)
+    rig_nir = _of_band(lights if isinstance(lights, Rig) else read_rig(table), str(table), "nir") if own_rig else None
+    infrared = capture_from_photographs(options.nir, rig_nir, px_per_mm, near, announce)
+    return _with_nir(white, infrared, Path(options.nir))
+
+
+def _with_nir(white: Photographs, nir: Photographs, folder: Path) -> Photographs:
+    """One capture of both bands; the mask is that of the white photographs."""
+    one, other = white.capture, nir.capture
+    require(
+        one.shape == other.shape and one.encoding == other.encoding,
+        f"the photographs of {folder} are of {other.shape[0]} x {other.shape[1]} pixels, {other.encoding}, and the "
+        f"white ones of {one.shape[0]} x {one.shape[1]}, {one.encoding}; both must agree (`encoding`).",
+    )
+    count, band = len(one.rig.leds), other.bands["white"]
+    leds = (*one.rig.leds, *(replace(led, band="nir") for led in other.rig.leds))
+    band = replace(band, name="nir", leds=tuple((count + k,) for k in range(len(band.leds))))
+    hashes = {**one.hashes, **{f"nir/{name}": value for name, value in other.hashes.items()}}
+    capture = replace(one, rig=replace(one.rig, leds=leds), bands={**one.bands, "nir": band}, hashes=hashes)
+    notes = [note if note in white.notes else f"NIR: {note}" for note in nir.notes]
+    return Photographs(capture, white.skipped + nir.skipped, tuple(dict.fromkeys([*white.notes, *notes])))
+
+
+def _home(folder: Path) -> Path:
+    """The folder of photographs that are named by their folder, or by a pattern."""
+    return folder.parent if "{light}" in folder.name else folder
 
 
 def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...]]:
     """The file of the lights, or a word for what was given instead; the white LEDs and the camera; names, if any."""
     if isinstance(lights, Rig):
-        return Path("the rig"), _white(lights, "the rig"), ()
+        return Path("the rig"), _of_band(lights, "the rig"), ()
     if lights is not None and not isinstance(lights, str | os.PathLike):
         return Path("lights"), _distant_rig(np.asarray(lights, dtype=np.float64)), ()
+    root = _home(root)
     listed = sorted(root.glob("*.lp")) if lights is None and not (root / "lights.txt").is_file() else []
     table = listed[0] if len(listed) == 1 else root / "lights.txt" if lights is None else Path(lights)
     require(
@@ -194,14 +251,15 @@ def _lights_of(root: Path, lights: Any) -> tuple[Path, Rig, tuple[str, ...]]:
         f"{root} holds no lights.txt; name the file of the light directions by `lights`.",
     )
     if table.suffix.lower() == ".json":
-        return table, _white(read_rig(table), os.fspath(table)), ()
+        return table, _of_band(read_rig(table), os.fspath(table)), ()
     vectors, names, places = read_light_list(table)
     return table, _distant_rig(vectors, table if places else None), names
 
 
-def _white(rig: Rig, name: str) -> Rig:
-    leds = tuple(led for led in rig.leds if led.band == "white")
-    require(len(leds) > 0, f"{name} has no LED of the band 'white'.")
+def _of_band(rig: Rig, name: str, band: str = "white") -> Rig:
+    """The rig with the LEDs of one band, as white ones."""
+    leds = tuple(replace(led, band="white") for led in rig.leds if led.band == band)
+    require(len(leds) > 0, f"{name} has no LED of the band '{band}'.")
     return replace(rig, leds=leds)
 
 
@@ -271,6 +329,8 @@ def photographs_in(
 def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]]:
     """Photographs of a folder, photo_2 before photo_10, and what else is there; `own` are named otherwise."""
     found, skipped = [], []
+    if folder != _home(folder):
+        return _of_pattern(folder), []
     try:
         files = sorted(folder.iterdir(), key=lambda file: _words(file.name))
     except OSError as error:
@@ -284,6 +344,20 @@ def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]
             skipped.append(f"{file.name} ({'a folder' if file.is_dir() else 'not a photograph'})")
     require(len(found) <= _MAX_PHOTOS, f"{folder} holds {len(found)} photographs; at most {_MAX_PHOTOS} are read.")
     return found, skipped
+
+
+def _of_pattern(pattern: Path) -> list[Path]:
+    """Files whose names have a number in the place of ``{light}``, by that number; two of one number are refused."""
+    before, _, after = pattern.name.partition("{light}")
+    form = re.compile(rf"{re.escape(before)}(\d{{1,6}}){re.escape(after)}", flags=re.IGNORECASE)
+    found: dict[int, Path] = {}
+    for file in sorted(_home(pattern).iterdir()):
+        match = form.fullmatch(file.name)
+        if match and file.is_file():
+            other = found.setdefault(int(match[1]), file)
+            require(other == file, f"{other} and {file.name} are both of light {int(match[1])}; keep one of them.")
+    require(len(found) <= _MAX_PHOTOS, f"{pattern} fits {len(found)} photographs; at most {_MAX_PHOTOS} are read.")
+    return [found[number] for number in sorted(found)]
 
 
 def _words(name: str) -> list[tuple[int, str]]:
@@ -394,6 +468,8 @@ def _assembled(  # noqa: PLR0917
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
     count, series = len(groups), len(stack) // len(files)
     groups += [[len(files) + k for k in group] for group in groups] if series == 2 else []
+    flat, read = _flat_of(options, groups[:count], encoding)
+    hashes |= read
     pixels, ambient, black = _as_integers(stack, others.get("background"), black, groups)
     encoding = reading.encoding_after
     if reading.factor > 1:
@@ -410,6 +486,7 @@ def _assembled(  # noqa: PLR0917
         black_level=np.full(count, black),
         ambient=ambient,
         shading=camera.shading,
+        flat=flat,
         files=tuple(str(files[group[0]]) for group in groups[:count]),
         polarisation="parallel" if series == 2 else "",
     )
@@ -431,8 +508,53 @@ def _assembled(  # noqa: PLR0917
         tip_direction_deg=options.tip_direction_deg,
         mask=None if mask is None else mask_from_image(_as_bytes(others["mask"]), str(mask)),
         hashes=hashes,
+        shading=None if options.shading is None else Path(options.shading),
     )
     return capture, [*notes, *_notes(capture, files, groups[:count], turn)]
+
+
+def _flat_of(
+    options: PhotographOptions, groups: Sequence[Sequence[int]], encoding: str
+) -> tuple[PixelArray | None, dict[str, str]]:
+    """Flat images on the coarse grid, as stored, and the SHA-256 of their files; None where none are given."""
+    if options.flat is None:
+        return None, {}
+    flat, hashes = read_flat(Path(options.flat), sum(map(len, groups)), encoding)
+    flat = np.stack([flat[list(group)].mean(axis=0) for group in groups])
+    code = srgb_code(flat) if encoding == "srgb" else flat
+    return np.rint(65535.0 * np.clip(code, 0.0, 1.0)).astype(np.uint16), hashes
+
+
+def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
+    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s.
+
+    Parameters
+    ----------
+    folder : of the photographs, in the order of the lights by their names
+    count : of lights; one colour photograph serves three
+    encoding : of the photographs
+
+    Raises
+    ------
+    BadInput
+        If they are not there, not as many, or black in places.
+    """
+    require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
+    files, _, _ = photographs_in(folder, folder / "lights.txt")
+    light, hashes = [], {}
+    for file in files:
+        photo = read_photo(file)
+        require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
+        image = linear_image(photo.pixels, encoding)
+        channels = [image[..., k] for k in range(3)] if len(files) == 1 < count else [pick_channel(image, "grey")]
+        light += [naming(file, partial(coarse_flat, np.ascontiguousarray(one))) for one in channels]
+        hashes[f"{folder.name}/{file.name}"] = photo.sha256
+    require(
+        len(light) == count,
+        f"{folder} holds {len(files)} flat photographs, but there are {count} lights; give one for each, in the order "
+        "of their names.",
+    )
+    return np.stack(light), hashes
 
 
 def _camera_of(camera: Camera, reading: _Reading, px_per_mm: float | None) -> Camera:

@@ -6,6 +6,7 @@ Fields stay on the input's pixel grid; the mesh is turned upright by its coordin
 
 from __future__ import annotations
 
+import datetime
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.roughness import areal_roughness
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json, read_json
+from splitknit.io.height_maps import ptm_chunks, tmd_bytes, x3p_bytes
 from splitknit.io.images import read_image
 from splitknit.io.mesh import bands, glb_chunks, obj_chunks, stl_chunks, triangulate
 from splitknit.io.npz import read_npz, write_npz
@@ -236,31 +239,47 @@ def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
 
 
 MESHES = ("stl", "obj", "glb")
-"""Kinds of :func:`mesh_chunks`."""
+SURFACES = (*MESHES, "x3p", "tmd", "ptm")
+"""Kinds of :func:`surface_chunks`."""
 
 
-def mesh_chunks(result: Reconstruction, kind: str, title: str) -> tuple[dict[str, Any], Iterator[bytes]]:
-    """Return facts of a mesh of the surface, as ``phalange.ply`` has it, and the bytes of its file.
+def surface_chunks(
+    result: Reconstruction, kind: str, title: str, date: datetime.date | None = None
+) -> tuple[dict[str, Any], Iterator[bytes]]:
+    """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
 
     Parameters
     ----------
     result : Reconstruction
-    kind : ``stl``, ``obj`` (coordinates in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it)
+    kind : ``stl``, ``obj`` (in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it), meshes as
+        ``phalange.ply`` is one; ``x3p`` or ``tmd``, heights on the input's pixel grid; ``ptm``, relightable picture
     title : one line for the file's header
+    date : of the measurement, where it is known; of ``x3p``
 
     Raises
     ------
     BadInput
-        If the result has no scale or no surface.
+        If the result has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven places.
     """
     require(result.scale_known, NO_SCALE)
     box = bounding_box(result.mask)
+    rough = {"relief_roughness": areal_roughness(result.ridge_mm[box], result.pitch_mm)}
+    if kind not in MESHES:
+        size = {"size": list(result.mask[box].shape), "pitch_mm": result.pitch_mm, "unit": "mm", **rough}
+        if kind == "ptm":
+            return size, ptm_chunks(result.normals[box], _albedo_bytes(result)[box])
+        require(
+            result.x_mm is None,
+            "its pixels lie at uneven places (perspective camera): import its phalange.ply, and export that.",
+        )
+        height, pitch = result.height_mm[box], result.pitch_mm
+        return size, iter([tmd_bytes(height, pitch) if kind == "tmd" else x3p_bytes(height, pitch, title, date)])
     valid = result.mask[box] & np.isfinite(result.height_mm[box])
     _, count, pieces = triangulate(valid)
     require(count > 0, "the result holds no surface; reconstruct the capture again.")
     vertices, normals, intensity = (np.concatenate(one) for one in zip(*_vertices(result, valid), strict=True))
     faces = np.concatenate(list(pieces))
-    facts = {"vertices": len(vertices), "faces": count, "unit": "mm"}
+    facts = {"vertices": len(vertices), "faces": count, "unit": "mm", **rough}
     if kind == "stl":
         return facts, stl_chunks(vertices, faces, title)
     if kind == "obj":

@@ -65,6 +65,10 @@ class PatchGrid:
     """(P, 2) place in the grid."""
     grid: tuple[int, int]
     """Rows and columns of the grid of patches."""
+    first: tuple[int, int]
+    """Row and column at which the grid begins."""
+    step: int
+    """Pixels from patch to patch."""
     spectrum: NDArray[np.complex64]
     """(P, window, window // 2 + 1), conjugate, times the number of pixels of the window."""
     side: int
@@ -95,6 +99,11 @@ class Agreement:
         """Mean correlation; 0 where nothing overlaps."""
         return float(np.average(self.correlation, weights=self.weight)) if len(self.used) else 0.0
 
+    @property
+    def evidence(self) -> float:
+        """By which alignments are chosen."""
+        return self.mean * float(np.sqrt(len(self.used)))
+
 
 def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PatchSettings) -> PatchGrid:
     """Cut the band (H, W) into patches; those with too little valid skin are left out."""
@@ -119,6 +128,8 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
         columns=columns,
         place=places,
         grid=(len(starts[0]), len(starts[1])),
+        first=(int(starts[0][0]), int(starts[1][0])),
+        step=step,
         spectrum=np.float32(window * window) * spectrum_of(patches, (window, window)).conj(),
         side=side,
         reach=reach,
@@ -128,18 +139,27 @@ def patch_grid(value: FloatArray, valid: BoolArray, pitch_mm: float, settings: P
     )
 
 
-def compare_patches(patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine) -> Agreement:
-    """Lay A (H, W) on B's patches by `b_from` and search around each."""
+def compare_patches(
+    patches: PatchGrid, a_value: FloatArray, a_valid: BoolArray, b_from: Affine, bend: FloatArray | None = None
+) -> Agreement:
+    """Lay A (H, W) on B's patches by `b_from`, bent by what :func:`bent` adds, and search around each."""
     reach, side = patches.reach, patches.side
     if not len(patches.rows):
         return _nothing()
     bottom, right = int(patches.rows.max()) + side + 2 * reach, int(patches.columns.max()) + side + 2 * reach
     moved = b_from.copy()
     moved[:, 2] -= b_from[:, :2] @ np.array([reach, reach])  # a border of the search's reach around B
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    value = np.asarray(cv2.warpAffine(a_value, moved, (right, bottom), flags=flags))
-    nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
+    if bend is None:
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        value = np.asarray(cv2.warpAffine(a_value, moved, (right, bottom), flags=flags))
+        nearest = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        valid = np.asarray(cv2.warpAffine(a_valid.view(np.uint8), moved, (right, bottom), flags=nearest))
+    else:
+        down, across = np.mgrid[0:bottom, 0:right].astype(np.float32)
+        bent_places = np.stack([across, down], axis=-1) - _upsampled(patches, bend, (bottom, right), reach)
+        there = cv2.split(cv2.transform(bent_places, moved).astype(np.float32))
+        value = np.asarray(cv2.remap(a_value, there[0], there[1], cv2.INTER_LINEAR))
+        valid = np.asarray(cv2.remap(a_valid.view(np.uint8), there[0], there[1], cv2.INTER_NEAREST))
     fraction = _sums(valid, side) / np.float32(side * side)
     seen = np.minimum(fraction[patches.rows + reach, patches.columns + reach], patches.fraction)
     used = np.flatnonzero(seen >= _MIN_OVERLAP)
@@ -186,6 +206,57 @@ def better_affine(patches: PatchGrid, agreement: Agreement, b_from: Affine) -> A
     offset = solution[2] - linear @ centre
     back = np.eye(2) - linear
     return np.hstack([b_from[:, :2] @ back, (b_from[:, 2] - b_from[:, :2] @ offset)[:, None]])
+
+
+_SMOOTH = 1.0
+"""Sigma, in steps of the grid, over which shifts are averaged: skin stretches smoothly."""
+_STILL = 0.05
+"""Weight of no shift among them."""
+
+
+def bent(patches: PatchGrid, agreement: Agreement, bend: FloatArray | None = None) -> FloatArray:
+    """Smooth shifts (rows, columns, 2) of the grid's patches, columns and rows in pixels, added to those before.
+
+    Patches that correlate weakly count little; where none is near, the shift fades out.
+    """
+    weight = np.maximum(agreement.correlation - np.float32(0.2), 0) ** 2 * agreement.weight
+    step = _smoothed(patches.grid, patches.place[agreement.used], agreement.shift, weight)
+    return step if bend is None else bend + step
+
+
+def bent_by(patches: PatchGrid, place: NDArray[np.float64], shift: NDArray[np.float64]) -> FloatArray:
+    """The same from shifts (N, 2) of places (N, 2): columns and rows of B."""
+    grid = (place - (np.array(patches.first[::-1]) + (patches.side - 1) / 2)) / patches.step
+    near = np.clip(np.rint(grid[:, ::-1]).astype(np.int64), 0, np.array(patches.grid) - 1)
+    return _smoothed(patches.grid, near, shift, np.full(len(place), 0.16, dtype=np.float32))
+
+
+def _smoothed(
+    grid: tuple[int, int], place: NDArray[np.int64], shift: NDArray[np.float64], weight: FloatArray
+) -> FloatArray:
+    board = np.zeros((*grid, 3), dtype=np.float32)
+    np.add.at(board, (place[:, 0], place[:, 1]), np.column_stack([shift * weight[:, None], weight]).astype(np.float32))
+    board = np.asarray(cv2.GaussianBlur(board, (0, 0), _SMOOTH, borderType=cv2.BORDER_CONSTANT))
+    return np.asarray(board[..., :2] / (board[..., 2:] + np.float32(_STILL * 0.16)), dtype=np.float32)
+
+
+def _upsampled(patches: PatchGrid, bend: FloatArray, size: tuple[int, int], border: int) -> FloatArray:
+    """(*size, 2) shifts of the pixels of B, which begins `border` pixels inside."""
+    middle = [first + (patches.side - 1) / 2 + border for first in patches.first]
+    scale = 1 / patches.step
+    places = np.array([[scale, 0, -middle[1] * scale], [0, scale, -middle[0] * scale]])
+    return np.asarray(
+        cv2.warpAffine(
+            bend, places, size[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+        )
+    )
+
+
+def shown_in_a(patches: PatchGrid, b_from: Affine, bend: FloatArray, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N, 2) column and row in A of places (N, 2) in B."""
+    grid = (place - (np.array(patches.first[::-1]) + (patches.side - 1) / 2)) / patches.step
+    near = np.clip(np.rint(grid).astype(np.int64), 0, np.array(bend.shape[1::-1]) - 1)
+    return np.asarray((place - bend[near[:, 1], near[:, 0]]) @ b_from[:, :2].T + b_from[:, 2])
 
 
 def rigid(

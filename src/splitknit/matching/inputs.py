@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import contextlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import naming, open_file, require
+from splitknit.errors import BadInput, naming, open_file, require
 from splitknit.io.templates import HEADER_BYTES, MAGIC, read_template
-from splitknit.matching.minutiae import extract, installed
-from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.minutiae import at_500_ppi
+from splitknit.matching.minutiae_record import (
+    PPI,
+    Minutiae,
+    holds_minutiae,
+    no_minutiae,
+    pack_minutiae,
+    unpack_minutiae,
+)
 from splitknit.matching.ridge_band import print_band
 from splitknit.matching.surface import MatchingSettings, surface_template
-from splitknit.matching.template import VERSION, Template, make_template, pack, unpack
+from splitknit.matching.template import VERSION, Template, make_template, pack, unpack, with_minutiae
 from splitknit.model import Capture, Progress, Reconstruction, Surface, no_progress, surface_of
 
 
@@ -128,16 +136,25 @@ def is_of_minutiae(path: Path) -> bool:
 
 
 def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: MatchingSettings | None = None) -> Template:
-    """Template of a print (H, W), ridges dark, with its minutiae where `nbis-py` is installed.
+    """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
 
     Raises
     ------
     BadInput
         As :func:`splitknit.matching.ridge_band.print_band`.
     """
-    settings = settings or MatchingSettings()
-    template = make_template(print_band(image, ppi, settings.band), settings.template)
-    return replace(template, minutiae=extract(image, ppi, enhance=True)) if installed() else template
+    from splitknit.io.prints import PrintFile  # templates of others need none of these
+    from splitknit.prints.from_file import pressed_print
+    from splitknit.prints.make import enhance, minutiae_by_phase
+
+    settings, image = settings or MatchingSettings(), at_500_ppi(image, ppi)
+    inside, minutiae = None, no_minutiae((image.shape[0], image.shape[1]))
+    with contextlib.suppress(BadInput):  # no ridges: a failure to acquire
+        made = pressed_print(PrintFile(image, PPI, {}))
+        inside = made.weight > 0
+        minutiae = minutiae_by_phase(made, enhance(made, PPI), PPI)
+    band = print_band(image, PPI, settings.band, inside)
+    return with_minutiae(make_template(band, settings.template), band.valid, minutiae)
 
 
 def _read_surface(path: Path) -> Surface:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
 from splitknit.io.templates import is_template, write_template
-from splitknit.matching.fusion import can_fuse, fused_match, fused_similarity
+from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import Side, read_side
-from splitknit.matching.minutiae import NFIQ2_FAILED, extract, installed, minutiae_match, nfiq2
+from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import PPI, Minutiae
 from splitknit.matching.ridge import RidgeMatch, prepared, ridge_match
 from splitknit.matching.score import FmrTable
@@ -116,15 +116,11 @@ class Match:
     """That was used, never ``auto``."""
     a: ComparedSide
     b: ComparedSide
-    fusion_missing: str | None = None
-    """Why two prints were compared by their ridges alone."""
     similarity: float
     """The method's score; higher is more similar."""
     similarity_of_ridges: float | None = None
     similarity_of_minutiae: float | None = None
-    """Of the method ``fusion``; None where there are too few."""
-    similarity_with_ridges: float | None = None
-    """Fused with the ridges' (log-likelihood ratio), of the method ``minutiae``."""
+    """Of the method ``fusion``, 0 to 1; None where there are too few."""
     compared: bool
     """False: a failure to acquire, or too little overlap."""
     agreeing: int | None = None
@@ -172,7 +168,7 @@ def match_files(
     method
         ``ridge``, ``fusion`` (of ridges and minutiae; of two prints), ``thesis``, ``minutiae``, ``voted``,
         ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``minutiae`` where one is a record of minutiae,
-        ``fusion`` where both sides have minutiae of a print and `nbis-py` is installed, else ``ridge``.
+        ``fusion`` where both sides have minutiae of a print, else ``ridge``.
     template
         File to write the template of `a` into.
     preset
@@ -194,11 +190,8 @@ def match_files(
     if template is not None:
         _check_template_file(template, a, b)
     first, second = (read_side(side, preset, chosen, progress, input_ppi) for side in (a, b))
-    missing = None
     if method == "auto":
         method = _usual_method(first, second)
-        if first.kind == second.kind == "print" and not installed():
-            missing = "nbis-py is not installed"
     progress("comparing", 0.9)
     compare: dict[str, Callable[[Side, Side, MatchingSettings], Match]] = {
         "ridge": _by_ridges,
@@ -212,7 +205,7 @@ def match_files(
     found = _rated(compare[method](first, second, chosen), _scores_of(method, first, second), chosen, fmr)
     written = None if template is None else _written(template, first)
     progress("done", 1.0)
-    return replace(found, fusion_missing=missing, template=written)
+    return replace(found, template=written)
 
 
 def make_template_file(
@@ -268,13 +261,11 @@ def _by_ridges(a: Side, b: Side, settings: MatchingSettings) -> Match:
 
 
 def _fused(a: Side, b: Side, settings: MatchingSettings) -> Match:
-    """Compare two prints by ridges and minutiae. Raises BadInput if a side holds no minutiae, or nbis-py is missing."""
+    """Compare two prints by ridges and minutiae. Raises BadInput if a side holds no minutiae."""
     sides = []
     for side in (a, b):
         minutiae = _template(side).minutiae
         if minutiae is None:
-            if side.kind == "print":
-                naming(side.path, partial(extract, _print_of(side)[0], PPI))  # refused where nbis-py is not installed
             raise BadInput(
                 f"{side.path} is a {side.kind} without minutiae of a print; the method fusion compares prints: name "
                 "one, or a template (.skt) that was made of one."
@@ -416,7 +407,6 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
     similarity = minutiae_match(*found)
     return Match(
         method="minutiae", a=sides[0], b=sides[1], similarity=similarity, compared=compared,
-        similarity_with_ridges=_joined(a, b, similarity) if compared else None,
     )  # fmt: skip
 
 
@@ -438,14 +428,6 @@ def side_minutiae(side: Side) -> Minutiae:
 
         return naming(side.path, partial(print_minutiae, image))
     return naming(side.path, partial(extract, image, PPI))
-
-
-def _joined(a: Side, b: Side, similarity: float) -> float | None:
-    """Fusion of minutiae and ridges, for which the templates of the ridges are at hand."""
-    if a.template is None or b.template is None:
-        return None
-    found = ridge_match(a.template, b.template)
-    return fused_similarity(similarity, found.similarity if found.compared else float("nan"))
 
 
 def _print_of(side: Side) -> tuple[NDArray[np.uint8], bool]:

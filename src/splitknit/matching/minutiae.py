@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import threading
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -24,130 +24,10 @@ from splitknit.matching.minutiae_record import (
     Minutiae,
     no_minutiae,
 )
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 
-# Enhancement of a pressed print before its minutiae are sought: short-time Fourier filtering along the ridges.
-#
-# Overlapping windows are transformed; in each, what runs along the local ridges and has their local period is kept. Dry
-# ridges close, scratches are bridged, noise goes; what is no ridge stays white.
-#
-# Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
-# Recognition 40, 2007 (windows, filters); A. Bazen and S. Gerez, IEEE TPAMI 24, 2002 (direction from averaged squared
-# gradients).
-
-
-_DIRECTIONS, _PERIODS = 64, 24
-_MIN_PX, _MAX_PX = 4.5, 15.0
-"""Periods of ridges at 500 ppi: 0.23 to 0.76 mm."""
-_LEVEL = 8.0
-"""Grey levels; contrast below that is not raised further."""
-
-
-# lengths in pixels at 500 ppi
-_WINDOW_PX = 32
-"""Side of a window: some four ridges."""
-_STEP_PX = 8
-"""Between windows."""
-_DIRECTION_PX = 7.0
-"""Sigma over which ridge directions are averaged."""
-_SPREAD_DEG = 28.0
-"""Sigma of the filter across directions."""
-_SPREAD_PER_PX = 0.08
-"""Sigma of the filter across frequencies, cycles a pixel."""
-_CONTRAST_PX = 11.0
-"""Sigma over which mean and contrast are made even."""
-_STEEPNESS = 1.6
-"""Of the grey curve of the result."""
-_MIN_CONTRAST = 18.0
-"""Standard deviation in grey levels below which there is no print."""
-
-
-def enhance_print(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Enhance a print.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-        At 500 ppi, ridges dark.
-
-    Returns
-    -------
-    (H, W) uint8
-        Even ridges, dark; white where there are none.
-    """
-    grey = image.astype(np.float32)
-    grey = np.minimum(grey, np.float32(np.percentile(grey, 99)))  # paper is flat
-    centred = grey - _blur(grey, _CONTRAST_PX)
-    contrast = np.sqrt(_blur(centred * centred, _CONTRAST_PX))
-    even = np.clip(centred / np.maximum(contrast, np.float32(_LEVEL)), -3.0, 3.0).astype(np.float32)
-    kept = _filtered(even)
-    kept /= np.sqrt(_blur(kept * kept, _CONTRAST_PX)) + np.float32(0.02)
-    ridges = 0.5 + 0.5 * np.tanh(np.float32(_STEEPNESS) * kept)
-    there = 1.0 / (1.0 + np.exp((np.float32(_MIN_CONTRAST) - contrast) / 3.0))
-    return np.asarray(np.round(255.0 * (1.0 - there * (1.0 - ridges))), dtype=np.uint8)
-
-
-def _filtered(even: FloatArray) -> FloatArray:
-    """(H, W) what runs along the ridges, from windows added up."""
-    import scipy.fft  # a comparison of templates needs none of it
-
-    side, step = _WINDOW_PX, _STEP_PX
-    rows, columns = (int(np.ceil((size + side) / step)) for size in even.shape)
-    padded = np.zeros(((rows - 1) * step + side, (columns - 1) * step + side), dtype=np.float32)
-    first = side - step
-    inside = slice(first, first + even.shape[0]), slice(first, first + even.shape[1])
-    padded[inside] = even[: padded.shape[0] - first, : padded.shape[1] - first]
-    taper = np.sqrt(np.hanning(side + 1)[:side]).astype(np.float32)
-    window = np.outer(taper, taper)
-    parts = np.lib.stride_tricks.sliding_window_view(padded, (side, side))[::step, ::step]
-    spectra = scipy.fft.rfft2(parts * window, axes=(2, 3))
-
-    middles = [
-        np.clip(np.arange(count) * step + side // 2 - first, 0, size - 1)
-        for count, size in zip((rows, columns), even.shape, strict=True)
-    ]
-    direction = _directions(even, _DIRECTION_PX)[np.ix_(*middles)]
-    turn = np.round(direction * (_DIRECTIONS / np.pi)).astype(np.int64) % _DIRECTIONS
-    along, across, frequency, marks = _bank(side)
-    power = (spectra.real**2 + spectra.imag**2) * along[turn]
-    total = _blur(power.sum(axis=(2, 3)), 1.5)
-    mean = _blur((power * frequency).sum(axis=(2, 3)), 1.5) / np.maximum(total, np.float32(1e-9))
-    pitch = np.clip(np.searchsorted(marks, mean), 0, _PERIODS - 1)
-    kept = scipy.fft.irfft2(spectra * along[turn] * across[pitch], s=(side, side), axes=(2, 3)) * window
-    result = np.zeros_like(padded)
-    for i in range(rows):
-        for j in range(columns):
-            result[i * step : i * step + side, j * step : j * step + side] += kept[i, j]
-    return np.asarray(result[inside], dtype=np.float32)
-
-
-def _directions(even: FloatArray, sigma: float) -> FloatArray:
-    """(H, W) direction across the ridges in [-pi/2, pi/2], rows downwards."""
-    smooth = _blur(even, 1.0)
-    right, down = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    twice = 2 * _blur(right * down, sigma), _blur(right * right, sigma) - _blur(down * down, sigma)
-    return np.asarray(0.5 * np.arctan2(*twice), dtype=np.float32)
-
-
-@lru_cache(maxsize=1)
-def _bank(side: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Filters on the half spectrum: by direction, by frequency, the frequencies, and between which each holds."""
-    down, right = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None]
-    frequency = np.hypot(down, right)
-    band = (frequency > 1 / _MAX_PX) & (frequency < 1 / _MIN_PX)
-    angle = np.arctan2(down, right) - (np.pi / _DIRECTIONS * np.arange(_DIRECTIONS))[:, None, None]
-    apart = np.angle(np.exp(2j * angle)) / 2
-    along = np.exp(-0.5 * (apart / np.deg2rad(_SPREAD_DEG)) ** 2) * band
-    centres = np.linspace(1 / _MAX_PX, 1 / _MIN_PX, _PERIODS)
-    across = np.exp(-0.5 * ((frequency - centres[:, None, None]) / _SPREAD_PER_PX) ** 2)
-    marks = 0.5 * (centres[1:] + centres[:-1])
-    single = [np.asarray(table, dtype=np.float32) for table in (along, across, frequency, marks)]
-    return single[0], single[1], single[2], single[3]
-
-
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
-
+if TYPE_CHECKING:
+    from splitknit.prints.pressed import PressedRidges
 
 # How far inside a print its minutiae lie.
 #
@@ -157,6 +37,8 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
 
 EDGE_MM = 0.6
 """Minutiae nearer to the outline are left out: about one and a third ridge periods."""
+_PRESSED_EDGE_MM = 0.3
+"""The same of pressed prints, which fade out."""
 _PAPER = 235
 """Brighter is paper (or the middle of a valley)."""
 _CLOSED_MM, _OPENED_MM = 1.0, 0.6
@@ -173,8 +55,12 @@ def _edge_distance(print_image: NDArray[np.uint8]) -> FloatArray:
     ink = np.pad((print_image < _PAPER).astype(np.uint8), closed + 1)
     area = cv2.morphologyEx(ink, cv2.MORPH_CLOSE, _disc(closed))
     area = np.pad(area[closed + 1 : -closed - 1, closed + 1 : -closed - 1], 1)  # beyond the image is no print
-    area = cv2.morphologyEx(area, cv2.MORPH_OPEN, _disc(opened))
-    pixels = cv2.distanceTransform(area, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    return _to_outline(cv2.morphologyEx(area, cv2.MORPH_OPEN, _disc(opened))[1:-1, 1:-1] > 0)
+
+
+def _to_outline(area: BoolArray) -> FloatArray:
+    """(H, W) distance of every pixel of a print's area to its outline or the image's border, in mm; 0 outside."""
+    pixels = cv2.distanceTransform(np.pad(area.astype(np.uint8), 1), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return np.asarray(pixels * np.float32(25.4 / PPI), dtype=np.float32)
 
 
@@ -197,8 +83,9 @@ _LOCK = threading.Lock()
 
 
 def extract(
-    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool = False, *, edge_mm: float | None = None
-) -> Minutiae:
+    print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool | PressedRidges = False, *,
+    edge_mm: float | None = None,
+) -> Minutiae:  # fmt: skip
     """Find the minutiae of a print with mindtct.
 
     Parameters
@@ -207,13 +94,13 @@ def extract(
         Ridges dark, as ink on paper.
     ppi : float
         Its resolution; other ones than 500 are resampled first.
-    enhance : bool
-        Whether the print is enhanced first: for prints that were pressed on glass or paper. Without, it is taken as it
-        is: right for the relief prints of reconstructions, whose contrast is even.
+    enhance : bool or PressedRidges
+        Whether the print is enhanced first, or its enhancement: for prints pressed on glass or paper. Without,
+        it is taken as it is: right for the relief prints of reconstructions, whose contrast is even.
     edge_mm : float, optional
         Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
-        :data:`splitknit.matching.minutiae.EDGE_MM` for prints taken as they are, and 0 after `enhance`: pressed
-        prints fade out at their border, and mindtct looks after it.
+        :data:`splitknit.matching.minutiae.EDGE_MM` for prints taken as they are, and half of it after `enhance`:
+        pressed prints fade out at their border.
 
     Returns
     -------
@@ -232,8 +119,13 @@ def extract(
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
         return no_minutiae((image.shape[0], image.shape[1]))
-    if enhance:
-        image = enhance_print(image)
+    if enhance is True:
+        from splitknit.prints.pressed import pressed_ridges  # a comparison of templates needs none of it
+
+        enhance = pressed_ridges(image)
+    pressed = enhance or None
+    if pressed is not None:
+        image = pressed.image
     with _LOCK:
         found = _extractor(False).extract_minutiae(_png(image)).get()
     rows = [(m.x(), m.y(), m.angle(), m.kind().value, m.reliability()) for m in found]
@@ -248,8 +140,10 @@ def extract(
         np.clip(np.round(100 * reliability), 0, 100).astype(np.uint8),
         (image.shape[0], image.shape[1]),
     )
-    least = edge_mm if edge_mm is not None else (0.0 if enhance else EDGE_MM)
-    return _inside_by(every, _edge_distance(image), least) if least > 0 else every
+    least = edge_mm if edge_mm is not None else (EDGE_MM if pressed is None else _PRESSED_EDGE_MM)
+    if least <= 0:
+        return every
+    return _inside_by(every, _edge_distance(image) if pressed is None else _to_outline(pressed.inside), least)
 
 
 def minutiae_match(a: Minutiae, b: Minutiae) -> float:

@@ -26,6 +26,7 @@ from splitknit.matching.elastic import (
     rigid,
     spectrum_of,
 )
+from splitknit.matching.minutia_pairs import Cylinders, minutia_cylinders
 from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.score import prepared_side, prepared_sides
 from splitknit.matching.template import Template, pack
@@ -311,6 +312,14 @@ class Prepared:
         return _ridge_view(soft, self.template.pitch_mm, 0.0, self.settings.phase)
 
     @cached_property
+    def cylinders(self) -> Cylinders | None:
+        """Of its minutiae; None where there are too few."""
+        found = self.template.minutiae
+        if found is None or not found.acquired:
+            return None
+        return minutia_cylinders(found, self.template.valid, self.template.pitch_mm)
+
+    @cached_property
     def first(self) -> PatchGrid:
         """Patches for the refinement."""
         return patch_grid(self.value, self.template.valid, self.template.pitch_mm, FIRST_PATCHES)
@@ -358,7 +367,12 @@ def ridge_match(
         f"templates have pitches of {left.template.pitch_mm:g} and {right.template.pitch_mm:g} mm; make both new.",
     )
     swapped = left.key > right.key
-    result, affine = _match(right, left) if swapped else _match(left, right)
+    result, affine = lay(right, left) if swapped else lay(left, right)
+    return placed(result, affine, left, right, swapped)
+
+
+def placed(found: RidgeMatch, affine: Affine, left: Prepared, right: Prepared, swapped: bool) -> RidgeMatch:
+    """`found` with how `left` lies on `right`; `swapped`: the affine map is of the other direction."""
     pitch = left.template.pitch_mm
     if swapped:
         inner = np.linalg.inv(affine[:, :2])
@@ -369,7 +383,7 @@ def ridge_match(
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     there = np.linalg.solve(affine[:, :2], middle - affine[:, 2])
     offset = (there - np.array([(other[1] - 1) / 2, (other[0] - 1) / 2])) * pitch
-    return replace(result, rotation_deg=float(np.rad2deg(angle)), right_mm=float(offset[0]), up_mm=float(-offset[1]))
+    return replace(found, rotation_deg=float(np.rad2deg(angle)), right_mm=float(offset[0]), up_mm=float(-offset[1]))
 
 
 def prepared(side: Template | Prepared, settings: RidgeMatchSettings | None = None) -> Prepared:
@@ -377,29 +391,43 @@ def prepared(side: Template | Prepared, settings: RidgeMatchSettings | None = No
     return prepared_side(side, Prepared, settings)
 
 
-def _match(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
-    settings, pitch = a.settings, a.template.pitch_mm
-    best: tuple[float, Affine, Agreement] | None = None
-    for peak in peaks(a.rotated, b.directions, b.ridges):
-        start = rigid(
-            a.template.valid.shape,
-            b.template.valid.shape,
-            float(np.deg2rad(peak.angle_deg)),
-            (peak.right_mm / pitch, peak.down_mm / pitch),
-        )
-        found = compare_patches(b.first, a.value, a.template.valid, start)
-        score = found.mean * np.sqrt(len(found.used))
-        if best is None or score > best[0]:
-            best = (float(score), start, found)
-    assert best is not None
-    affine = better_affine(b.first, best[2], best[1])
+def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
+    """Compare `a` with `b`, in this order, and the affine map from b's places to a's."""
+    starts = starts_by_ridges(a, b)
+    found = [(start, compare_patches(b.first, a.value, a.template.valid, start)) for start in starts]
+    start, best = max(found, key=lambda one: one[1].evidence)
+    affine = refined(a, b, start, best)
+    return scored(a, b, compare_patches(b.patches, a.value, a.template.valid, affine)), affine
+
+
+def starts_by_ridges(a: Prepared, b: Prepared) -> list[Affine]:
+    """Alignments to begin with, by correlation."""
+    pitch = a.template.pitch_mm
+    return [
+        start_at(a, b, float(np.deg2rad(one.angle_deg)), (one.right_mm / pitch, one.down_mm / pitch))
+        for one in peaks(a.rotated, b.directions, b.ridges)
+    ]
+
+
+def start_at(a: Prepared, b: Prepared, angle_rad: float, shift_px: tuple[float, float]) -> Affine:
+    """As :func:`splitknit.matching.elastic.rigid`, of two templates."""
+    return rigid(a.template.valid.shape, b.template.valid.shape, angle_rad, shift_px)
+
+
+def refined(a: Prepared, b: Prepared, start: Affine, found: Agreement) -> Affine:
+    """Affine map that follows the shifts of large patches."""
+    affine = better_affine(b.first, found, start)
     for _ in range(_REFINEMENTS - 1):
         again = compare_patches(b.first, a.value, a.template.valid, affine)
         affine = better_affine(b.first, again, affine)
-    final = compare_patches(b.patches, a.value, a.template.valid, affine)
-    overlap = float(final.weight.sum()) * settings.patches.step_mm**2
+    return affine
+
+
+def scored(a: Prepared, b: Prepared, final: Agreement) -> RidgeMatch:
+    """Similarity by the patches of an alignment."""
+    overlap = float(final.weight.sum()) * a.settings.patches.step_mm**2
     smaller = min(a.template.area_mm2, b.template.area_mm2)
     least = max(min(_MIN_OVERLAP_MM2, 0.5 * smaller), 1e-9)
     correlation = final.mean
     similarity = correlation * float(np.sqrt(min(1.0, overlap / least)))
-    return RidgeMatch(similarity, correlation, overlap, 0.0, 0.0, 0.0, compared=True), affine
+    return RidgeMatch(similarity, correlation, overlap, 0.0, 0.0, 0.0, compared=True)

@@ -178,7 +178,10 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     return RidgeBand(np.where(valid, flat, np.float32(0.0)), valid, orientation, coherence, pitch)
 
 
-def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBandSettings | None = None) -> RidgeBand:
+def print_band(
+    image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBandSettings | None = None,
+    inside: BoolArray | None = None,
+) -> RidgeBand:  # fmt: skip
     """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
 
     Parameters
@@ -187,6 +190,8 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBand
         Grey, ridges dark, upright, as ink on paper.
     ppi : float
         Pixels per inch.
+    inside : (H, W) bool, optional
+        Where there are ridges; by default wherever there is contrast.
 
     Raises
     ------
@@ -204,6 +209,8 @@ def print_band(image: NDArray[np.uint8], ppi: float = 500.0, settings: RidgeBand
     detail = ink - gaussian_blur(ink, settings.ridge_mm / pitch)
     spread = np.sqrt(gaussian_blur(detail * detail, 0.5 * settings.window_mm / pitch))
     finger = spread > 0.3 * float(np.quantile(spread, 0.9))
+    if inside is not None:
+        finger &= inside[:, ::-1]
     if not bool(finger.any()):
         finger = np.ones(image.shape, dtype=np.bool_)
     return ridge_band(ink, finger, pitch, settings=settings)

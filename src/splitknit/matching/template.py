@@ -10,7 +10,7 @@ own). A finger that could not be acquired is a payload of zero bytes.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
-from splitknit.matching.minutiae_record import Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
+from splitknit.matching.minutiae_record import PPI, Minutiae, holds_minutiae, pack_minutiae, unpack_minutiae
 from splitknit.matching.ridge_band import RidgeBand
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -106,6 +106,39 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     return Template(np.where(valid, level, np.uint8(0)), valid, band.pitch_mm)
 
 
+def with_minutiae(template: Template, valid: BoolArray, minutiae: Minutiae) -> Template:
+    """`template` with the minutiae of its print, on a grid of 500 ppi whose middle is the template's, as they are kept.
+
+    `valid`: (H, W) of the whole band that the template was cut from. Those beyond the template's border are left out.
+    """
+    minutiae = unpack_minutiae(pack_minutiae(minutiae))  # directions in steps: the same before and after
+    if template.empty:
+        return replace(template, minutiae=minutiae)
+    box, step = bounding_box(valid), template.pitch_mm * PPI / 25.4
+    size = _print_size(template)
+    # the band is the mirrored print: its column c lies at the print's column (width - 1) - c step
+    middle = [0.5 * (one.start + one.stop - 1) * step for one in box]
+    first = (
+        round(middle[0] - (size[0] - 1) / 2),
+        round(minutiae.size[1] - 1 - middle[1] - (size[1] - 1) / 2),
+    )
+    x, y = minutiae.x_px - np.int32(first[1]), minutiae.y_px - np.int32(first[0])
+    inside = (x >= 0) & (y >= 0) & (x < size[1]) & (y < size[0])
+    return replace(
+        template,
+        minutiae=Minutiae(
+            x[inside], y[inside], minutiae.direction_rad[inside], minutiae.type[inside], minutiae.quality[inside], size
+        ),
+    )
+
+
+def _print_size(template: Template) -> tuple[int, int]:
+    """Rows and columns of the grid of its minutiae."""
+    step = template.pitch_mm * PPI / 25.4
+    rows, columns = (round((side - 1) * step) + 1 for side in template.valid.shape)
+    return rows, columns
+
+
 def _failed_template(pitch_mm: float = 0.1) -> Template:
     """Return the template of a failure to acquire."""
     return Template(np.zeros((0, 0), dtype=np.uint8), np.zeros((0, 0), dtype=np.bool_), pitch_mm)
@@ -164,4 +197,6 @@ def unpack(payload: bytes) -> Template:
     level = np.zeros(height * width, dtype=np.uint8)
     level[flat] = np.stack([packed >> shift & 3 for shift in (0, 2, 4, 6)], axis=1).ravel()[:known]
     shape = (height, width)
-    return Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000, minutiae)
+    found = Template(level.reshape(shape), flat.reshape(shape).astype(np.bool_), pitch_um / 1000, minutiae)
+    known = minutiae is None or minutiae.size == _print_size(found)  # others are of an earlier version's grid
+    return found if known else replace(found, minutiae=None)

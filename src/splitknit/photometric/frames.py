@@ -41,6 +41,9 @@ need not be less integrable."""
 _CONVEX, _WHOLLY_CONVEX = 0.4, 0.8
 """Net divergence over its absolute sum from which a surface counts as one convex object: 0.6 to 1 on objects and
 fingers, 0.07 on a field of balls."""
+_ONE_THING = 0.4
+"""Part of the slopes that a blur over an eighth of the object leaves, below which it is no single convex thing: 0.6 to
+0.9 on objects and fingers, 0.07 to 0.23 on a field of balls."""
 HIGH_RESIDUAL = 0.2
 """Light left unexplained, as a fraction, from which photographs do not fit their lights: 0.01 to 0.15 on objects and
 fingers under their own lights (docs/experiments/objects.md)."""
@@ -285,7 +288,10 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float6
     Turned by an angle t, slopes have the curl cos t * curl - sin t * divergence: its least sum of squares is an
     eigenvalue.
     """
-    p, q, weight = (part.astype(np.float64) for part in _smooth_slopes(normals, inside))
+    smooth = _smooth_slopes(normals, inside)
+    if _coarse_part(smooth[0], smooth[1], inside) < _ONE_THING:
+        return None, 1.0  # a field of bumps: each is convex, and nothing is of the whole
+    p, q, weight = (part.astype(np.float64) for part in smooth)
     dp_dx, dp_dy, dq_dx, dq_dy = (
         sign * np.gradient(part, axis=axis) for part in (p, q) for sign, axis in ((1.0, 1), (-1.0, 0))
     )
@@ -313,6 +319,21 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float6
     opposite = float(np.trace(turn)) < -_SAME_TURN  # no curl either; only the outline distinguishes it
     worse = 1.0 if given_convex < _CONVEX and convex > _WHOLLY_CONVEX else _WORSE
     return (turn if opposite or ratio > worse else None), ratio
+
+
+def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
+    """Rms of slopes (h, w) blurred over an eighth of the object, over their own; the same in every frame."""
+    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+    within = inside[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    cover = within.astype(np.float32)
+
+    def blurred(values: FloatArray) -> FloatArray:
+        return np.asarray(cv2.GaussianBlur(values, (0, 0), 0.12 * max(cover.shape), borderType=cv2.BORDER_CONSTANT))
+
+    mean = np.maximum(blurred(cover), np.float32(1e-6))
+    coarse = sum(float(((blurred(part * cover) / mean)[within] ** 2).sum()) for part in (p, q))
+    own = sum(float((part[within] ** 2).sum()) for part in (p, q))
+    return float(np.sqrt(coarse / max(own, 1e-12)))
 
 
 def _turned_order(lights: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.int64]:

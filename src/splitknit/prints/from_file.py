@@ -15,12 +15,12 @@ from splitknit.io.iso19794 import read_iso19794
 from splitknit.io.minutiae_record import FINGER_CODES, FingerView, pixels_per_cm
 from splitknit.io.print_formats import read_prints
 from splitknit.io.prints import PrintFile, read_print_png
-from splitknit.matching.minutiae import at_500_ppi, enhance_print
+from splitknit.matching.minutiae import at_500_ppi
 from splitknit.matching.minutiae_record import PPI, Minutiae, no_minutiae
 from splitknit.model import BoolArray
 from splitknit.prints.make import Print, enhance, minutiae_by_phase
+from splitknit.prints.pressed import pressed_ridges
 from splitknit.prints.print_map import plane_map
-from splitknit.prints.ridge_field import ridge_field
 
 USUAL_PERIOD_MM = 0.46
 """Between ridges of adults' fingers; people differ by 8 %."""
@@ -29,6 +29,7 @@ MIN_PPI, MAX_PPI = 200.0, 5080.0
 _USUAL_PPI, _SNAP = (500, 1000), 0.2
 _LARGEST_SPECTRUM = 1024
 _PERIODS_PX = 2.2, 64.0
+_MIN_SIDE_PX = 40
 _CLEAR = 15.0
 """Of the ridges' peak over the spectrum's median, red noise taken out: prints have 30 to 100."""
 
@@ -134,18 +135,17 @@ def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
         If it has no ridges, or is smaller than 2 mm.
     """
     image = print_at_500_ppi(item).image
-    even = enhance_print(image)
-    found = ridge_field(even, PPI, inside)
-    ridges = np.kron(found.mask, np.ones((found.step_px, found.step_px), np.float32))[
-        : image.shape[0], : image.shape[1]
-    ]
+    require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
+    pressed = pressed_ridges(image)
+    ridges = pressed.inside if inside is None else pressed.inside & inside
+    require(bool(ridges.any()), "the print has no ridges; check focus and light of the capture.")
     ppi = item.resolution_ppi or PPI
     rows, columns = item.image.shape
     mirrored = np.array([[-1.0, 0.0, columns - 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # prints are, camera images not
     there = dataclasses.replace(plane_map(25.4 / ppi, mirrored, (rows, columns), PPI), surface="paper")
     light = (np.float32(255.0) - image).astype(np.float32)
-    weight = (ridges if inside is None else ridges * inside).astype(np.float32)
-    return Print(image, weight, there, light, in_mm=False, even=even)
+    weight = ridges.astype(np.float32)
+    return Print(image, weight, there, light, in_mm=False, even=pressed.image, confidence=pressed.confidence)
 
 
 def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:

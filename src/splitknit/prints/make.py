@@ -62,6 +62,8 @@ class Print:
     unrolled: Unrolled | None = None
     even: NDArray[np.uint8] | None = None
     """(h, w) the same of even contrast, where a print was pressed on glass or paper; its minutiae are sought there."""
+    confidence: FloatArray | None = None
+    """(h, w) 0 to 1, of such a print: how sure its ridges are."""
 
 
 def make_print(
@@ -174,7 +176,7 @@ def measured(made: Print, enhanced: Enhanced, ppi: float, settings: PrintingSett
 
 def minutiae_by_phase(made: Print, enhanced: Enhanced, ppi: float) -> Minutiae:
     """Minutiae of a print; `enhanced` is what :func:`enhance` made of it."""
-    return by_phase(made.image if made.even is None else made.even, enhanced, ppi)
+    return by_phase(made.image if made.even is None else made.even, enhanced, ppi, made.confidence)
 
 
 def _needed(values: FloatArray | None) -> FloatArray:

@@ -25,6 +25,8 @@ _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 
 _EDGE_MM = 0.6
 """Nearer to the print's outline none is taken: every ridge ends there."""
+_SURE = 0.25
+"""Confidence of ridges that do not lower the quality of minutiae."""
 _MIN_QUALITY = 70
 """Minutiae of less quality are left out."""
 
@@ -40,10 +42,12 @@ class _PhaseMinutiae:
     kind: NDArray[np.uint8]
     """(N,) 1 ridge ending, 2 bifurcation."""
     quality: NDArray[np.uint8]
-    """(N,) 0 to 100: how well the print about it follows the wave."""
+    """(N,) 0 to 100: how well the print about it follows the wave, and how sure its ridges are."""
 
 
-def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> _PhaseMinutiae:
+def phase_minutiae(
+    image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0, confidence: FloatArray | None = None
+) -> _PhaseMinutiae:
     """Find the minutiae of a print whose enhancement is at hand.
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
@@ -58,6 +62,8 @@ def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 50
         Of the same print.
     ppi : float
         Pixels per inch.
+    confidence : (h, w) float32, optional
+        0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter.
 
     Returns
     -------
@@ -85,7 +91,10 @@ def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 50
     place = np.stack([columns + 0.5, rows + 0.5], axis=1)
     inside = np.pad(enhanced.mask.astype(np.uint8), 1)  # beyond the picture is no print
     distance = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * (25.4 / ppi)
-    quality = np.round(100 * np.clip(_likeness(image, ridges), 0, 1)).astype(np.uint8)[rows, columns]
+    like = np.clip(_likeness(image, ridges)[rows, columns], 0, 1)
+    if confidence is not None:
+        like = like * np.sqrt(np.minimum(confidence[rows, columns] / np.float32(_SURE), 1))
+    quality = np.round(100 * like).astype(np.uint8)
     kept = (distance[rows, columns] >= _EDGE_MM) & (quality >= _MIN_QUALITY)
     rows, columns, place, quality = rows[kept], columns[kept], place[kept], quality[kept]
     towards = along[rows, columns] + np.where(turns[rows, columns] > 0, 0.0, np.pi)
@@ -93,9 +102,11 @@ def phase_minutiae(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 50
     return _PhaseMinutiae(place, np.asarray(towards % (2 * np.pi)), kind, quality)
 
 
-def by_phase(image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0) -> Minutiae:
+def by_phase(
+    image: NDArray[np.uint8], enhanced: Enhanced, ppi: float = 500.0, confidence: FloatArray | None = None
+) -> Minutiae:
     """Minutiae of a print by :func:`phase_minutiae`, on the grid of 500 ppi as mindtct's."""
-    found = phase_minutiae(image, enhanced, ppi)
+    found = phase_minutiae(image, enhanced, ppi, confidence)
     scale = 500.0 / ppi
     place = np.rint((found.place_px + 0.5) * scale - 0.5).astype(np.int32)
     size = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))

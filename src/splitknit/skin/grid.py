@@ -16,19 +16,6 @@ from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
 
 
-def _fast_length(at_least: int) -> int:
-    """Smallest length without a prime factor above five: its Fourier transform is fast. Of scipy nothing is loaded."""
-    length = at_least
-    while True:
-        left = length
-        for factor in (2, 3, 5):
-            while left % factor == 0:
-                left //= factor
-        if left == 1:
-            return length
-        length += 1
-
-
 @dataclass(frozen=True, eq=False)
 class Grid:
     """A window of the image at some pitch, and which of its sides cut the finger."""
@@ -61,7 +48,7 @@ class Grid:
 
     @cached_property
     def _size(self) -> tuple[int, int]:
-        rows, columns = (_fast_length(n + 2 * self._margin) for n in self.shape)
+        rows, columns = (cv2.getOptimalDFTSize(n + 2 * self._margin) for n in self.shape)
         return rows, columns
 
     @cached_property
@@ -188,3 +175,5 @@ class BandImages:
     """(C, L, h, w)."""
     rig: Rig
     """`rig.leds[k]` lights image k."""
+    unpolarised: BandImages | None = None
+    """Of a crossed series: the images as they are without films."""

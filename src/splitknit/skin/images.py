@@ -129,8 +129,8 @@ def working_images(
     crossed = None
     if bands[0].crossed is not None:
         light = linear_channels(bands[0].crossed, capture.encoding, _names(bands[0]), seen, binning)
-        leaked = 1 / contrast(capture).astype(np.float32)[:, None, None] - 1  # of the specular light, in both series
-        light -= leaked * (images[0].stack - light)
+        for k, seen in enumerate(contrast(capture).astype(np.float32)):  # some specular light leaks into both series
+            light[:, k] -= (1 / seen - 1) * (images[0].stack[:, k] - light[:, k]) if seen != 1 else 0
         crossed = BandImages(images[0].channels, light, capture.rig.select(bands[0].crossed.lights))
     wanted = settings.relief == "network"
     able = can_learn(images[0], grid.pitch_mm)

@@ -21,7 +21,6 @@ B. Walter et al., "Microfacet models for refraction through rough surfaces", EGS
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -41,9 +40,9 @@ from splitknit.skin.light import slant_of
 
 Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
-TURNS = 4
-"""Gauss-Newton steps."""
-SOLVER_STEPS = 24
+TURNS, SETTLED = (4, 8), 0.06
+"""Gauss-Newton steps: so many at least and at most, until strength and roughness change less than this part."""
+SOLVER_STEPS = 16
 """Conjugate gradients in each of them: where the images say little, the surface stays near its start."""
 RIDGES_PER_MM = 14.0
 """Angular frequency of ridges."""
@@ -157,130 +156,222 @@ def polarised_heights(
     start_mm : (h, w) surface, finite
     deviation_mm : (h, w) stated standard deviation of its ridges' heights
     """
-    difference, noise, rig = images.stack, images.noise, images.rig
+    difference, noise = images.stack, images.noise
     mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)
-    lights = _lights(rig, grid, start_mm)
+    lights = _Lights.of(images.rig, grid, start_mm)
     solver = _Solver(start_mm, grid)
     nodes, before = solver.start, _slopes(solver.start, grid.pitch_mm)
     known = mask & (before[0] ** 2 + before[1] ** 2 < STEEP**2)
-    known = known if known.any() else mask
     spread = PRIOR_FACTOR * RIDGES_PER_MM * np.maximum(deviation_mm, np.float32(1e-3))
     prior = (1 / np.minimum(spread, 1.0) ** 2).astype(np.float32)
-    weight = (mask / (noise * noise + (MODEL_ERROR * difference) ** 2)).astype(np.float32)
+    weight = _weight(images, mask, slice(None))
     specular = Specular(0.0, *START)
-    gate: FloatArray = np.ones_like(difference)
-    for _ in range(TURNS):
+    for count in range(1, TURNS[1] + 1):
         slopes = _slopes(nodes, grid.pitch_mm)
-        predicted = _predicted(lights, slopes, specular, mask, grid)
-        if specular.strength == 0:
-            specular = replace(specular, strength=_first_strength(difference, weight, predicted, grid, mask))
-        rho, rho_mean = _scattered(difference, weight * gate, predicted, specular.strength, grid=grid, mask=mask)
-        residual = difference - np.float32(specular.strength) * predicted.specular - rho * predicted.scattered
-        doubt = 1 + weight * (SCATTERED_ERROR * rho * predicted.scattered) ** 2
-        gate = (predicted.trust / doubt / (1 + weight * residual * residual / 9)).astype(np.float32)
+        sharp, soft = _predicted(lights, slopes, specular, mask)
+        strength, rho, rho_mean = _strengths((difference, weight), (sharp, soft), grid, mask, specular.strength)
+        specular = replace(specular, strength=strength)
         off = slopes[0] - before[0], slopes[1] - before[1]
-        rho_prior = (1 / (LOCAL_RHO * rho_mean) ** 2).astype(np.float32)
-        beside = _Prior(prior, off, rho_prior, (rho - rho_mean) * mask, known)
-        system = _equations(predicted, specular, rho, (weight * gate, residual), beside)
-        change = system.change()
-        step, added = solver.solve(system.tensor, system.force(change), nodes)
+        beside = _Prior(prior, off, rho_mean, (rho - rho_mean) * mask, known)
+        turn = _Turn(images, grid, mask, lights, slopes, specular, sharp, soft, rho)
+        change = _change(turn, beside)
+        tensor, force = _system(turn, beside, change, weight)
+        step, added = solver.solve(tensor, force, nodes)
         nodes = nodes + added
         specular = specular.changed(step * change)
+        if count >= TURNS[0] and step == 1 and np.abs(change[:2]).max() < SETTLED:
+            break
     slant = slant_of(grid.smooth(start_mm, grid.mask, 0.3), grid.pitch_mm)
-    share = np.sqrt(np.clip(2 * prior / np.maximum(system.tensor[0] + system.tensor[2], prior), 0, 1))
+    share = np.sqrt(np.clip(2 * prior / np.maximum(tensor[0] + tensor[2], prior), 0, 1))
     factor = np.maximum(np.interp(slant, SLANT_DEG, SLANT_ERROR), share)
-    shown = np.maximum(np.float32(specular.strength) * predicted.specular, np.float32(1e-9))
+    shown = np.maximum(np.float32(turn.specular.strength) * sharp, np.float32(1e-9))
+    left = (difference - shown - rho * soft)[:, mask]
     facts = {
         "roughness": specular.roughness,
         "strength": specular.strength,
         "path_mm": specular.path_px * grid.pitch_mm,
         "blur_mm": specular.blur_px * grid.pitch_mm,
-        "scattered_over_specular": float((rho * predicted.scattered)[:, mask].mean() / shown[:, mask].mean()),
+        "scattered_over_specular": float((rho * soft)[:, mask].mean() / shown[:, mask].mean()),
         "specular_over_noise": float(np.median(shown.max(axis=0)[mask]) / noise),
-        "residual_over_noise": float(np.sqrt(np.median(residual[:, mask] ** 2) / 0.455) / noise),
+        "residual_over_noise": float(np.sqrt(np.median(left**2) / 0.455) / noise),
     }
     return PolarisedHeights(_shifted(nodes, -0.5, -1), (deviation_mm * factor).astype(np.float32), facts)
 
 
-# One prediction: both parts of the difference for strengths of one, and their derivatives.
+# One prediction: both parts of the difference for strengths of one, and their derivatives, some rows at a time.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Light:
-    """One light on the surface."""
+class _Lights:
+    """The lights on the start, on every `EVERY`-th row: they vary little."""
 
-    towards: FloatArray
-    """(3, h, w) unit vectors."""
-    half: FloatArray
-    """(3, h, w) unit vectors halfway to the camera."""
-    irradiance: FloatArray
-    """(h, w) at normal incidence."""
-    reflected: FloatArray
-    """(h, w) irradiance times Fresnel's reflectance at the half vector."""
+    fields: FloatArray
+    """(8, L, n, w): unit vector towards the light, irradiance at normal incidence; unit vector halfway to the camera,
+    irradiance times Fresnel's reflectance there."""
+    between: FloatArray
+    """(h, n) weights of the rows."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Predicted:
-    """(L, h, w) each."""
-
-    specular: FloatArray
-    scattered: FloatArray
-    specular_x: FloatArray
-    """Derivative by dz/dx, before the blur, whose effect on it is of second order."""
-    specular_y: FloatArray
-    scattered_x: FloatArray
-    scattered_y: FloatArray
-    by_roughness: FloatArray
-    """Of the specular part, by the roughness's logarithm."""
-    by_path: FloatArray
-    """Of the scattered part, by the path's logarithm."""
-    by_blur: FloatArray
-    """Of the specular part, by the blur's logarithm."""
-    trust: FloatArray
-    """In [0, 1]: lit and seen well."""
-
-
-def _lights(rig: Rig, grid: Grid, surface_mm: FloatArray) -> list[_Light]:
-    vectors = grid.view.turned(light_vectors_at(rig, *grid.view.points(surface_mm)))
-    lights = []
-    for vector in vectors:
-        irradiance = np.sqrt((vector * vector).sum(axis=0))
-        towards = vector / np.maximum(irradiance, np.float32(1e-12))
-        half = towards.copy()
-        half[2] += 1
+    @classmethod
+    def of(cls, rig: Rig, grid: Grid, surface_mm: FloatArray) -> _Lights:
+        some = slice(None, None, EVERY)
+        vectors = np.moveaxis(
+            grid.view.turned(light_vectors_at(rig, *grid.view.points(surface_mm[some], some)), some), 1, 0
+        )
+        irradiance = np.sqrt((vectors * vectors).sum(axis=0))
+        towards = vectors / np.maximum(irradiance, np.float32(1e-12))
+        half = towards + np.array([0, 0, 1], dtype=np.float32)[:, None, None, None]
         length = np.maximum(np.sqrt((half * half).sum(axis=0)), np.float32(1e-6))
-        lights.append(_Light(towards, half / length, irradiance, irradiance * fresnel_reflectance(length / 2)))
-    return lights
+        fields = np.stack([*towards, irradiance, *(half / length), irradiance * fresnel_reflectance(length / 2)])
+        rows, count = np.arange(grid.shape[0]), fields.shape[2]
+        between = np.zeros((len(rows), count), dtype=np.float32)
+        low = np.minimum(rows // EVERY, max(count - 2, 0))
+        between[rows, low] = 1 - (rows / EVERY - low)
+        between[rows, np.minimum(low + 1, count - 1)] += rows / EVERY - low
+        return cls(fields, between)
+
+    def on(self, rows: slice) -> FloatArray:
+        """(8, L, rows, w)."""
+        part = slice(max(min(rows.start // EVERY, self.between.shape[1] - 2), 0), (rows.stop - 1) // EVERY + 2)
+        return np.asarray(np.matmul(self.between[rows, part], self.fields[:, :, part]))
 
 
-def _predicted(lights: Sequence[_Light], slopes: Slopes, specular: Specular, mask: BoolArray, grid: Grid) -> _Predicted:
-    parts = np.empty((10, len(lights), *mask.shape), dtype=np.float32)
-    inside = mask.astype(np.float32)
-    damped = np.float32(np.exp(-0.5 * (RIDGES_PER_MM * grid.pitch_mm * specular.path_px) ** 2))
+EVERY, PER_CHUNK = 8, 2
+"""Rows over which light changes little; chunks are smaller by the latter, as a facet has many numbers."""
 
-    def blurred(image: FloatArray, sigma_px: float) -> FloatArray:
-        total = cv2.GaussianBlur(image * inside, (0, 0), sigma_px)
-        return np.asarray(total / np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma_px), np.float32(0.05)))
 
-    def one(k: int) -> None:
-        image, (x, y), matt, (matt_x, matt_y), other, cosine = _facets(lights[k], slopes, specular.roughness)
-        blur = specular.blur_px
-        path = [float(np.hypot(blur, s * specular.path_px)) for s in (1.0, 1.1)]
-        sharp, soft, softer = blurred(image, blur), blurred(matt, path[0]), blurred(matt, path[1])
-        seen = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-        trust = _from(blurred(cosine, blur), LIT) * _from(seen, SEEN)
-        rougher, wider = (blurred(other, blur) - sharp) / _STEP, (softer - soft) / _WIDER
-        blurrier = (blurred(image, 1.1 * blur) - sharp) / _WIDER
-        parts[:, k] = sharp, soft, x, y, matt_x * damped, matt_y * damped, rougher, wider, blurrier, trust
+def _predicted(lights: _Lights, slopes: Slopes, specular: Specular, mask: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Specular and scattered images (L, h, w) of strengths of one."""
+    rows, columns = mask.shape
+    sharp = np.empty((lights.fields.shape[1], rows, columns), dtype=np.float32)
+    soft, inside = np.empty_like(sharp), mask.astype(np.float32)
 
+    def work(part: slice) -> None:
+        image, matt = _facets(lights.on(part), (slopes[0][part], slopes[1][part]), specular.roughness)[:2]
+        sharp[:, part], soft[:, part] = image * inside[part], matt * inside[part]
+
+    for_each_chunk(work, rows, columns, PER_CHUNK * len(sharp))
+    _blur(sharp, specular.blur_px, inside)
+    _blur(soft, float(np.hypot(specular.blur_px, specular.path_px)), inside)
+    return sharp, soft
+
+
+def _blur(stack: FloatArray, sigma_px: float, inside: FloatArray) -> None:
+    """Gaussian means over the finger, in place."""
+    around = np.maximum(cv2.GaussianBlur(inside, (0, 0), sigma_px), np.float32(0.05))
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(one, range(len(lights))))
-    return _Predicted(*parts)
+        list(pool.map(lambda one: np.divide(cv2.GaussianBlur(one, (0, 0), sigma_px), around, out=one), stack))
 
 
-_WIDER = np.float32(np.log(1.1))
-_STEP = np.float32(0.01)
-"""Of the roughness's logarithm, for its derivative."""
+def _facets(light: FloatArray, slopes: Slopes, roughness: float, derivatives: bool = False) -> list[FloatArray]:
+    """Specular and matt image (L, h, w); with `derivatives` also theirs by dz/dx and dz/dy, that of the specular image
+    by the roughness's logarithm, and the cosine of incidence."""
+    p, q = slopes
+    towards, irradiance, half, reflected = light[:3], light[3], light[4:7], light[7]
+    nz = 1 / np.sqrt(1 + p * p + q * q)
+    cosine = (towards[2] - p * towards[0] - q * towards[1]) * nz
+    nh = (half[2] - p * half[0] - q * half[1]) * nz
+    lit = cosine > np.float32(1e-3)
+    nl = np.maximum(cosine, np.float32(1e-3))
+    a2 = np.float32(roughness * roughness)
+    b = 1 - a2
+    below = 1 - b * nh * nh
+    root_l, root_z = np.sqrt(a2 + b * nl * nl), np.sqrt(a2 + b * nz * nz)
+    unit = irradiance * lit
+    matt = unit * nl
+    image = reflected * lit * nl * (a2 / np.float32(np.pi) / (nz + root_z)) / (below * below * (nl + root_l))
+    if not derivatives:
+        return [image, matt]
+    by_h = 4 * b * nh / below
+    by_l = 1 / nl - (1 + b * nl / root_l) / (nl + root_l)
+    by_z = -(1 + b * nz / root_z) / (nz + root_z)
+    specular, scattered = [], []
+    for axis, slope in enumerate(slopes):
+        turned = slope * nz * nz
+        dl, dh = -towards[axis] * nz - nl * turned, -half[axis] * nz - nh * turned
+        specular.append(image * (by_h * dh + by_l * dl - by_z * turned * nz))
+        scattered.append(unit * dl)
+    rougher = 2 - 4 * a2 * nh * nh / below
+    rougher -= a2 * ((1 - nl * nl) / (root_l * (nl + root_l)) + (1 - nz * nz) / (root_z * (nz + root_z)))
+    return [image, matt, *specular, *scattered, image * rougher, cosine]
+
+
+def _strengths(
+    measured: tuple[FloatArray, FloatArray], predicted: tuple[FloatArray, FloatArray], grid: Grid, mask: BoolArray,
+    strength: float,
+) -> tuple[float, FloatArray, FloatArray]:  # fmt: skip
+    """Strength of the specular part, by least squares where it is zero, and that of the scattered part (h, w) with its
+    local mean, from the difference and its weights."""
+    (difference, weight), (sharp, soft), first = measured, predicted, strength == 0
+    sums = np.empty((5, *mask.shape), dtype=np.float32)
+
+    def work(rows: slice) -> None:
+        heavy, given = weight[:, rows] * soft[:, rows], difference[:, rows]
+        lobe = weight[:, rows] * sharp[:, rows]
+        pairs = ((heavy, given), (heavy, sharp[:, rows]), (heavy, soft[:, rows]), (lobe, sharp[:, rows]), (lobe, given))
+        for total, (one, other) in zip(sums, pairs, strict=True):
+            np.einsum("lij,lij->ij", one, other, out=total[rows])
+
+    for_each_chunk(work, *grid.shape, PER_CHUNK * len(soft))
+    right, both, power = sums[:3]
+    means = grid.smooth(sums[:3], mask, SLOW_MM)
+    own, given = (float(one.sum(dtype=np.float64)) for one in sums[3:])
+    strength = given / max(own, 1e-12) if first else strength
+    for turn in range(7 if first else 1, 0, -1):
+        s = np.float32(strength)
+        mean = np.maximum((means[0] - s * means[1]) / np.maximum(means[2], np.float32(1e-9)), np.float32(1e-6))
+        prior = 1 / (LOCAL_RHO * mean) ** 2
+        rho = np.where(mask, (right - s * both + prior * mean) / (power + prior), np.float32(0.0))
+        if turn > 1:
+            strength = max((given - float((rho * both).sum(dtype=np.float64))) / max(own, 1e-12), 1e-9)
+    return strength, rho, mean
+
+
+def _weight(images: SpecularImages, mask: BoolArray, rows: slice) -> FloatArray:
+    """(L, rows, w) inverse variance of the difference."""
+    error = np.float32(MODEL_ERROR) * images.stack[:, rows]
+    return np.asarray(mask[rows] / (np.float32(images.noise**2) + error * error), dtype=np.float32)
+
+
+# One step: linear equations for slopes, scattered part and the finger's four numbers.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turn:
+    """Where a step starts."""
+
+    images: SpecularImages
+    grid: Grid
+    mask: BoolArray
+    lights: _Lights
+    slopes: Slopes
+    specular: Specular
+    sharp: FloatArray
+    """(L, h, w) specular images of strength one."""
+    soft: FloatArray
+    """(L, h, w) scattered ones."""
+    rho: FloatArray
+    """(h, w) strength of the scattered part."""
+
+    def columns(self, rows: slice) -> tuple[list[FloatArray], FloatArray]:
+        """Of some rows, (L, rows, w) each: derivatives of the prediction by both slopes and by rho, the residual,
+        derivatives by the logarithms of strength, roughness, path and blur; and weights.
+
+        The derivatives by slopes and roughness are those before the blur, whose effect on them is of second order.
+        """
+        p, q = slopes = self.slopes[0][rows], self.slopes[1][rows]
+        facets = _facets(self.lights.on(rows), slopes, self.specular.roughness, derivatives=True)
+        strength, rho, soft = np.float32(self.specular.strength), self.rho[rows], self.soft[:, rows]
+        shown, scattered = strength * self.sharp[:, rows], self.rho[rows] * soft
+        residual = self.images.stack[:, rows] - shown - scattered
+        weight = _weight(self.images, self.mask, rows)
+        trust = _from(facets[7], LIT) * _from(np.asarray(1 / np.sqrt(1 + p * p + q * q), dtype=np.float32), SEEN)
+        error = np.float32(SCATTERED_ERROR) * scattered
+        gate = trust / ((1 + weight * error * error) * (1 + weight * residual * residual / 9))
+        damped = rho * np.float32(np.exp(-0.5 * (RIDGES_PER_MM * self.grid.pitch_mm * self.specular.path_px) ** 2))
+        x, y = (strength * facets[2 + n] + damped * facets[4 + n] for n in range(2))
+        wider = np.float32(self.specular.path_px**2) * rho * _laplacian(self.soft, rows)  # heat equation
+        blurrier = np.float32(self.specular.blur_px**2) * strength * _laplacian(self.sharp, rows)
+        return [x, y, soft, residual, shown, strength * facets[6], wider, blurrier], weight * gate
 
 
 def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
@@ -288,161 +379,11 @@ def _from(cosine: FloatArray, limits: tuple[float, float]) -> FloatArray:
     return np.asarray(np.clip((cosine - np.float32(limits[0])) / np.float32(limits[1]), 0, 1))
 
 
-def _facets(
-    light: _Light, slopes: Slopes, roughness: float
-) -> tuple[FloatArray, Slopes, FloatArray, Slopes, FloatArray, FloatArray]:
-    """Specular and matt image (h, w) of one light, each with its derivatives by the slopes; the specular image of a
-    roughness that is larger by `_STEP`; and the cosine of incidence."""
-    p, q = slopes
-    nz = 1 / np.sqrt(1 + p * p + q * q)
-    towards, half = light.towards, light.half
-    cosine = (towards[2] - p * towards[0] - q * towards[1]) * nz
-    nh = (half[2] - p * half[0] - q * half[1]) * nz
-    lit = cosine > np.float32(1e-3)
-    nl = np.where(lit, cosine, np.float32(1e-3))
-    a2 = np.float32(roughness * roughness)
-    b = 1 - a2
-    below = 1 - b * nh * nh
-    root_l, root_z = np.sqrt(a2 + b * nl * nl), np.sqrt(a2 + b * nz * nz)
-    strength = light.reflected * lit * nl
-    image = strength * a2 / (np.float32(np.pi) * below * below * (nl + root_l) * (nz + root_z))
-    by_h = 4 * b * nh / below
-    by_l = 1 / nl - (1 + b * nl / root_l) / (nl + root_l)
-    by_z = -(1 + b * nz / root_z) / (nz + root_z)
-    matt, unit = light.irradiance * lit * nl, light.irradiance * lit
-    specular, scattered = [], []
-    for axis, slope in enumerate(slopes):
-        turned = slope * nz * nz
-        dl, dh = -towards[axis] * nz - nl * turned, -half[axis] * nz - nh * turned
-        specular.append(image * (by_h * dh + by_l * dl - by_z * turned * nz))
-        scattered.append(unit * dl)
-    c2 = a2 * np.float32(np.exp(2 * _STEP))
-    c = 1 - c2
-    other = 1 - c * nh * nh
-    wide_l, wide_z = np.sqrt(c2 + c * nl * nl), np.sqrt(c2 + c * nz * nz)
-    rougher = strength * c2 / (np.float32(np.pi) * other * other * (nl + wide_l) * (nz + wide_z))
-    return image, (specular[0], specular[1]), matt, (scattered[0], scattered[1]), rougher, cosine
-
-
-def _first_strength(
-    difference: FloatArray, weight: FloatArray, predicted: _Predicted, grid: Grid, mask: BoolArray
-) -> float:
-    """Strength of the specular part by least squares, the scattered part fitted in turns with it."""
-    power = float((weight * predicted.specular**2).sum(dtype=np.float64))
-    strength = float((weight * predicted.specular * difference).sum(dtype=np.float64)) / max(power, 1e-12)
-    for _ in range(6):
-        _, rho = _scattered(difference, weight, predicted, strength, grid=grid, mask=mask)
-        residual = difference - rho * predicted.scattered
-        strength = max(float((weight * predicted.specular * residual).sum(dtype=np.float64)) / max(power, 1e-12), 1e-9)
-    return strength
-
-
-def _scattered(
-    difference: FloatArray, weight: FloatArray, predicted: _Predicted, strength: float, *, grid: Grid, mask: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """(h, w) strength of the scattered part at each pixel, and its local mean."""
-    residual = ((difference - np.float32(strength) * predicted.specular) * predicted.scattered * weight).sum(axis=0)
-    power = (predicted.scattered * predicted.scattered * weight).sum(axis=0)
-    means = grid.smooth(np.stack([residual, power]), mask, SLOW_MM)
-    mean = np.maximum(means[0] / np.maximum(means[1], np.float32(1e-9)), np.float32(1e-6))
-    prior = 1 / (LOCAL_RHO * mean) ** 2
-    return np.where(mask, (residual + prior * mean) / (power + prior), np.float32(0.0)), mean
-
-
-# One step: linear equations for slopes, scattered part and the finger's three numbers.
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Equations:
-    """Normal equations of a step, the scattered part eliminated at each pixel."""
-
-    tensor: FloatArray
-    """(3, h, w) of the slopes: xx, xy, yy."""
-    forces: FloatArray
-    """(5, 2, h, w) on the slopes: of the residual, and of each of the four numbers."""
-    own: NDArray[np.float64]
-    """(4, 4) of the four numbers, slopes eliminated."""
-    right: NDArray[np.float64]
-    """(4,)."""
-
-    def change(self) -> NDArray[np.float64]:
-        """(4,) of the logarithms of strength, roughness, path and blur, with whatever slopes suit them best."""
-        own = self.own + np.diag(PRIOR_WEIGHTS)
-        return np.asarray(np.clip(np.linalg.solve(own, self.right), -0.25, 0.25))
-
-    def force(self, change: NDArray[np.float64]) -> FloatArray:
-        """(2, h, w) on the slopes, the four numbers changed."""
-        return np.asarray(self.forces[0] - np.tensordot(change.astype(np.float32), self.forces[1:], 1))
-
-
-PRIOR_WEIGHTS = (0.0, 0.0, 4.0, 4.0)
-"""Of the last step's numbers, on their logarithms, beside the images."""
-
-
-def _equations(
-    predicted: _Predicted, specular: Specular, rho: FloatArray, weighted: tuple[FloatArray, FloatArray], prior: _Prior
-) -> _Equations:
-    """Normal equations of the residual.
-
-    Parameters
-    ----------
-    predicted : at the current slopes
-    specular, rho : at which the residual was taken
-    weighted : (L, h, w) weights, and residual
-    prior : beside the images
-    """
-    weight, residual = weighted
-    strength = np.float32(specular.strength)
-    shape = rho.shape
-    tensor = np.empty((3, *shape), dtype=np.float32)
-    forces = np.empty((5, 2, *shape), dtype=np.float32)
-    sums: dict[int, NDArray[np.float64]] = {}
-
-    def work(rows: slice) -> None:
-        columns = (
-            strength * predicted.specular_x[:, rows] + rho[rows] * predicted.scattered_x[:, rows],
-            strength * predicted.specular_y[:, rows] + rho[rows] * predicted.scattered_y[:, rows],
-            predicted.scattered[:, rows],
-            residual[:, rows],
-            strength * predicted.specular[:, rows],
-            strength * predicted.by_roughness[:, rows],
-            rho[rows] * predicted.by_path[:, rows],
-            strength * predicted.by_blur[:, rows],
-        )
-        heavy = [weight[:, rows] * column for column in columns]
-        gram = {(i, j): (heavy[i] * columns[j]).sum(axis=0) for i in range(8) for j in range(i, 8)}
-        for i, off in enumerate(prior.slopes_off):
-            gram[i, i] = gram[i, i] + prior.slopes[rows]
-            gram[i, 3] = gram[i, 3] - prior.slopes[rows] * off[rows]
-        gram[2, 2] = gram[2, 2] + prior.rho[rows]
-        gram[2, 3] = gram[2, 3] - prior.rho[rows] * prior.rho_off[rows]
-        inverse = 1 / gram[2, 2]
-        for i in (0, 1, 3, 4, 5, 6, 7):
-            for j in range(i, 8):
-                if j != 2:
-                    gram[i, j] = gram[i, j] - _pair(gram, i, 2) * _pair(gram, j, 2) * inverse
-        xx, xy, yy = gram[0, 0], gram[0, 1], gram[1, 1]
-        tensor[:, rows] = xx, xy, yy
-        for n in range(5):
-            forces[n, :, rows] = gram[0, 3 + n], gram[1, 3 + n]
-        below = np.maximum(xx * yy - xy * xy, np.float32(1e-12))
-        here = prior.known[rows]
-        total = np.empty((4, 5))
-        for n in range(4):
-            fx, fy = gram[0, 4 + n], gram[1, 4 + n]
-            x, y = (yy * fx - xy * fy) / below, (xx * fy - xy * fx) / below
-            for m in range(5):
-                rest = _pair(gram, 3 + m, 4 + n) - x * gram[0, 3 + m] - y * gram[1, 3 + m]
-                total[n, m] = rest[here].sum(dtype=np.float64)
-        sums[rows.start] = total
-
-    for_each_chunk(work, shape[0], shape[1], len(residual))
-    total = np.sum([sums[start] for start in sorted(sums)], axis=0)
-    return _Equations(tensor, forces, total[:, 1:], total[:, 0])
-
-
-def _pair(gram: dict[tuple[int, int], FloatArray], i: int, j: int) -> FloatArray:
-    return gram[min(i, j), max(i, j)]
+def _laplacian(stack: FloatArray, rows: slice) -> FloatArray:
+    """(L, rows, w) of some rows of `stack`."""
+    first = max(rows.start - 1, 0)
+    inner = slice(rows.start - first, rows.stop - first)
+    return np.stack([cv2.Laplacian(one, cv2.CV_32F)[inner] for one in stack[:, first : rows.stop + 1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -454,10 +395,78 @@ class _Prior:
     slopes_off: Slopes
     """From the start's."""
     rho: FloatArray
-    """(h, w) inverse variance of the scattered part about its local mean."""
+    """(h, w) local mean of the scattered part's strength."""
     rho_off: FloatArray
     known: BoolArray
-    """(h, w) pixels that give the three numbers."""
+    """(h, w) pixels that give the four numbers."""
+
+
+PRIOR_WEIGHTS = (1e-6, 1e-6, 1.0, 1.0)
+"""Of the finger's four numbers, on their logarithms, beside the images."""
+STRIPES = 12
+"""Chunks of rows that give them, about."""
+
+
+def _change(turn: _Turn, prior: _Prior) -> NDArray[np.float64]:
+    """(4,) of the logarithms of strength, roughness, path and blur, with whatever slopes suit them best."""
+    sums: dict[int, NDArray[np.float64]] = {}
+
+    def work(rows: slice) -> None:
+        height = rows.stop - rows.start
+        if (rows.start // height) % max(1, turn.grid.shape[0] // (STRIPES * height)):
+            return
+        columns, weight = turn.columns(rows)
+        gram = _gram(columns, weight, 8, prior, rows)
+        xx, xy, yy = gram[0, 0], gram[0, 1], gram[1, 1]
+        below = np.maximum(xx * yy - xy * xy, np.float32(1e-12))
+        total = np.empty((4, 5))
+        for n in range(4):
+            fx, fy = gram[0, 4 + n], gram[1, 4 + n]
+            x, y = (yy * fx - xy * fy) / below, (xx * fy - xy * fx) / below
+            for m in range(5):
+                rest = gram[min(3 + m, 4 + n), max(3 + m, 4 + n)] - x * gram[0, 3 + m] - y * gram[1, 3 + m]
+                total[n, m] = rest[prior.known[rows]].sum(dtype=np.float64)
+        sums[rows.start] = total
+
+    for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
+    total = np.sum([sums[start] for start in sorted(sums)], axis=0)
+    own = total[:, 1:] + np.diag(PRIOR_WEIGHTS)
+    return np.asarray(np.clip(np.linalg.solve(own, total[:, 0]), -0.25, 0.25))
+
+
+def _system(turn: _Turn, prior: _Prior, change: NDArray[np.float64], used: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Tensor (3, h, w) of the slopes (xx, xy, yy) and force (2, h, w) on them, the four numbers changed and the
+    scattered part eliminated at each pixel; `used` (L, h, w) becomes the weights."""
+    tensor, force = (np.empty((n, *turn.mask.shape), dtype=np.float32) for n in (3, 2))
+
+    def work(rows: slice) -> None:
+        columns, weight = turn.columns(rows)
+        for by, column in zip(change.astype(np.float32), columns[4:], strict=True):
+            columns[3] -= by * column
+        gram = _gram(columns, weight, 4, prior, rows)
+        tensor[:, rows], force[:, rows] = (gram[0, 0], gram[0, 1], gram[1, 1]), (gram[0, 3], gram[1, 3])
+        used[:, rows] = weight
+
+    for_each_chunk(work, *turn.grid.shape, PER_CHUNK * len(turn.soft))
+    return tensor, force
+
+
+def _gram(
+    columns: list[FloatArray], weight: FloatArray, count: int, prior: _Prior, rows: slice
+) -> dict[tuple[int, int], FloatArray]:
+    """Normal equations (rows, w) of the first `count` columns and the prior, the scattered part eliminated."""
+    heavy = [weight * column for column in columns[:count]]
+    gram = {(i, j): np.einsum("lij,lij->ij", heavy[i], columns[j]) for i in range(count) for j in range(i, count)}
+    for i, off in enumerate(prior.slopes_off):
+        gram[i, i] += prior.slopes[rows]
+        gram[i, 3] -= prior.slopes[rows] * off[rows]
+    stiff = 1 / (np.float32(LOCAL_RHO) * prior.rho[rows]) ** 2
+    gram[2, 2] += stiff
+    gram[2, 3] -= stiff * prior.rho_off[rows]
+    rest = [i for i in range(count) if i != 2]
+    for i, j in ((i, j) for i in rest for j in rest if i <= j):
+        gram[i, j] -= gram[min(i, 2), max(i, 2)] * gram[min(j, 2), max(j, 2)] / gram[2, 2]
+    return gram
 
 
 # Heights at the corners of the pixels.

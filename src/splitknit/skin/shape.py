@@ -129,7 +129,7 @@ def white_light_on(height_mm: FloatArray, images: CoarseImages) -> Lighting:
     low = images.grid
     height = refine(above_plane(height_mm, images), low.mask, 1, low.shape)
     smooth = np.asarray(cv2.GaussianBlur(height, (0, 0), 0.25 / low.pitch_mm), dtype=np.float32)
-    return fine_lighting(images.bands[0].rig, low, smooth, images.factor, images.fine)
+    return fine_lighting(images.white.rig, low, smooth, images.factor, images.fine)
 
 
 def _start_shape(band: BandImages, grid: Grid, plane_mm: float) -> FloatArray:

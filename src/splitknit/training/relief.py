@@ -27,7 +27,7 @@ from splitknit.training.fields import (
     Sample,
 )
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData, training_crops, training_sample
-from splitknit.training.trainer import Entry, NetworkKind, files_of
+from splitknit.training.trainer import NetworkKind, files_of
 from splitknit.training.trainer import Sample as Stored
 
 NETWORK = NetworkKind(
@@ -139,11 +139,6 @@ def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     }
 
 
-def _in_um(entry: Entry) -> Entry:
-    """Figures with the error of the relief in micrometres."""
-    return {**{name: value for name, value in entry.items() if name != "rms"}, "rms_um": UNIT_UM * entry["rms"]}
-
-
 def _shoot(kind: str, number: int, data: ReliefData) -> Sequence[Stored]:
     if kind == "finger":
         return [training_sample(number, data)]
@@ -158,7 +153,7 @@ TASK = FieldsTask(
     symmetry=SYMMETRY,
     losses=_relief_losses,
     judge=_judge_middle,
-    in_units=_in_um,
+    in_units=lambda entry: {**{k: v for k, v in entry.items() if k != "rms"}, "rms_um": UNIT_UM * entry["rms"]},
     held_out=f"; the middle {JUDGED_PX} x {JUDGED_PX} pixels, on the smooth shape they would be trained on",
     lines={
         "training": lambda entry: UNIT_UM * math.sqrt(entry["relief"]),

@@ -26,7 +26,7 @@ from splitknit.training.fields import (
 )
 from splitknit.training.networks import load_torch
 from splitknit.training.shape_data import shape_sample
-from splitknit.training.trainer import Entry, NetworkKind, files_of
+from splitknit.training.trainer import NetworkKind, files_of
 
 NETWORK = NetworkKind(
     "shape",
@@ -150,10 +150,6 @@ def _mean(field: Any) -> Any:
     return cv2.blur(field, (JUDGED_WIDE_PX, JUDGED_WIDE_PX), borderType=cv2.BORDER_CONSTANT)
 
 
-def _as_slopes(entry: Entry) -> Entry:
-    return {name: UNIT * value for name, value in entry.items()}
-
-
 TASK = FieldsTask(
     kind=NETWORK,
     channels=CHANNELS,
@@ -161,7 +157,7 @@ TASK = FieldsTask(
     symmetry=SYMMETRY,
     losses=_shape_losses,
     judge=_judge_whole,
-    in_units=_as_slopes,
+    in_units=lambda entry: {name: UNIT * value for name, value in entry.items()},
     held_out=": error of the shape's slopes (rms of one slope, steep parts count less) before and after mending, and "
     f"of their means over {JUDGED_WIDE_PX} x {JUDGED_WIDE_PX} pixels of the coarse grid",
     lines={

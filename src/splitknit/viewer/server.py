@@ -1,4 +1,6 @@
-"""The server: what is opened, one request in, one answer out (GET and HEAD only), until it is stopped.
+"""The server: what is opened, one request in, one answer out, until it is stopped.
+
+Results are read-only (GET and HEAD); a live view can also be held, zeroed and saved (POST, without a body).
 
 Only the page that this server gave out, on this machine, may request: another page in the same browser may send
 requests to the loopback address, but it does not know the token; the name it uses may lead here (DNS rebinding), but
@@ -28,12 +30,15 @@ from email.message import Message
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qsl
 
 from splitknit.errors import BadInput, require
 from splitknit.viewer.catalogue import Catalogue, Reply, make_catalogue
 from splitknit.viewer.service import Service
+
+if TYPE_CHECKING:
+    from splitknit.viewer.live import LiveService
 
 POLICY = "; ".join(
     (
@@ -121,7 +126,7 @@ def _is_database(path: Path) -> bool:
         return False
 
 
-def start(service: Service, port: int) -> _ViewerServer:
+def start(service: Service | LiveService, port: int) -> _ViewerServer:
     """Listen on 127.0.0.1; port 0 is any free one.
 
     Raises
@@ -222,7 +227,7 @@ class _ViewerServer(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 64
 
-    def __init__(self, service: Service, token: str, port: int) -> None:
+    def __init__(self, service: Service | LiveService, token: str, port: int) -> None:
         """Raises OSError where the port cannot be had."""
         self.service, self.token = service, token
         self._free = threading.BoundedSemaphore(_MAX_CONNECTIONS)
@@ -320,7 +325,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _respond(self) -> None:
         path, _, query = self.path.partition("?")
-        refused = _refusal(self.command, self.path, self.headers, self.server.token, self.server.server_port)
+        method, answer_to = self.command, self.server.service.answer
+        if method == "POST" and hasattr(self.server.service, "act"):  # a live view
+            method, answer_to = "GET", self.server.service.act
+        refused = _refusal(method, self.path, self.headers, self.server.token, self.server.server_port)
         if refused is None and len(self.path) > _LONGEST_PATH:
             refused = 414, "the address is too long"
         if refused is not None:
@@ -328,7 +336,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             values = dict(parse_qsl(query, max_num_fields=20))
-            answer = self.server.service.answer(path[len(self.server.token) + 2 :], values)
+            answer = answer_to(path[len(self.server.token) + 2 :], values)
         except BadInput as error:
             self._say(404, str(error))
         except ValueError:

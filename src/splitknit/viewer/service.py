@@ -44,6 +44,17 @@ _NOT_FOUND = "there is nothing at this address."
 Query = Mapping[str, str]
 
 
+@lru_cache(maxsize=1)
+def static_files() -> frozenset[str]:
+    """The files of the pages, by their addresses."""
+    return frozenset(file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES)
+
+
+def static_file(name: str) -> Reply:
+    """One of :func:`static_files`."""
+    return _bytes((STATIC / name).read_bytes(), _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
+
+
 class Service:
     """Answers about one catalogue; several threads may call it at once."""
 
@@ -58,7 +69,6 @@ class Service:
         self._marks = lru_cache(maxsize=8)(self._read_marks)
         self._aligned = lru_cache(maxsize=8)(self._align)
         self._differed = lru_cache(maxsize=4)(self._differ)
-        self._static = {file.relative_to(STATIC).as_posix() for file in STATIC.rglob("*") if file.suffix in _TYPES}
 
     def answer(self, path: str, query: Query) -> Reply:
         """Answer a request.
@@ -73,13 +83,13 @@ class Service:
         BadInput
             If there is nothing there, or what is there cannot be used.
         """
-        if path == "":
-            return self._page("index.html")
-        if path in self._static:
-            return self._page(path)
+        if path in static_files():
+            return static_file(path)
         match path.split("/"):
+            case [""]:
+                return static_file("index.html")
             case ["api", "catalogue"]:
-                return _json(self._list())
+                return json_reply(self._list())
             case ["api", "people", row] if self.gallery is not None:
                 return _bytes(self.gallery.picture(row), "image/png")
             case ["api", "pair", first, second, *rest]:
@@ -114,18 +124,20 @@ class Service:
     def _result(self, entry: CatalogueEntry, rest: list[str], query: Query) -> Reply:  # noqa: PLR0911
         match rest:
             case []:
-                return _json(_describe(entry, self.surface(entry)) if entry.result else _describe_photographs(entry))
+                return json_reply(
+                    _describe(entry, self.surface(entry)) if entry.result else _describe_photographs(entry)
+                )
             case ["first"]:
                 return _bytes(self.surface(entry).first_view(), "application/octet-stream")
             case ["tile", stride, row, column]:
                 numbers = (_whole(stride), _whole(row), _whole(column))
                 return _bytes(self.surface(entry).tile(*numbers), "application/octet-stream")
             case ["pick"]:
-                return _json(self._pick(entry, query))
+                return json_reply(self._pick(entry, query))
             case ["section"]:
-                return _json(_cut(self.surface(entry), query))
+                return json_reply(_cut(self.surface(entry), query))
             case ["minutiae"]:
-                return _json(self._minutiae(entry))
+                return json_reply(self._minutiae(entry))
             case ["picture", name] if name in _PICTURES:
                 return _file(entry.folder, name, "image/png")
             case ["thumb"]:
@@ -139,10 +151,6 @@ class Service:
                 with self._large:
                     return export(entry, self.surface(entry), kind, _whole(query.get("step", "1")))
         raise BadInput(_NOT_FOUND)
-
-    def _page(self, name: str) -> Reply:
-        content = (STATIC / name).read_bytes()
-        return _bytes(content, _TYPES[Path(name).suffix], {"Cache-Control": "no-cache"})
 
     def _list(self) -> dict[str, Any]:
         return {
@@ -188,13 +196,13 @@ class Service:
     def _pair(self, first: str, second: str, rest: list[str], query: Query) -> Reply:
         match rest:
             case []:
-                return _json(self._both(first, second))
+                return json_reply(self._both(first, second))
             case ["difference"]:
                 from splitknit.io.images import encode_image
 
                 return _bytes(encode_image(self._differed(first, second)[0], ".png"), "image/png")
             case ["section"]:
-                return _json(self._section_of_both(first, second, query))
+                return json_reply(self._section_of_both(first, second, query))
         raise BadInput(_NOT_FOUND)
 
     def _both(self, first: str, second: str) -> dict[str, Any]:
@@ -242,7 +250,8 @@ def _thumb(folder: Path) -> bytes:
     return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())
 
 
-def _json(document: Any) -> Reply:
+def json_reply(document: Any) -> Reply:
+    """Plain JSON. Raises BadInput where a number is none."""
     try:
         text = json.dumps(document, allow_nan=False, separators=(",", ":"))
     except ValueError as error:

@@ -207,6 +207,10 @@ def test_a_capture_follows_from_its_place_alone():
     threads = replace(SMALL, render=replace(SMALL.render, workers=2))
     assert digest(population_capture(threads, SMALL.person(2), "left_little", 2, master=master)) == digest(first)
     assert first.capture.subject == {"id": "S02", "finger": "left_little", "session": 2}
+    films = replace(SMALL, films=replace(SMALL.films, kind="analyser"))
+    polarised = population_capture(films, person, "left_little", 2, master=master).capture
+    assert "white_crossed" in polarised.bands
+    assert polarised.bands["white_crossed"].pixels.mean() < polarised.bands["white"].pixels.mean()
     assert first.facts["sex"] == person.sex
     assert first.truth["impression_roll_deg"] == pytest.approx(np.rad2deg(first.truth["landmark_roll_rad"]))
     assert first.truth["master_minutiae_mm"].shape == (first.facts["minutiae"], 3)

@@ -21,6 +21,7 @@ from splitknit.simulator.camera.sensor import SensorSettings
 from splitknit.simulator.finger.deformation import deformed, draw_deformation
 from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface
 from splitknit.simulator.finger.master_print import MasterPrint
+from splitknit.simulator.light.films import FilmSettings
 from splitknit.simulator.light.renderer import RenderSettings
 from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.population.people import FINGERS, OwnFinger, PeopleRanges, Person, draw_person
@@ -205,6 +206,8 @@ class PopulationSettings(Checked):
     people: PeopleRanges = field(default_factory=PeopleRanges)
     sessions: SessionRanges = field(default_factory=SessionRanges)
     render: RenderSettings = field(default_factory=lambda: RenderSettings(workers=1))
+    films: FilmSettings = field(default_factory=FilmSettings)
+    """Polarising films: none unless `films.kind` is analyser or leds."""
     truth: Literal["surface", "full"] = "surface"
     """``surface``: heights, shape, relief, mask, landmarks; ``full``: normals and glare, too (five times as large)."""
 
@@ -319,6 +322,7 @@ def _drifted(rig: Rig, rng: np.random.Generator, spread: float) -> Rig:
 def _twin_settings(settings: PopulationSettings, impression: _Impression) -> TwinSettings:
     return TwinSettings(
         render=settings.render,
+        films=settings.films,
         background=BackgroundSettings(
             ambient=impression.ambient, hand_shadow=impression.hand_shadow, dust_per_cm2=impression.dust_per_cm2
         ),

@@ -1,0 +1,1 @@
+"""Fingers of other scanners."""

