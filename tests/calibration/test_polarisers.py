@@ -81,6 +81,7 @@ def test_good_films(bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.Ca
     assert rig.provenance["polarisers"]["inputs"]
 
 
+@pytest.mark.slow
 def test_poor_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     films = photographed(tmp_path, 6, 100.0)
     check(tmp_path / "polarisers", films, tmp_path, capsys)
