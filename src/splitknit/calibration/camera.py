@@ -64,27 +64,15 @@ class _Views:
 
 
 def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
-    """Fit matrix and distortion; each term only where the views determine it.
+    """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the corners `board_mm` (N, 2);
+    each term only where the views determine it.
 
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
-    its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself
-    gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
-    is undetermined. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
-    the Jacobian promises more than those show, theirs is taken.
+    its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself gives; then
+    the ratio of the focal lengths likewise. The principal point is held at the image's middle where it is undetermined.
+    The standard deviation of the focal length is checked by fits with other focal lengths, held: where the Jacobian
+    promises more than those show, theirs is taken. Raises BadInput if the views determine no camera.
 
-    Parameters
-    ----------
-    board_mm : (N, 2) the board's corners in its plane
-    corner_sets : V arrays (N, 2), column and row of the corners in each view
-    image_size : rows, columns
-
-    Raises
-    ------
-    BadInput
-        If the views do not determine a camera at all.
-
-    References
-    ----------
     Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms of the distortion as in
     OpenCV's ``calibrateCameraExtended``, whose standard deviations come from the Jacobian at the solution.
     """
@@ -278,33 +266,13 @@ class CameraCalibration:
 def fit_camera(
     corner_sets: Sequence[Any], board: Board, image_size: tuple[int, int], names: Sequence[str] | None = None
 ) -> CameraCalibration:
-    """Calibrate a camera by Zhang's method, with rejection of bad views.
+    """Calibrate a camera by Zhang's method, with rejection of bad views, from `corner_sets`: V arrays (N, 2), column
+    and row of the board's corners in the order of `board.points_mm`. `names` are for messages.
 
     Views with an error far above the others' are taken out, the worst first, and the rest is fitted again: far is more
     than 5 robust standard deviations (1.4826 times the median absolute deviation) above the median, and 1.6 times the
-    median.
-
-    Parameters
-    ----------
-    corner_sets : V arrays (N, 2), column and row of the board's corners, in the order of `board.points_mm`
-    board : Board
-    image_size : rows, columns
-    names : V names for messages
-
-    Returns
-    -------
-    CameraCalibration
-
-    Raises
-    ------
-    BadInput
-        If too few views remain, or the views do not determine the focal length: boards that all lie parallel to the
-        sensor look the same to a long lens far away as to a short one near by.
-
-    References
-    ----------
-    Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; section 4 names the degenerate
-    configurations.
+    median. Raises BadInput if too few views remain, or the views do not determine the focal length: boards that all lie
+    parallel to the sensor look the same to a long lens far away as to a short one near by (Zhang, section 4).
     """
     views = [_checked(one, board) for one in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]

@@ -88,13 +88,7 @@ class MeasuredCamera:
 
 
 def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> MeasuredCamera:
-    """Calibrate, and write the rig file.
-
-    Raises
-    ------
-    BadInput
-        Naming the file or the option at fault; nothing is written.
-    """
+    """Calibrate, and write the rig file; BadInput names the file or option at fault, and nothing is written then."""
     require(
         job.folder is not None or len(job.plane) > 0 or job.disc is not None,
         "give a FOLDER of photographs of a checkerboard, `plane` or `disc`: there is nothing to calibrate from.",

@@ -226,31 +226,13 @@ def fit_flat_field(
 ) -> FlatField:
     """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands together.
 
-    Parameters
-    ----------
-    camera : Camera
-        Calibrated; its `shading` is replaced.
-    leds : (L,) LEDs at known places
-        Intensities, exponents and aims are replaced.
-    pixels : (N, 2) column and row
-    light : (L, N) linear light at `pixels` with LED k alone, the lens's fall-off in it
-    card : where the card lies; on the finger plane by default
+    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's fall-off in it; `card` lies
+    on the finger plane by default. The camera's `shading` and the LEDs' intensities, exponents and aims are replaced.
 
-    Returns
-    -------
-    FlatField
-
-    Raises
-    ------
-    BadInput
-        If an LED did not light, the card does not fill the field or is not uniform.
-
-    Notes
-    -----
     Models of :data:`splitknit.calibration.card_model.LADDER` are fitted one after the other, each from the one before,
     and the simplest is taken that explains the images about as well as the richest. Two weak priors (exponents 5 +- 20,
-    slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a
-    beam that is wide.
+    slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a beam
+    that is wide. Raises BadInput if an LED did not light, the card does not fill the field or is not uniform.
 
     A tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against
     the base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.

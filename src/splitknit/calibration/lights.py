@@ -109,24 +109,11 @@ def nail_points(camera: Camera, nail_px: Points, height_mm: float, seen: str = "
 def by_circle(
     tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None, seen: str = "tip"
 ) -> tuple[tuple[LedEstimate, ...], float]:
-    """Find every LED by the thesis's construction.
+    """Find every LED by the thesis's construction; return them in the order of the rows, and the nail's height in mm.
 
-    Parameters
-    ----------
-    tips : rows of the table
-    camera : that took the photographs
-    circle : on which the LEDs sit
-    known_height_mm : height of the nail; found from the lengths of the shadows where it is None
-    seen : ``tip`` or ``base``, what of the nail the table gives (of no matter to an orthographic camera)
-
-    Returns
-    -------
-    LEDs in the order of the rows, and the nail's height in mm
-
-    Raises
-    ------
-    BadInput
-        Naming the LED and the nail position: there is no shadow, or the nail stands outside the circle.
+    `known_height_mm` of the nail: found from the lengths of the shadows where it is None; `seen`: ``tip`` or ``base``,
+    what of the nail the table gives (of no matter to an orthographic camera). Raises BadInput naming LED and nail
+    position: there is no shadow, or the nail stands outside the circle.
     """
     nail_px, tip_px = pixels(tips)
     ends = plane_points(camera, tip_px)

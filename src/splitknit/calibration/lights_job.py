@@ -75,12 +75,8 @@ class _RigInputs:
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
     """Find the LEDs, and write the rig file where one is named.
 
-    Raises
-    ------
-    BadInput
-        Naming the option or file at fault.
-    Refused
-        If the LEDs that were found are not good enough; its facts hold what was found.
+    Raises BadInput naming the option or file at fault, and Refused, whose facts hold what was found, if that is not
+    good enough.
     """
     source = _checked_source(job)
     if source == "sphere":

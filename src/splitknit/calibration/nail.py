@@ -240,23 +240,9 @@ class JointFit:
 
 
 def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:
-    """Find every LED from all rows together.
+    """Find every LED from all rows together, in their order.
 
-    Parameters
-    ----------
-    tips : rows of the table, two positions of the nail at least
-    camera : orthographic or perspective
-    circle : on which the LEDs sit, as measured
-    settings : NailSettings
-
-    Returns
-    -------
-    JointFit, LEDs in the order of the rows
-
-    Raises
-    ------
-    BadInput
-        If there is one nail position only, a row shows no shadow, or a nail stands outside the circle.
+    Raises BadInput if there is one nail position only, a row shows no shadow, or a nail stands outside the circle.
     """
     model = _NailModel(tips, camera, circle, settings or NailSettings())
     require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")

@@ -42,11 +42,8 @@ def tips_of_photos(
 ) -> tuple[list[Tip], dict[str, str], list[str]]:
     """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them.
 
-    Returns
-    -------
-    tips : in the order of the LEDs and the nail's places
-    hashes : SHA-256 of the photographs by name
-    lost : names of the photographs in which the shadow leaves the picture
+    Returns the tips in the order of the LEDs and the nail's places, SHA-256 of the photographs by name, and the names
+    of those in which the shadow leaves the picture.
     """
     check_picture(show, folder)
     check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))

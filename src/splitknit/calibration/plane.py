@@ -62,24 +62,11 @@ class PlaneScale:
 
 
 def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) -> PlanePose:
-    """Pose of a plane with known marks.
+    """Pose of a plane with five known `marks_mm` (N, 2) or more that appear at `pixels` (N, 2; column, row).
 
-    Parameters
-    ----------
-    marks_mm : (N, 2) marks in the plane, five at least
-    pixels : (N, 2) column and row at which they appear
-    matrix : (3, 3) camera matrix in pixels
-    distortion : coefficients in OpenCV's order, or None
-
-    Raises
-    ------
-    BadInput
-        If there are too few marks, they lie on one line, or no pose explains them.
-
-    References
-    ----------
-    T. Collins, A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109, 2014 (``SOLVEPNP_IPPE``), then
-    refined by Levenberg and Marquardt's least squares on the reprojection.
+    Infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, IJCV 109, 2014; ``SOLVEPNP_IPPE``), then refined
+    by Levenberg and Marquardt's least squares on the reprojection. Raises BadInput if there are too few marks, they lie
+    on one line, or no pose explains them.
     """
     marks, places = _marks(marks_mm, pixels, least=5)
     camera = np.asarray(matrix, dtype=np.float64)
@@ -107,13 +94,7 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
 
 
 def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
-    """Mean of several photographs' poses of one plane, each by the inverse of its variance.
-
-    Raises
-    ------
-    BadInput
-        If there is none.
-    """
+    """Mean of several photographs' poses of one plane, each by the inverse of its variance."""
     require(len(poses) > 0, "there is no pose to take the mean of.")
     by_height, by_tilt = (
         np.array([1 / max(pose.deviations[name], 1e-9) ** 2 for pose in poses]) for name in ("height_mm", "tilt_deg")
@@ -130,17 +111,10 @@ def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
 
 
 def plane_scale(marks_mm: Any, pixels: Any) -> PlaneScale:
-    """Scale of a plane with known marks under an orthographic camera: the best similarity.
+    """Scale of a plane with four known `marks_mm` (N, 2) or more under an orthographic camera: the best similarity.
 
-    Parameters
-    ----------
-    marks_mm : (N, 2) marks in the plane, four at least
-    pixels : (N, 2) column and row at which they appear
-
-    Raises
-    ------
-    BadInput
-        If there are too few marks, or they lie on one line.
+    `pixels` (N, 2): column and row at which they appear. Raises BadInput if there are too few marks, or they lie on one
+    line.
     """
     marks, places = _marks(marks_mm, pixels, least=4)
     a = marks - marks.mean(axis=0)
@@ -247,10 +221,8 @@ def depth_of_field(
     """Limits of sharpness of a thin lens.
 
     A camera matrix holds the distance v from lens to sensor. With the distance u of the plane in focus the focal length
-    is F = u v / (u + v), and the lens's opening A = F / N. A point at the distance s becomes a disc of the diameter
-    b = A v |1/u - 1/s|. With b = c, the circle of confusion, 1/near = 1/u + c / (A v) and 1/far = 1/u - c / (A v). This
-    is the same as near = u (H - F) / (H + u - 2 F) and far = u (H - F) / (H - u) with the hyperfocal distance
-    H = F^2 / (N c) + F.
+    is F = u v / (u + v), and the lens's opening A = F / N. A point at the distance s becomes a disc of the diameter b =
+    A v |1/u - 1/s|. With b = c, the circle of confusion, 1/near = 1/u + c / (A v) and 1/far = 1/u - c / (A v).
 
     Parameters
     ----------
@@ -259,16 +231,7 @@ def depth_of_field(
     f_number : N
     focus_mm : u, distance of the plane in focus from the camera's centre: its height over the finger plane
     finger_depth_mm : depth of the finger that the camera sees
-    confusion_px : c in pixels of the image; one pixel by default
-
-    Returns
-    -------
-    DepthOfField
-
-    Raises
-    ------
-    BadInput
-        If a value cannot be.
+    confusion_px : c in pixels of the image
 
     References
     ----------

@@ -58,19 +58,9 @@ def calibrate_to_file(
 ) -> RadiometricCalibration:
     """Calibrate the rig with the card in `folder` and write it to `out`.
 
-    Parameters
-    ----------
-    folder : capture folder of the card, see :mod:`splitknit.calibration.radiometry_folder`
-    out : rig file to write
-    rig_file : rig to calibrate; the folder's own by default
-    card : height in mm and tilt in deg of the card; None for the tilt of the base in the rig file
-    limit_percent : largest rms of an LED's residuals
-    residuals : picture to write
-
-    Raises
-    ------
-    BadInput
-        Naming the folder or file at fault; nothing is written then.
+    `rig_file`: the folder's own by default; `card`: its height in mm and tilt in deg, None for the tilt of the base in
+    the rig file; `limit_percent`: largest rms of an LED's residuals; `residuals`: picture to write. Raises BadInput
+    naming the folder or file at fault; nothing is written then.
     """
     check_rig_file(out)
     check_picture(residuals, folder)
@@ -124,13 +114,7 @@ def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
 def check_folder(
     folder: Path, rig_file: Path, *, limit_percent: float | None = None, progress: Progress = no_progress
 ) -> dict[str, Any]:
-    """Compare the card in `folder` with the calibration in `rig_file`; return the facts.
-
-    Raises
-    ------
-    BadInput
-        If the rig carries no calibration, or the folder cannot be used.
-    """
+    """Compare the card in `folder` with the calibration in `rig_file`; return the facts."""
     progress("reading", 0.0)
     rig = read_rig(rig_file)
     plan = _read_radiometry_plan(folder)

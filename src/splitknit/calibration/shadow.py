@@ -184,22 +184,11 @@ class NailView:
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
-    """Find the tips of the nail and of its shadows.
+    """Find the tips of the nail and of its shadows in `stack` (L, H, W), L >= 3, linear light: the nail in one place,
+    another LED lit in each image.
 
-    Parameters
-    ----------
-    stack : (L, H, W), L >= 3, linear light, the nail in one place, another LED lit in each image
-    px_per_mm : scale on the finger plane
-    names : of the images, for messages
-
-    Returns
-    -------
-    NailView
-
-    Raises
-    ------
-    BadInput
-        If there is no nail, or an image without its shadow (named).
+    `px_per_mm` is that of the finger plane. Raises BadInput if there is no nail, or an image without its shadow
+    (named).
     """
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)

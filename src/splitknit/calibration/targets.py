@@ -42,13 +42,7 @@ class Board:
 
     @classmethod
     def named(cls, text: str, square_mm: float) -> Board:
-        """Read a size such as ``9x6``.
-
-        Examples
-        --------
-        >>> Board.named("9x6", 25.0).rows
-        6
-        """
+        """Read a size such as ``9x6``."""
         found = _WORDS.fullmatch(text)
         require(
             found is not None,
@@ -96,21 +90,12 @@ def _grey(pixels: Any) -> FloatArray:
 
 
 def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Points | None:
-    """Find the inner corners of a checkerboard.
+    """Find the inner corners of a checkerboard in an image (H, W) or (H, W, C), any scale of brightness.
 
-    Parameters
-    ----------
-    pixels : (H, W) or (H, W, C) image, any scale of brightness
-    board : Board
-    search_px : longer side of the image in which the board is sought; corners are refined in the full image
+    Returns (columns * rows, 2) column and row of each corner in the order of `board.points_mm`, or None where no board
+    of just this size is in full view (c x r and r x c are the same board). The board is sought with the image's longer
+    side reduced to `search_px`; corners are refined in the full image.
 
-    Returns
-    -------
-    (columns * rows, 2) column and row of each corner in the order of `board.points_mm`, or None where no board of just
-    this size is in full view. (c x r and r x c are the same board.)
-
-    References
-    ----------
     A. Duda, U. Frese, "Accurate detection and localization of checkerboard corners for calibration", BMVC 2018
     (``findChessboardCornersSB``); W. Foerstner, E. Guelch, "A fast operator for detection and precise location of
     distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
@@ -330,10 +315,7 @@ def _grown_dots(dots: Points, first: int, step: Points) -> dict[tuple[int, int],
 def find_disc(pixels: Any, spacing_mm: float) -> tuple[Points, Points]:
     """Dots of the calibration disc: (M, 2) places on it in mm, and (M, 2) columns and rows in the image.
 
-    Raises
-    ------
-    BadInput
-        If `spacing_mm` cannot be, or no grid of dots is in view.
+    Raises BadInput if `spacing_mm` cannot be, or no grid of dots is in view.
     """
     require(0.1 <= spacing_mm <= 1000, f"the dots' spacing must be from 0.1 to 1000 mm, but it is {spacing_mm:g}.")
     numbers, places = _number_dots(_find_dots(pixels))

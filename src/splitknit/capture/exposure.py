@@ -95,10 +95,7 @@ def _level_of(frame: Frame, region: BoolArray | None, percentile: float) -> floa
 def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings) -> Survey:
     """Look at a band under each of its LEDs, with one exposure at which none clips and the brightest is not dark.
 
-    Raises
-    ------
-    BadInput
-        If it is too bright or too dark at every exposure.
+    Raises BadInput if it is too bright or too dark at every exposure.
     """
     product = _START_S
     while True:
@@ -135,25 +132,10 @@ def find_exposure(
     camera: ExposureRange,
     settings: ExposureSettings,
 ) -> Exposure:
-    """Find the exposure of a band.
+    """Find the exposure of a band, without what it promises, see :meth:`Exposure.promising`.
 
-    Parameters
-    ----------
-    look : takes a preview
-    seen : of this band
-    region : (h, w) the finger in previews
-    camera : what can be set
-    settings : what is wanted
-
-    Returns
-    -------
-    Exposure
-        Without what it promises, see :meth:`Exposure.promising`.
-
-    Raises
-    ------
-    BadInput
-        If the finger stays too dark or too bright.
+    `look` takes a preview; `region` (h, w): the finger in previews; `camera`: what can be set. Raises BadInput if the
+    finger stays too dark or too bright.
     """
     levels = {led: _level_of(frame, region, _PERCENTILE) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
@@ -225,29 +207,12 @@ class Focus:
 
 
 def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
-    """Measure the focus of one picture.
+    """Measure the focus of one picture (H, W) of linear light; `region` (H, W): the finger, without its outline.
 
     The variance of the Laplacian of Gaussian of the relative brightness inside the region, less what the noise
     contributes. The noise is found at the finest scale: the skin, whose light is blurred over tenths of a millimetre,
     has next to nothing there.
 
-    Parameters
-    ----------
-    image : (H, W) linear light
-    region : (H, W) the finger, without its outline
-    px_per_mm : of the image
-
-    Returns
-    -------
-    Focus
-
-    Raises
-    ------
-    BadInput
-        If shapes differ or the region is empty.
-
-    References
-    ----------
     Pech-Pacheco, J. L. et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000 (variance of the Laplacian).
     Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the
     noise).

@@ -130,27 +130,11 @@ def run_session(
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs.
+    """Photograph one finger under all LEDs; look at the verdict before anything else.
 
-    Parameters
-    ----------
-    camera, lights : devices that fit the rig
-    rig : the rig file's
-    settings : of exposure, focus and checks
-    watch_focus : shown live measurements until it returns stop; None measures once
-    turn : of the analyser, where the rig has one that turns
-    progress : called with stage and fraction
-
-    Returns
-    -------
-    Session
-        Look at its verdict before anything else.
-
-    Raises
-    ------
-    BadInput
-        If nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
-        analyser.
+    `camera`, `lights`: devices that fit the rig; `watch_focus`: shown live measurements until it returns stop, None
+    measures once; `turn`: of the analyser, where the rig has one that turns. Raises BadInput if nothing can be
+    captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)

@@ -222,19 +222,8 @@ class Circuit:
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
     """Choose the resistors of one band's stage and check all margins at the worst corners.
 
-    Parameters
-    ----------
-    band : ``white`` or ``nir``
-    settings : parts and margins
-
-    Raises
-    ------
-    BadInput
-        Naming the margin that is missed and the remedy.
-
-    References
-    ----------
     P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, sections 2.2.1 (switch) and 2.2.6 (current sink).
+    Raises BadInput naming the margin that is missed and the remedy.
     """
     settings = settings or CircuitSettings()
     require(band in ("white", "nir"), f"there are stages for the bands white and nir, not '{band}'.")

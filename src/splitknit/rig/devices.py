@@ -44,15 +44,10 @@ class DeviceSettings:
 
 
 def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> DeviceSettings:
-    """Sort settings by what they belong to.
+    """Sort settings by what they belong to; BadInput if one is not known, or is the twin's and the device is not.
 
-    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the
-    rest is the twin's finger, skin, light and sensor.
-
-    Raises
-    ------
-    BadInput
-        If a setting is not known, or is the twin's and the device is not.
+    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the rest
+    is the twin's finger, skin, light and sensor.
     """
     flat = flatten(changes)
     parts: dict[str, dict[str, Any]] = {"capture": {}, "pi": {}, "device": {}, "": {}}
@@ -93,13 +88,7 @@ def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scal
 
 @contextmanager
 def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
-    """Open the Raspberry Pi's devices; all LEDs are off before and after.
-
-    Raises
-    ------
-    BadInput
-        If there is no camera, or no LEDs.
-    """
+    """Open the Raspberry Pi's devices; all LEDs are off before and after. BadInput if there is none."""
     with ExitStack() as stack:
         chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
         camera, lights = open_pi(stack, chosen, settings.pi)

@@ -25,14 +25,8 @@ _STEP_MM = 0.5
 
 
 def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
-    """Return (L, 2): where each LED throws the shadow of a nail's tip onto the finger plane, in mm.
-
-    Parameters
-    ----------
-    rig : Rig
-        With the places of its LEDs.
-    nail_mm : height of the tip over the plane, below the lowest LED
-    place_mm : x and y of the nail
+    """Return (L, 2): where each LED throws the shadow of a nail's tip, `nail_mm` high at `place_mm`, onto the finger
+    plane, mm.
 
     Examples
     --------
@@ -283,23 +277,9 @@ class RigDimensions:
 
 
 def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensions:
-    """Work out all dimensions.
+    """Work out all dimensions, not yet checked: see :func:`splitknit.rig.dimension_checks.check_dimensions`.
 
-    Parameters
-    ----------
-    rig : Rig
-        With the place of every LED.
-    settings : PartSettings
-
-    Returns
-    -------
-    RigDimensions
-        Not yet checked: see :func:`splitknit.rig.dimension_checks.check_dimensions`.
-
-    Raises
-    ------
-    BadInput
-        If an LED has no place, or the picture is too small for a nail's shadows.
+    Raises BadInput if an LED has no place, or the picture is too small for a nail's shadows.
 
     Examples
     --------

@@ -104,23 +104,11 @@ _FACETS_MM = 0.1
 
 
 def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) -> dict[str, Any]:
-    """Check one part as it lies on the bed.
+    """Check one part, `triangles` (N, 3, 3) in mm as in the STL file, as it lies on the bed.
 
-    Parameters
-    ----------
-    kind : PartKind
-    triangles : (N, 3, 3), mm, as in the STL file
-    printer : its limits
-
-    Returns
-    -------
-    dict with ``title``, ``quantity``, ``print``, ``size_mm``, ``volume_cm3``, ``mass_g`` (solid), ``checks`` and
-    ``findings``: sentences, one for everything that is outside a limit or wants a hand.
-
-    Raises
-    ------
-    RuntimeError
-        If the mesh is not watertight: an internal error, never the rig's.
+    Returns ``title``, ``quantity``, ``print``, ``size_mm``, ``volume_cm3``, ``mass_g`` (solid), ``checks`` and
+    ``findings``: sentences, one for everything that is outside a limit or wants a hand. Raises RuntimeError if the mesh
+    is not watertight: an internal error, never the rig's.
     """
     sound = _check_soundness(triangles)
     if not sound.watertight:

@@ -537,12 +537,8 @@ def _common(first: Shape, second: Shape) -> Shape:
 
 
 def _one(shape: Shape) -> Shape:
-    """Return the only solid of a result of fusing or cutting.
-
-    Raises
-    ------
-    RuntimeError
-        If there is not exactly one: a dimension that the checks let through tears a part.
+    """Return the only solid of a result of fusing or cutting; RuntimeError if a dimension that the checks let through
+    tears it.
     """
     solids = shape.solids()
     if len(solids) != 1:

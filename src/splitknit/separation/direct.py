@@ -34,11 +34,8 @@ def exposure_level(image: FloatArray) -> float:
 def local_level(image: FloatArray) -> FloatArray:
     """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one.
 
-    A Gaussian mean over the pixels that are not black, formed on blocks of 8 x 8 pixels and interpolated.
-
-    Parameters
-    ----------
-    image : (h, w) or (C, h, w), zero outside the skin
+    A Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not black, formed on blocks of 8 x 8
+    pixels and interpolated.
     """
     grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), np.float32(0.0))
     height, width = grey.shape
@@ -110,22 +107,12 @@ def direct_light(
 def direct_of_enhanced(
     enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
 ) -> FloatArray:
-    """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
+    """Direct part (N, H, W) of enhanced grey images, by the direct fraction of the colour images (N, 3, H, W) they were
+    made of.
 
     A grey image has lost the colours that show how much of skin's light is direct. Here the network is given the
     colours, and the enhanced image is multiplied by the fraction of direct light that it finds; the thesis gives the
     network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
-
-    Parameters
-    ----------
-    enhanced : (N, H, W) images after CLAHE, zero outside the skin
-    images : (N, 3, H, W) the same in linear red, green and blue
-    network, tile
-        As of :func:`direct_light`.
-
-    Returns
-    -------
-    (N, H, W) float32, between zero and `enhanced`
     """
     grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
     require(

@@ -81,12 +81,7 @@ def bench_to_folder(
     Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
     ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
     exposure series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
-    calibration should find).
-
-    Raises
-    ------
-    BadInput
-        If `out` holds something else, or numbers are out of range.
+    calibration should find). Raises BadInput if `out` holds something else, or numbers are out of range.
     """
     photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")

@@ -79,23 +79,11 @@ class Drawn:
 def photograph_between_mirrors(
     drawn: Drawn, seed: int, settings: TwinSettings
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph a finger between the mirrors of a rig under every LED.
+    """Photograph a finger between the mirrors of a rig under every LED; the truth's arrays:
+    ``docs/explain/simulator.md``.
 
-    Parameters
-    ----------
-    drawn : what lies there, and the rig as it is drawn; the mirrors truly stand a little elsewhere
-    seed : of the mirrors' true poses
-    settings : of the twin
-
-    Returns
-    -------
-    capture : its rig has the mirrors as drawn
-    truth : arrays by name, see ``docs/explain/simulator.md``
-
-    Raises
-    ------
-    BadInput
-        If a mirror shows nothing of the finger, or the finger touches one.
+    The capture's rig has the mirrors as drawn; they truly stand a little elsewhere, by `seed`. Raises BadInput if a
+    mirror shows nothing of the finger, or the finger touches one.
     """
     finger, pose, rig, skin = drawn.finger, drawn.pose, drawn.rig, drawn.skin
     camera, views = rig.camera, settings.mirrors

@@ -72,23 +72,11 @@ class _Tolerances(Checked):
 
 
 def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
-    """Return the rig as a person builds it: the truth that calibration has to find.
+    """Return the rig as a person builds it: the truth that calibration has to find; one for each `seed`, the same at
+    every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
 
-    Parameters
-    ----------
-    seed : one rig each, the same at every `scale`
-    scale : size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1]
-    tolerances : of parts and hands
-
-    Returns
-    -------
-    Rig in its own camera's frame: the camera stands on z and looks straight down it, so that an oblique camera moves
-    the LEDs. `provenance` has ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
-
-    Raises
-    ------
-    BadInput
-        If `scale` or `seed` is out of range.
+    The camera stands on z and looks straight down it, so that an oblique camera moves the LEDs. `provenance` has
+    ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
     tolerances = tolerances or _Tolerances()
@@ -172,18 +160,7 @@ CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
 
 
 def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:
-    """Return the thesis's rig with 3 x `exposures` coloured LEDs on the circle of its seven white ones.
-
-    Parameters
-    ----------
-    scale, seed, intensity_spread : as of :func:`splitknit.model.default_rig`; the NIR LEDs are the same
-    exposures : 1 to 3
-
-    Raises
-    ------
-    BadInput
-        If one of them is out of range.
-    """
+    """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its seven white ones."""
     plain = default_rig(scale, seed, intensity_spread)
     count = 3 * exposures
     colours = {place: c for triple in shared_exposures(exposures) for place, c in zip(triple, COLOURS, strict=True)}

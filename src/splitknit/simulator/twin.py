@@ -242,25 +242,11 @@ def photograph(
     *,
     settings: TwinSettings | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph `surface` under every LED of `rig`.
+    """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of background and noise.
 
-    Parameters
-    ----------
-    surface : on the pixels of `rig.camera`
-    rig : LEDs of the bands ``white`` and ``nir``; each lights one image
-    skin : optics of the finger
-    seed : of background and noise
-    settings : only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here
-
-    Returns
-    -------
-    capture : as a camera would store it
-    truth : arrays by name, see ``docs/explain/simulator.md``
-
-    Raises
-    ------
-    BadInput
-        If the surface does not fit the camera or no part of it is in the picture.
+    Of `settings` only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here. The truth's arrays by
+    name: see ``docs/explain/simulator.md``. Raises BadInput if the surface does not fit the camera or is not in the
+    picture.
     """
     settings = settings or TwinSettings()
     require(
@@ -410,20 +396,8 @@ class FingerScene:
         impression: int = 0,
         finger: SimulatedFinger | None = None,
     ) -> None:
-        """Lay a finger down.
-
-        Parameters
-        ----------
-        seed : of the person: finger, print and skin follow from it
-        pattern : class of the print; None draws it
-        settings : of the twin; `sensor` and `films` are not used here
-        impression : number of the capture of this finger: pose and dust change with it
-        finger : laid down instead of the one that `seed` draws
-
-        Raises
-        ------
-        BadInput
-            If no part of the finger is in the picture.
+        """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` of the settings are not used
+        here.
         """
         settings = replace(settings or TwinSettings(), films=FilmSettings())
         laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
@@ -447,22 +421,11 @@ class FingerScene:
         return self.rig.leds
 
     def light(self, lit: Sequence[int]) -> FloatArray:
-        """Noise-free light with some LEDs on.
+        """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone; BadInput if there is no
+        such LED.
 
-        Parameters
-        ----------
-        lit : numbers of the LEDs; none = the ambient light alone
-
-        Returns
-        -------
-        (H, W, 3) float32
-            White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity
-            one at 100 mm gives 1 / pi.
-
-        Raises
-        ------
-        BadInput
-            If there is no such LED.
+        White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity one at
+        100 mm gives 1 / pi.
         """
         for index in lit:
             require(0 <= index < len(self.leds), f"there is no LED {index} in the rig of {len(self.leds)}.")

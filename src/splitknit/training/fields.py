@@ -228,13 +228,7 @@ def draw_patch(
     rng: np.random.Generator,
     whole: Sequence[Sample] = (),
 ) -> FloatArray:
-    """Cut a patch (channels, side, side) anywhere in any sample, as it is; zero where it reaches over the sample.
-
-    Raises
-    ------
-    BadInput
-        If patches with enough skin cannot be found.
-    """
+    """Cut a patch (channels, side, side) anywhere in any sample, as it is; zero where it reaches over the sample."""
     side, beyond = settings.patch_px, settings.beyond_px
     for _ in range(_TRIES):
         pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
@@ -268,13 +262,7 @@ def field_scale(
 
 
 def check_channels(samples: Sequence[Sample], channels: int) -> None:
-    """Refuse samples of another shape.
-
-    Raises
-    ------
-    BadInput
-        If there are none, or one is not (channels, h, w).
-    """
+    """Refuse an empty list, and samples that are not (channels, h, w)."""
     require(len(samples) > 0, "there are no fingers to train on.")
     for sample in samples:
         require(
@@ -284,19 +272,7 @@ def check_channels(samples: Sequence[Sample], channels: int) -> None:
 
 
 def _packed_fields(kind: NetworkKind, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """The files of a finished network, see :func:`splitknit.training.trainer.packed`.
-
-    Parameters
-    ----------
-    kind : NetworkKind
-    state : ``state_dict`` of a :func:`splitknit.training.networks.fields_network`
-    facts : what the card also contains: command, training, data, metrics
-
-    Raises
-    ------
-    BadInput
-        If `state` belongs to another network.
-    """
+    """The files of a finished network by its ``state_dict``, see :func:`splitknit.training.trainer.packed`."""
     network = _network_from(state)
     widths = [int(level[0].out_channels) for level in network.down]
     channels = int(network.down[0][0].in_channels), int(network.out.out_channels)
@@ -345,10 +321,8 @@ def network_metrics(task: FieldsTask, state: Mapping[str, Any], samples: Mapping
 def train_fields(run: TrainingRun, task: FieldsTask, data: SceneRanges, settings: FieldsSettings) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
 
-    Raises
-    ------
-    BadInput
-        If torch is missing, the folder is in use, what is there does not fit the settings, or no finger can be used.
+    Raises BadInput if torch is missing, the folder is in use, what is there does not fit the settings, or no finger can
+    be used.
     """
     started = time.perf_counter()
     require_torch(settings)
@@ -405,13 +379,7 @@ def mean_figures(figures: Sequence[Mapping[str, float]]) -> Entry:
 
 
 def _network_from(state: Mapping[str, Any]) -> Any:
-    """The network whose ``state_dict`` this is; widths follow from the weights' shapes.
-
-    Raises
-    ------
-    BadInput
-        If it is not the state of a :func:`fields_network`.
-    """
+    """The :func:`fields_network` whose ``state_dict`` this is, else BadInput; widths follow from the weights."""
     try:
         levels = sum(name.startswith("down.") and name.endswith(".0.weight") for name in state)
         widths = [int(state[f"down.{number}.0.weight"].shape[0]) for number in range(levels)]

@@ -98,17 +98,9 @@ def _draw_shape_scene(number: int, data: ShapeData) -> tuple[TrainingScene, floa
 
 
 def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dict[str, Any]]:
-    """Photograph the finger `number` and turn it into a sample (35, h, w), see :mod:`splitknit.training.fields`.
-
-    Returns
-    -------
-    sample : (35, h, w) float16
-    facts : what was drawn
-
-    Raises
-    ------
-    BadInput
-        If the reconstruction would refuse the capture.
+    """Photograph the finger `number` and turn it into a sample (35, h, w) float16, see
+    :mod:`splitknit.training.fields`, and the facts of what was drawn; BadInput if the reconstruction would refuse the
+    capture.
     """
     scene, gain = _draw_shape_scene(number, data)
     capture, truth = photograph_scene(scene)

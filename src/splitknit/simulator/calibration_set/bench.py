@@ -121,18 +121,11 @@ def steps(length: Array) -> Steps:
 
 
 def edge_coverage(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
-    """Fraction of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
+    """Fraction of each pixel that lies inside a straight edge, whose `distance` (h, w) inwards from the pixel's middle
+    is given, with its `step` where it was measured, and the standard deviation `blur` of the edge itself in its unit.
 
-    Parameters
-    ----------
-    distance : (h, w), positive inside
-    step : of `distance`; by default it is measured
-    blur : standard deviation of the edge itself, in the unit of `distance`
-
-    Returns
-    -------
-    (h, w) in [0, 1]: the edge averaged over the square pixel. The longer of the pixel's two steps is averaged exactly
-    and the shorter one as a Gaussian of the same variance, so that edges along rows or columns are exact.
+    The edge is averaged over the square pixel: the longer of the pixel's two steps exactly and the shorter one as a
+    Gaussian of the same variance, so that edges along rows or columns are exact.
     """
     step = step or steps(distance)
     column, row = np.abs(step.column), np.abs(step.row)
@@ -203,21 +196,10 @@ class GroundScene(ABC):
         return 1.0
 
     def light(self, lit: Sequence[int]) -> FloatArray:
-        """Noise-free linear light at the sensor with some LEDs on.
+        """Noise-free linear light (H, W, 3) at the sensor with the LEDs `lit` on, the lens's fall-off included.
 
-        Parameters
-        ----------
-        lit : indices of LEDs; none gives the ambient light alone
-
-        Returns
-        -------
-        (H, W, 3) float32, white-balanced, in the rig's units (a facing white card 100 mm from an LED of intensity one
-        is 1/pi), the lens's fall-off included
-
-        Raises
-        ------
-        BadInput
-            If `lit` names an LED that the rig does not have.
+        White-balanced, in the rig's units: a facing white card 100 mm from an LED of intensity one is 1/pi. Raises
+        BadInput if `lit` names an LED that the rig does not have.
         """
         grey = self._grey(tuple(_switched_on(self.leds, lit)))
         image = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
@@ -313,14 +295,7 @@ class DarkScene:
 
 
 def well_exposed(scene: LitScene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
-    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale.
-
-    Parameters
-    ----------
-    scene : photographed
-    lit : the LEDs of each image
-    level : fraction of full scale
-    """
+    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale."""
     require(len(lit) > 0, "exposing needs at least one image.")
     brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)
     require(brightest > 0.0, "exposing needs some light, but all images are black.")
@@ -336,25 +311,10 @@ def photograph_bench(
     sensor: SensorSettings | None = None,
     band: str = "white",
 ) -> PixelArray:
-    """Photograph a scene.
+    """Photograph a scene, (H, W, 3) uint8 or uint16, with the LEDs `lit` on; `sensor.exposure` is not used.
 
-    Parameters
-    ----------
-    scene : of the bench, or any other with `camera` and `light`
-    lit : indices of the LEDs that are on
-    seed : of the noise
-    exposure : full scales per unit of light; :func:`well_exposed` finds one
-    sensor : the camera's; its own `exposure` is not used here
-    band : ``white`` or ``nir``: how the sensor responds
-
-    Returns
-    -------
-    (H, W, 3) uint8 or uint16
-
-    Raises
-    ------
-    BadInput
-        If `exposure`, `band` or `lit` cannot be.
+    `exposure`: full scales per unit of light, see :func:`well_exposed`; `band`: how the sensor responds. Raises
+    BadInput if `exposure`, `band` or `lit` cannot be.
     """
     require(bool(np.isfinite(exposure)) and exposure > 0.0, f"exposure must be a positive number, but is {exposure}.")
     require(band in RESPONSE, f"band must be one of {', '.join(RESPONSE)}, but it is '{band}'.")

@@ -233,24 +233,7 @@ class _BoardPose:
 
 
 def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | None = None) -> list[_BoardPose]:
-    """Draw poses of a board, all of its squares in the picture.
-
-    Parameters
-    ----------
-    seed : the same seed gives the same poses; more poses begin with the same ones
-    count : of poses
-    camera : that looks on
-    board : None takes the default one
-
-    Returns
-    -------
-    poses for :class:`splitknit.simulator.calibration_set.flat.BoardScene`
-
-    Raises
-    ------
-    BadInput
-        If the board does not fit into the picture.
-    """
+    """Draw poses of a board, all of its squares in the picture, or BadInput; more poses begin with the same ones."""
     require(seed >= 0 and count >= 1, "seed must not be negative and count must be at least one.")
     board = board or PrintedBoard()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))

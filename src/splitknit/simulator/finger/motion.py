@@ -202,14 +202,7 @@ class _MovingFinger:
 def moving_finger(
     finger: SimulatedFinger, pose: FingerPose, camera: Camera, path: _MotionPath, seed: np.random.SeedSequence
 ) -> _MovingFinger:
-    """Draw the motion of a finger that lies in `pose` in its reference shot.
-
-    Parameters
-    ----------
-    finger, pose, camera : as for :func:`splitknit.simulator.finger.finger.finger_surface`
-    path : where it is in each shot, see :func:`draw_path`
-    seed : of the slip
-    """
+    """Draw the motion of a finger that lies in `pose` in its reference shot; `seed`: of the slip."""
     master = finger.master()
     rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM

@@ -278,8 +278,6 @@ class _Palm:
 def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:
     """Draw one patch of a palm; the same seed and settings give the same bytes.
 
-    References
-    ----------
     Ashbaugh 1999, Quantitative-qualitative friction ridge analysis (palmar ridges, flexion creases, white lines).
     """
     settings = settings or PalmSettings()
@@ -333,11 +331,6 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
     """Show a palm to an orthographic camera, the middle of the patch in the middle of the picture.
 
     Normals are the derivatives of the splines that the heights are drawn from.
-
-    Raises
-    ------
-    BadInput
-        If the camera is not orthographic.
     """
     require(camera.model == "orthographic", "the simulated palm needs an orthographic camera.")
     rows, columns = camera.image_size

@@ -35,14 +35,9 @@ ALBEDO = (0.08, 0.6)
 
 
 def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camera: Camera, severity: float) -> Grains:
-    """Strew grains evenly over the skin that the camera sees.
+    """Strew grains evenly over the skin that the camera sees, `severity` times `MAX_MG_PER_CM2`.
 
-    Parameters
-    ----------
-    mask, nz : (H, W)
-        The finger, and the z component of its shape's normals: a pixel on a slant shows more skin.
-    severity : 0 to 1
-        Fraction of `MAX_MG_PER_CM2`.
+    `nz` (H, W): z component of the shape's normals: a pixel on a slant shows more skin.
     """
     spread = float(np.log(SPREAD))
     volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
