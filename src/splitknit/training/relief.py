@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.networks.augmentation import Symmetry
 from splitknit.settings import Limits
@@ -104,7 +103,6 @@ def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
 def _judge_middle(run: Run, sample: Sample, stride: int) -> dict[str, float]:
     """Figures of :func:`_judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
     limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
-    require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
     first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
     rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
     middle = np.asarray(sample[:, rows, columns], dtype=np.float32)

@@ -119,8 +119,6 @@ def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
     The last rows and columns are left out where the sides are no multiples of `stride`.
     """
     rows, columns = (length // stride * stride for length in sample.shape[1:])
-    height, width = sample.shape[1:]
-    require(min(rows, columns) > 0, f"a finger of {height} x {width} pixels is too small to be evaluated.")
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
     return _judged(run(seen[:FIELDS]), seen)
 
