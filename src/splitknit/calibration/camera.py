@@ -129,7 +129,8 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
 
 def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) -> _LensFit:
     """One fit with the terms `kept` free."""
-    flags = _flags(kept)
+    flags = sum(flag for term, flag in _HOLDING.items() if term not in kept)
+    flags |= cv2.CALIB_FIX_FOCAL_LENGTH if "no focal" in kept else 0
     columns, rows = views.size
     matrix = np.eye(3)
     if start is not None or "cx" not in kept:
@@ -194,16 +195,14 @@ def _called(step: tuple[str, ...]) -> str:
     return "fx / fy" if step == ("aspect",) else " and ".join(step)
 
 
-def _flags(kept: tuple[str, ...]) -> int:
-    flags = 0
-    flags |= 0 if "k1" in kept else cv2.CALIB_FIX_K1
-    flags |= 0 if "k2" in kept else cv2.CALIB_FIX_K2
-    flags |= 0 if "k3" in kept else cv2.CALIB_FIX_K3
-    flags |= 0 if "p1" in kept else cv2.CALIB_ZERO_TANGENT_DIST
-    flags |= 0 if "cx" in kept else cv2.CALIB_FIX_PRINCIPAL_POINT
-    flags |= 0 if "aspect" in kept else cv2.CALIB_FIX_ASPECT_RATIO
-    flags |= cv2.CALIB_FIX_FOCAL_LENGTH if "no focal" in kept else 0
-    return flags
+_HOLDING = {
+    "k1": cv2.CALIB_FIX_K1,
+    "k2": cv2.CALIB_FIX_K2,
+    "k3": cv2.CALIB_FIX_K3,
+    "p1": cv2.CALIB_ZERO_TANGENT_DIST,
+    "cx": cv2.CALIB_FIX_PRINCIPAL_POINT,
+    "aspect": cv2.CALIB_FIX_ASPECT_RATIO,
+}
 
 
 def _guess(views: _Views) -> Points:
@@ -274,9 +273,8 @@ def fit_camera(
     median. Raises BadInput if too few views remain, or the views do not determine the focal length: boards that all lie
     parallel to the sensor look the same to a long lens far away as to a short one near by (Zhang, section 4).
     """
-    views = [_checked(one, board) for one in corner_sets]
+    views = [np.asarray(one, dtype=np.float64) for one in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]
-    require(len(names) == len(views), f"{len(names)} names for {len(views)} views.")
     kept, repeated = _without_repeats(views, names, _SAME_PX)
     _require_enough(len(kept), len(views), f" ({len(repeated)} of them twice)" if repeated else "")
     rejected: dict[str, float] = {}
@@ -297,33 +295,20 @@ def fit_camera(
     return CameraCalibration(lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings)
 
 
-def _checked(corners: Any, board: Board) -> Points:
-    array = np.asarray(corners, dtype=np.float64)
-    count = board.columns * board.rows
-    require(
-        array.shape == (count, 2) and bool(np.isfinite(array).all()),
-        f"the corners of a view must be finite and of the shape ({count}, 2), but the shape is {array.shape}.",
-    )
-    return array
-
-
 def _without_repeats(views: list[Points], names: list[str], same_px: float) -> tuple[list[int], dict[str, str]]:
     kept: list[int] = []
     repeated: dict[str, str] = {}
     for k, view in enumerate(views):
         for other in kept:
             # a board that is named from its other end is the same one
-            apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in _orders(views[other]))
+            both = (views[other], views[other][::-1])
+            apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in both)
             if apart < same_px:
                 repeated[names[k]] = names[other]
                 break
         else:
             kept.append(k)
     return kept, repeated
-
-
-def _orders(view: Points) -> tuple[Points, Points]:
-    return view, view[::-1]
 
 
 def _require_enough(count: int, given: int, why: str) -> None:

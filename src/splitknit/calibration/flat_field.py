@@ -237,7 +237,8 @@ def fit_flat_field(
     A tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against
     the base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
     """
-    places, images = _checked(pixels, light, len(leds))
+    places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
+    require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")
     plane = card or CardPlane()
     model = CardModel(camera, leds, places, plane)
     floor = 1e-4 * float(np.median(images))
@@ -276,21 +277,6 @@ def fit_flat_field(
         gloss_error=100 * gloss_error,
         card=plane,
     )
-
-
-def _checked(pixels: Any, light: Any, count: int) -> tuple[Array, Array]:
-    places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
-    require(
-        places.ndim == 2 and places.shape[1] == 2 and len(places) >= 50,
-        f"pixels must have the shape (N, 2) with N of 50 at least, but the shape is {places.shape}.",
-    )
-    require(
-        images.shape == (count, len(places)),
-        f"light must have the shape ({count}, {len(places)}), one image for each LED, but it has {images.shape}.",
-    )
-    require(bool(np.isfinite(images).all()), "light contains NaN or infinite values.")
-    require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")
-    return places, images
 
 
 def _start(model: CardModel, logarithm: Array) -> Answer:

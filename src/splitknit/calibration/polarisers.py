@@ -91,7 +91,7 @@ def films_to_file(
     facts = {**facts, **more, "warnings": facts["warnings"] + more["warnings"]}
     facts |= provenance({"angles_deg": angles.tolist()}, hashes)
     if residuals is not None:
-        tiles = [residual_tile(100 * one, np.isnan(one), one.shape, 240) for one in rest]
+        tiles = [residual_tile(100 * one, np.isnan(one), one.shape) for one in rest]
         write_image(residuals, np.concatenate(tiles, axis=1))
     write_rig(replace(card.rig, films=films, provenance={**card.rig.provenance, "polarisers": plain_json(facts)}), out)
     progress("done", 1.0)

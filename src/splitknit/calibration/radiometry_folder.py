@@ -44,6 +44,7 @@ from splitknit.model import Capture, FloatArray, PixelArray, Progress, Rig, no_p
 _MAX_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0
 """Ends of the colours in the picture of residuals."""
+_TILE_PX = 240
 
 
 def calibrate_to_file(
@@ -131,7 +132,7 @@ def check_folder(
     return facts
 
 
-def _residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourArray:
+def _residual_picture(found: RadiometricCalibration) -> ColourArray:
     """Residuals of every LED side by side, a band a row: blue 2 % darker than the model, orange 2 % brighter.
 
     Cells that were left out as dust are black.
@@ -141,20 +142,18 @@ def _residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourA
     rows = []
     widest = max(bands.count(band) for band in bands)
     for band in dict.fromkeys(bands):
-        tiles = [
-            residual_tile(100 * flat.residual[k], flat.dust, shape, side) for k, b in enumerate(bands) if b == band
-        ]
+        tiles = [residual_tile(100 * flat.residual[k], flat.dust, shape) for k, b in enumerate(bands) if b == band]
         tiles += [np.full_like(tiles[0], 255)] * (widest - len(tiles))
         rows.append(np.concatenate(tiles, axis=1))
     return np.concatenate(rows, axis=0)
 
 
-def residual_tile(residual: Any, dust: Any, shape: tuple[int, int], side: int) -> ColourArray:
+def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArray:
     """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %, black where unused."""
     values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
     small = colour(values, -_SCALE_PERCENT, _SCALE_PERCENT, diverging=True)
     small[np.asarray(dust).reshape(shape)] = 0
-    size = (side, round(side * shape[0] / shape[1]))
+    size = (_TILE_PX, round(_TILE_PX * shape[0] / shape[1]))
     tile = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     return np.asarray(cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)), dtype=np.uint8)
 
@@ -177,7 +176,7 @@ class _CameraFacts:
     hashes: dict[str, str]
 
 
-def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> _CameraFacts:
+def _measure_camera(plan: _RadiometryPlan, capture: Capture) -> _CameraFacts:
     """Measure dark frames and exposures, and compare the response with what the capture states of its images.
 
     Raises BadInput naming the file, if an image is missing or of another kind than the card's, light fell on a dark
@@ -199,7 +198,6 @@ def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: floa
         response = fit_response(
             _even_patches(values, even),
             [one.exposure for one in plan.exposures],
-            limit_percent,
             name=str(plan.document),
         )
         require(

@@ -87,7 +87,6 @@ def fit_response(
     >>> fit_response(0.02 + times[:, None] * light, times).encoding
     'linear'
     """
-    require(limit_percent > 0, "limit_percent must be positive.")
     stored, times = _checked(values, exposure_s, name)
     line = _straightness(stored, times)
     linear_light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
@@ -128,11 +127,6 @@ class _Line:
 
 def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
     stored, times = np.array(values, dtype=np.float64), np.asarray(exposure_s, dtype=np.float64)
-    require(stored.ndim == 2, f"values must have the shape (J, N), but it has {stored.shape}.")
-    require(
-        times.shape == stored.shape[:1] and bool((times > 0).all() and np.isfinite(times).all()),
-        f"exposure_s must be {stored.shape[0]} positive numbers, one for each image.",
-    )
     different = len(np.unique(times))
     require(
         different >= MIN_EXPOSURES,
@@ -250,7 +244,6 @@ def dark_frames(frames: Sequence[PixelArray], *, name: str = "dark") -> Dark:
 
     Raises BadInput, with `name`, if there is none, they differ in size, or light fell on them.
     """
-    require(len(frames) > 0, "there is no dark frame.")
     require(
         all(frame.shape == frames[0].shape and frame.dtype == frames[0].dtype for frame in frames),
         f"{name}: the dark frames differ in size, colour or depth; take them like all other images.",
