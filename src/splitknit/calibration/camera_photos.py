@@ -271,8 +271,8 @@ def _board_photos(
     expected: _ExpectedSize | None,
     progress: Callable[[float], None],
 ) -> _BoardPhotos:
-    """Find the board in every photograph. Raises BadInput if a file is no image, sizes differ, or too few photographs
-    show the board: then with the size of the board that they do show, where one is found.
+    """Find the board in every photograph; where too few show it, BadInput names the size of the board that they do
+    show.
     """
     corners: dict[str, Points] = {}
     hashes: dict[str, str] = {}

@@ -41,10 +41,8 @@ class _CardFit:
 
 
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
-    """Fit `order` to ln of the images.
-
-    `start`: first guess; `order`: which parameters are free; `logarithm`: (L, N) ln of the images; `scale`: residual
-    (relative, common to all LEDs) beyond which a place counts less and less (Cauchy's weights).
+    """Fit `order` to ln (L, N) of the images; `scale`: relative residual beyond which a place counts less (Cauchy's
+    weights).
     """
     vector = model.project(model.vector(start, order), order)
     weight = np.ones(logarithm.shape[1])
@@ -131,10 +129,9 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
 def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array) -> tuple[float, float]:
     """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error.
 
-    `half_angles_deg`: (L, N) of :func:`_half_angles`; `fit`: the best parameters and their order; `rest`: (L, N)
-    residuals of the fit, NaN where dust was found. Least squares of the residuals on the spot and on all slopes of the
-    model: what beams and aims could explain as well is not counted. The greatest of a narrow and a wide spot, in its
-    errors, is returned.
+    Least squares of the residuals (L, N), NaN where dust was found, on the spot and on all slopes of the model: what
+    beams and aims could explain as well is not counted. The greatest of a narrow and a wide spot, in its errors, is
+    returned.
     """
     answer, order = fit.answer, fit.order
     used = np.isfinite(rest)

@@ -67,14 +67,7 @@ class LedEstimate:
 
 
 def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Points:
-    """Where the rays from shadow tips through nails meet the LED circle, beyond the nail.
-
-    `nails_mm`, `tips_mm`: (N, 2) x and y on the finger plane, in the rig's frame; nails inside the circle. Returns (N,
-    3) positions in mm, at the circle's height.
-
-    >>> _circle_positions(np.array([[10.0, 0.0]]), np.array([[4.0, 0.0]]), Circle(50.0, 140.0)).tolist()
-    [[50.0, 0.0, 140.0]]
-    """
+    """Where the rays (N, 3) from shadow tips through nails, inside the LED circle, meet it beyond the nail, mm."""
     along = nails_mm - tips_mm
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     out = nails_mm - np.asarray(circle.centre_mm)

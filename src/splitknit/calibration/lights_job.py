@@ -89,9 +89,7 @@ def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> Calibrate
 
 
 def _checked_source(job: LightsJob) -> str:
-    """Return ``table``, ``images``, ``sphere`` or ``geometry``. Raises BadInput if none or several of them are asked
-    for.
-    """
+    """Return ``table``, ``images``, ``sphere`` or ``geometry``."""
     images = job.images is not None and job.sphere is None
     asked = {
         "table": job.table is not None,

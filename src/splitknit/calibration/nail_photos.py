@@ -188,11 +188,7 @@ Points = NDArray[np.float64]
 def _nail_overview(
     tiles: Sequence[tuple[str, FloatArray, NailView, int]], image_size: tuple[int, int], width: int = 400
 ) -> ColourArray:
-    """All photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray towards the LED (line).
-
-    `tiles`: name, image (h, w) of any size, what was found in its stack, and the image's number in it; `image_size`:
-    rows, columns of the photographs; `width`: of each tile in pixels.
-    """
+    """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
     drawn = [
         _nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width)
         for name, image, view, led in tiles

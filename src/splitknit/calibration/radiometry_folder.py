@@ -177,11 +177,7 @@ class _CameraFacts:
 
 
 def _measure_camera(plan: _RadiometryPlan, capture: Capture) -> _CameraFacts:
-    """Measure dark frames and exposures, and compare the response with what the capture states of its images.
-
-    Raises BadInput naming the file, if an image is missing or of another kind than the card's, light fell on a dark
-    frame, or the response is not the one that the capture names.
-    """
+    """Measure dark frames and exposures, and compare the response with what the capture states of its images."""
     hashes: dict[str, str] = {}
     dark = None
     if plan.dark:

@@ -318,16 +318,13 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 
 
 def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
-    """Find the image of a cone's tip.
+    """Find the image (2,) of a cone's tip in `stack` (L, H, W) of linear light.
 
     The straight lines on a cone from its tip to its base are each lit equally along their whole length, and all their
     images pass through that of the tip, whatever camera looks on. So brightness changes across them only: its gradient
-    g at the pixel p obeys g . (p - tip) = 0. Least squares over all pixels of the cone and all images, weighted anew by
-    how well each obeys. Brightness is taken against the mean over the LEDs, which stand evenly around. `stack`: (L, H,
-    W) linear light, under another LED each; `nail`: (H, W) where the nail is seen; `px_per_mm`: scale on the finger
-    plane. Returns (2,) column and row. Raises BadInput if the nail's faces do not show where its tip is. Source: R.
-    Parthasarathy, "Rapid, accurate particle tracking by calculation of radial symmetry centers", Nature Methods 9,
-    2012, for the same equation turned by 90 deg.
+    g at the pixel p obeys g . (p - tip) = 0 (as R. Parthasarathy, Nature Methods 9, 2012, has it turned by 90 deg).
+    Least squares over all pixels of the cone and all images, weighted anew by how well each obeys. Brightness is taken
+    against the mean over the LEDs, which stand evenly around.
     """
     sigma = max(0.08 * px_per_mm, 0.7)
     margin = round(3.0 * sigma) + 1

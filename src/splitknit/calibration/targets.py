@@ -77,9 +77,7 @@ _CONTRAST = 0.4
 
 
 def _grey(pixels: Any) -> FloatArray:
-    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off. Raises
-    BadInput if the image has another shape, is not finite, or shows nothing.
-    """
+    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off."""
     array = np.asarray(pixels)
     require(array.ndim in (2, 3) and array.size > 0, f"an image must be (H, W) or (H, W, C), but it is {array.shape}.")
     image = array.astype(np.float32) if array.ndim == 2 else array.mean(axis=2, dtype=np.float32)
@@ -232,9 +230,8 @@ def _find_dots(pixels: Any) -> Points:
     """Centres (N, 2), column and row, of black round dots on a bright ground, in no order.
 
     Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and of
-    one size. A centre is the dot's centre of darkness. Under a tilt that is not quite the picture of the dot's middle,
-    but the difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm. `pixels`: (H, W) or (H, W, C)
-    image.
+    one size. A centre is the dot's centre of darkness: under a tilt not quite the picture of the dot's middle, but the
+    difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm.
     """
     image = _grey(pixels)
     side = min(image.shape)
@@ -264,13 +261,12 @@ def _find_dots(pixels: Any) -> Points:
 
 
 def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
-    """Assign dots to the places of a square grid.
+    """Assign dots to the places of a square grid: (M, 2) whole steps, zero at a dot near the middle, and (M, 2)
+    centres.
 
     A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
     they are there, so that perspective and distortion do not accumulate. Several dots and steps are tried; the grid
-    that takes in most dots is it. `centres`: (N, 2) from :func:`_find_dots`. Returns `numbers`: (M, 2) whole steps
-    along both axes of the grid, zero at a dot near the middle; `places`: (M, 2) their centres. Raises BadInput if fewer
-    than six dots form a grid.
+    that takes in most dots is it.
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))

@@ -447,9 +447,7 @@ INSTALL += "with --system-site-packages"
 
 
 def _open_lights(rig: Rig) -> PiLightBank:
-    """Take the GPIO lines of the rig's LEDs, all off. Raises BadInput if gpiozero is missing, this is no Raspberry Pi,
-    or a line is in use.
-    """
+    """Take the GPIO lines of the rig's LEDs, all off."""
     pins = pins_of(rig)
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # only a Pi has it

@@ -88,10 +88,8 @@ class Session:
 
 
 def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
-    """Return band to LEDs, white first, and after it ``white_crossed`` of a rig with films; refuse a rig file of
-    another camera or another bank of LEDs.
-
-    Raises BadInput.
+    """Return band to LEDs, white first, then ``white_crossed`` of a rig with films; refuse a rig file that does not
+    fit.
     """
     rows, columns = camera.image_size
     require(
@@ -221,11 +219,7 @@ def _meter(
     settings: SessionSettings,
     progress: Callable[[float], None],
 ) -> tuple[BoolArray, dict[str, Exposure]]:
-    """Preview the finger under every LED, and find where it is on the previews' grid, and the exposure of every band.
-
-    `bands`: band to its LEDs, white first. Raises BadInput if there is no finger, an LED does not light, the lid is
-    open, or no exposure fits.
-    """
+    """Preview the finger under every LED; find where it is on the previews' grid, and every band's exposure."""
     camera, lights = devices.camera, devices.lights
     typical = MEDIAN if settings.find_finger else BRIGHT
     region: BoolArray | None = None

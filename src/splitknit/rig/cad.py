@@ -124,10 +124,7 @@ _FAR_MM = 10_000.0
 
 
 def _write_pictures(folder: Path, parts: Mapping[str, RigPart], names: Sequence[str], *, below: bool) -> list[str]:
-    """Draw everything into an existing folder; return the names of the files.
-
-    `parts`: all parts by name; `names`: those of the rig, lowest first; `below`: the camera is below the finger.
-    """
+    """Draw everything, and the parts `names` of the rig, lowest first; return the names of the files."""
     from build123d import Compound, Pos, Rot  # large, and only parts need it
 
     for name, part in parts.items():

@@ -104,9 +104,7 @@ def _preferred(ohm: float, *, up: bool = True) -> float:
 
 
 def _rating_for(power_w: float, margin: float) -> float:
-    """Return the smallest rating that `power_w` uses no more than the fraction `margin` of. Raises BadInput if no
-    leaded resistor is large enough.
-    """
+    """Return the smallest rating that `power_w` uses no more than the fraction `margin` of, or raise BadInput."""
     for rating in RATINGS_W:
         if power_w <= margin * rating:
             return rating

@@ -140,9 +140,7 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
         x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
         return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
     if name == "board":
-        pose = board_poses(seed, 1, camera, BOARD)[0]
-        turn, middle = pose.rotation_vector, pose.translation_mm
-        scene = BoardScene(camera=camera, leds=leds, board=BOARD, rotation_vector=turn, translation_mm=middle)
+        scene = BoardScene(camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0])
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (--board {size}) was held"
     makers: dict[str, type[CardScene | DiscScene | SphereScene]] = {

@@ -43,9 +43,8 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
     """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
 
-    `offset_mm`: how far from the middle the nail may stand, along x and along y; `margin_mm`: between a shadow's tip
-    and the border of the picture; `radius_mm`: of the nail's foot; a shadow's tip must come out from under it. Raises
-    BadInput if the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
+    The nail stands up to `offset_mm` from the middle along x and y, a shadow's tip stays `margin_mm` inside the border
+    and comes out from under the foot of `radius_mm`.
     """
     camera = rig.camera
     half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm

@@ -186,9 +186,7 @@ class _SweepFolder:
     """A folder of finished candidates of one study, one file each, whole or not there."""
 
     def __init__(self, out: Path, study: Study) -> None:
-        """Make the folder, or see that it holds a sweep of this very study. Raises BadInput if `out` is a file, holds
-        other files, or a sweep with other settings.
-        """
+        """Make the folder, or see that it holds a sweep of this very study."""
         self.out = out
         facts = {"format": "splitknit-rig-sweep", "version": 1, "software": provenance()["version"], "study": study}
         document = json.loads(canonical_json(facts))

@@ -193,13 +193,11 @@ class _Overhang:
 def _overhang(
     triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25
 ) -> _Overhang:
-    """Measure steep faces and bridges of a closed mesh.
+    """Measure steep faces and bridges of a closed mesh (N, 3, 3), mm.
 
     Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
     has a distance to the layer below. A ceiling that is held on both sides spans twice the largest distance; one that
-    is held on one side only counts twice, too, which is on the safe side. `triangles`: (N, 3, 3), mm; `limit_deg`: lean
-    from the vertical up to which nothing is needed; one degree is forgiven, for facets; `layer_mm`: height of a layer;
-    `pitch_mm`: of the grid.
+    is held on one side only counts twice, too, which is on the safe side. One degree of lean is forgiven, for facets.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
@@ -252,10 +250,8 @@ def _bridge(corners: NDArray[np.float64], z: float, layer_mm: float, pitch_mm: f
 def _slice_mask(
     corners: NDArray[np.float64], z: float, low: NDArray[np.float64], shape: tuple[int, int], pitch_mm: float
 ) -> NDArray[np.bool_]:
-    """Return which points of a grid lie inside a closed mesh at the height `z`.
-
-    `corners`: (N, 3, 3); `z`: height of the cut, mm; it should not meet a corner; `low`: (2,) x and y of the grid's
-    first point; `shape`: rows (along y) and columns (along x); `pitch_mm`: of the grid. Returns (rows, columns) bool.
+    """Which points of a grid of `shape` rows and columns from `low` (2,) lie inside a closed mesh at the height `z`,
+    which should not meet a corner.
     """
     heights = corners[..., 2] - z
     above = heights > 0
@@ -311,9 +307,7 @@ class _Soundness:
 
 
 def _check_soundness(triangles: Triangles) -> _Soundness:
-    """Count edges and measure the volume. `triangles`: (N, 3, 3) float32, mm, corners are the same point if their
-    numbers are the same.
-    """
+    """Count edges and measure the volume; corners are the same point if their numbers are the same."""
     corners = np.asarray(triangles, dtype=np.float32)
     require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
     _, index = np.unique(corners.reshape(-1, 3) + np.float32(0.0), axis=0, return_inverse=True)
@@ -347,11 +341,10 @@ class _Wall:
 
 
 def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> _Wall:
-    """Measure the thickness from points on the surface straight inwards to the opposite face.
+    """Measure the thickness from points on the surface, drawn by area, at least one a triangle, straight to the
+    opposite face.
 
-    Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin, and
-    that is no wall. `triangles`: (N, 3, 3), a closed mesh, mm; `samples`: points on the surface, drawn in proportion to
-    the area; every triangle has one at least; `seed`: of the drawing.
+    Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     normals = _unit_normals(triangles)
@@ -389,11 +382,10 @@ _AT_ONCE = 400_000
 def _first_hits(
     corners: NDArray[np.float64], origins: NDArray[np.float64], directions: NDArray[np.float64], reach_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return each ray's distance to the first triangle that it meets within its reach, and that triangle.
+    """Return each ray's distance (R,) to the first triangle that it meets within its reach, or infinity, and that
+    triangle.
 
-    `corners`: (N, 3, 3), mm; `origins`, `directions`: (R, 3); directions of unit length; `reach_mm`: length of the
-    rays. Returns `distance`: (R,), infinite where nothing is met; `triangle`: (R,), -1 where nothing is met. Source: T.
-    Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
+    T. Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
 
     >>> import numpy as np
     >>> floor = np.array([[[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]]])

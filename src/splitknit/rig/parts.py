@@ -537,9 +537,7 @@ def _common(first: Shape, second: Shape) -> Shape:
 
 
 def _one(shape: Shape) -> Shape:
-    """Return the only solid of a result of fusing or cutting; RuntimeError if a dimension that the checks let through
-    tears it.
-    """
+    """Return the only solid of a result of fusing or cutting; a dimension that the checks let through may tear it."""
     solids = shape.solids()
     if len(solids) != 1:
         raise RuntimeError(f"a part fell into {len(solids)} pieces")

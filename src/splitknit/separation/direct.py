@@ -57,35 +57,20 @@ def direct_light(
 ) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
+    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
+    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
+    shows. The result, of the shape of `images`, lies between zero and the image; for enhanced images it is what
+    enhancement makes of the image times the direct fraction of its light. The thesis, 3.3.1.4; O. Ronneberger, P.
+    Fischer and T. Brox, "U-Net", MICCAI 2015. Raises BadInput if the images have the wrong shape, hold NaN, or are
+    smaller than the network's stride.
+
     Parameters
     ----------
     images : (N, H, W) grey or (N, 3, H, W) red, green, blue
         Linear light, or images enhanced by CLAHE; any scale, zero outside the skin. Grey images are given to the
         network three times, as the thesis does.
     network : Network, name of a shipped network, or path of an ``.onnx`` file
-    tile
-        As of :func:`splitknit.networks.unet.run_network`.
-
-    Returns
-    -------
-    Array of the shape of `images`, float32
-        Direct light in the images' units, between zero and the image. For enhanced images it is what enhancement makes
-        of the image times the direct fraction of its light.
-
-    Raises
-    ------
-    BadInput
-        If the images have the wrong shape, hold NaN, or are smaller than the network's stride.
-
-    Notes
-    -----
-    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
-    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
-    shows.
-
-    References
-    ----------
-    The thesis, 3.3.1.4; O. Ronneberger, P. Fischer and T. Brox, "U-Net", MICCAI 2015.
+    tile : as of :func:`splitknit.networks.unet.run_network`
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)

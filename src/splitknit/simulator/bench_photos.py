@@ -115,38 +115,24 @@ def bench_to_folder(
 
 
 def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Iterator[tuple[str, Callable[[Path], None]]]:
-    camera, leds = rig.camera, rig.leds
     tilt = tuple(rig.provenance["base_tilt_deg"])
-    lens = BenchSettings(aperture_mm=PUPIL_MM)
-    white = [k for k, led in enumerate(leds) if led.band == "white"]
+    under: dict[str, Any] = {"camera": rig.camera, "leds": rig.leds, "bench": BenchSettings(aperture_mm=PUPIL_MM)}
+    white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
     of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
     board_seed = int(of_boards.generate_state(1)[0])
-    for k, pose in enumerate(board_poses(board_seed, photos.boards, camera, BOARD)):
-        scene = BoardScene(
-            camera=camera,
-            leds=leds,
-            bench=lens,
-            board=BOARD,
-            rotation_vector=pose.rotation_vector,
-            translation_mm=pose.translation_mm,
-        )
+    for k, pose in enumerate(board_poses(board_seed, photos.boards, rig.camera, BOARD)):
+        scene = BoardScene(**under, board=BOARD, **pose)
         yield "board", partial(_one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png")
     turn = np.deg2rad(tilt)
-    plane = BoardScene(
-        camera=camera, leds=leds, bench=lens, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0)
-    )
+    plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
     yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
-    disc = DiscScene(
-        camera=camera, leds=leds, bench=lens, rotation_deg=3.0, shift_mm=(1.0, -0.7), tilt_deg=(tilt[0], tilt[1])
-    )
+    under["tilt_deg"] = tilt
+    disc = DiscScene(**under, rotation_deg=3.0, shift_mm=(1.0, -0.7))
     yield "disc", partial(_one, disc, white, of_plane.spawn(1)[0], Path("disc.png"))
     for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
-        nail = NailScene(
-            camera=camera, leds=leds, bench=lens, position_mm=place, nail_mm=NAIL_MM, tilt_deg=(tilt[0], tilt[1])
-        )
+        nail = NailScene(**under, position_mm=place, nail_mm=NAIL_MM)
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
-    card = CardScene(camera=camera, leds=leds, bench=lens, tilt_deg=(tilt[0], tilt[1]))
-    yield "card", partial(_card, card, rig, of_card, photos.dark)
+    yield "card", partial(_card, CardScene(**under), rig, of_card, photos.dark)
 
 
 def behind_films(

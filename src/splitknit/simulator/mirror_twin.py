@@ -157,9 +157,8 @@ _PROXIMAL_MM = 6.0
 
 
 def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
-    """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
-
-    `masks` (H, W): what of each is visible.
+    """What each view shows, where `masks` (H, W) leave it visible, behind its mirror in the rig's frame; the true
+    mirrors.
     """
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):

@@ -64,11 +64,8 @@ def _window_power(image: FloatArray, side: int) -> FloatArray:
 def _local_wiener(
     relief: FloatArray, noise_power: FloatArray, settings: LocalWienerSettings, pitch_mm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Denoise `relief` (H, W), finite everywhere; the standard deviation of the error left: noise kept plus relief
-    lost.
-
-    `noise_power`: of :func:`_window_power` for pure noise, in the relief's units squared. J. S. Lim, "Two-Dimensional
-    Signal and Image Processing" (1990), section 9.2.
+    """Denoise `relief` (H, W), and state what is left: noise kept plus relief lost (J. S. Lim, "Two-Dimensional Signal
+    and Image Processing", 1990, section 9.2). `noise_power`: of :func:`_window_power` for pure noise.
     """
     side = settings.window_px(pitch_mm)
     require(

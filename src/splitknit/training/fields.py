@@ -171,10 +171,7 @@ class FieldsTrainer(Trainer):
         samples: Sequence[Sample],
         whole: Sequence[Sample] = (),
     ) -> None:
-        """Build the network, its first weights from the settings' seed.
-
-        A fraction of the patches is cut from the samples `whole`, if there are any.
-        """
+        """Build the network; a fraction of the patches is cut from the samples `whole`, if there are any."""
         scale = field_scale(task, samples, settings, whole)
 
         def build() -> Any:

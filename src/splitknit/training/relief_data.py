@@ -149,11 +149,7 @@ def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16],
 
 
 def _sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], mix: float) -> NDArray[np.float16]:
-    """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
-
-    `capture`, `truth`: of the simulator; `mix`: fraction of the reconstruction's smooth shape in [0, 1]; the rest is
-    the true shape.
-    """
+    """Fields, relief, glare and weight (41, h, w) of a capture; `mix`: the reconstruction's part of the shape."""
     settings = preset_settings("metric")
     finger = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)

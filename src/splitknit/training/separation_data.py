@@ -220,9 +220,7 @@ def _record(
 
 
 def _patch_corners(mask: BoolArray, settings: SeparationData, rng: np.random.Generator) -> NDArray[np.int32]:
-    """Draw the upper left corners (n, 2) of patches that hold skin. Raises BadInput if the image is smaller than a
-    patch, or no patch holds enough skin.
-    """
+    """Draw the upper left corners (n, 2) of patches that hold skin."""
     side = PATCH_PX
     require(
         min(mask.shape) >= side,

@@ -97,13 +97,11 @@ class ShapeNetSettings(FieldsSettings):
 
 
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
-    """The parts of the loss, each a mean over the pixels that count.
+    """The parts of the loss of the slopes `made` (B, 2, h, w), each a mean over the pixels that count.
 
-    `made`: (B, 2, h, w) torch.Tensor, the network's slopes; `batch`: (B, 35, h, w) torch.Tensor, samples, see
-    :mod:`splitknit.training.fields`; `wide_px`: side of the blocks of ``wide``. Returns dict of torch scalars by the
-    names of :data:`PARTS`: ``slope``, the mean square of the error (both slopes together); ``wide``, that of its means
-    over blocks: what is wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel
-    does not.
+    ``slope``: the mean square of the error (both slopes together); ``wide``: that of its means over blocks of
+    `wide_px`: what is wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel does
+    not.
     """
     pooled = load_torch().nn.functional.avg_pool2d
     weight = batch[:, WEIGHT : WEIGHT + 1]
@@ -114,9 +112,8 @@ def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, A
 
 
 def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`_judged` for a finger, as `run` turns its fields (32, h, w) into (2, h, w).
-
-    The last rows and columns are left out where the sides are no multiples of `stride`.
+    """Figures of :func:`_judged` for a finger, without the last rows and columns where the sides are no multiples of
+    `stride`.
     """
     rows, columns = (length // stride * stride for length in sample.shape[1:])
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
@@ -124,10 +121,11 @@ def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
 
 
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
-    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit.
+    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit; NaN where there is
+    no skin.
 
-    Returns dict of ``before`` and ``after``, the shape's slope error (rms of one slope, weighted) without and with
-    them; ``wide_before`` and ``wide_after``, the same of means over squares of 17 pixels. NaN where there is no skin.
+    ``before`` and ``after``: the shape's slope error (rms of one slope, weighted) without and with them;
+    ``wide_before`` and ``wide_after``: the same of means over squares of 17 pixels.
     """
     weight = np.asarray(sample[WEIGHT], dtype=np.float64)
     wanted = np.asarray(sample[SLOPES], dtype=np.float64)

@@ -58,11 +58,8 @@ def _draw_lines(
     principal_depth_mm: float,
     wrinkle_depth_mm: float,
 ) -> tuple[_PalmLine, ...]:
-    """Draw the lines of one palm, each through a place inside the map, branches after their stems.
-
-    `rng`: source of all draws; `half_size_mm`: half width and half height of the map; `principal`, `wrinkles`: how many
-    stems of each kind; `principal_depth_mm`, `wrinkle_depth_mm`: typical depths; every line varies about them by about
-    a third.
+    """Draw the lines of one palm, each through a place inside the map, branches after their stems; `principal` and
+    `wrinkles` count the stems, and every line varies about the typical depths by about a third.
     """
     lines: list[_PalmLine] = []
     main = rng.uniform(0.0, np.pi)

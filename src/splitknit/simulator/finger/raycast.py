@@ -48,10 +48,7 @@ class _Rays:
         return self.x - self.slopes[0] * z, self.y - self.slopes[1] * z, z
 
     def rise(self, rotation: Array, gx: Array, gy: Array, gz: Array) -> Array:
-        """(N,) change of a function per mm of height along the rays, from its gradient in the finger's frame.
-
-        `rotation` (3, 3) takes that frame to the camera's.
-        """
+        """(N,) change of a function per mm of height along the rays, from its gradient in the finger's frame."""
         up = gx * rotation[2, 0] + gy * rotation[2, 1] + gz * rotation[2, 2]
         if self.slopes is None:
             return np.asarray(up)
