@@ -93,13 +93,6 @@ def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
     return away / distance[:, None], distance
 
 
-def _facing_light(led: Led, points_mm: Any) -> Array:
-    """(N,) irradiance of a surface at points (N, 3) that faces the LED."""
-    towards, distance = rays_to_led(led, points_mm)
-    along = np.maximum(-(towards @ led.axis), 1e-12)
-    return np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
-
-
 def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = None) -> Array:
     """(N,) brightness at `pixels` (N, 2) of an ideal white card under a near LED, lens included: the flat field.
 
@@ -108,8 +101,10 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     """
     plane = card or CardPlane()
     points = plane.points(camera, pixels)
-    towards, _ = rays_to_led(led, points)
-    return np.asarray(_facing_light(led, points) * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
+    towards, distance = rays_to_led(led, points)
+    along = np.maximum(-(towards @ led.axis), 1e-12)
+    facing = np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
+    return np.asarray(facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
 _MIN_EXPONENT = 0.02

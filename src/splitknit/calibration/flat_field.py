@@ -259,6 +259,8 @@ def fit_flat_field(
     rest = np.where(dust, np.nan, residuals[-1])
     angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
     gloss, gloss_error = _card_gloss(model, angles, fits[-1], rest)
+    # the residuals taken as independent between cells
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms[best] / scale)
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
     return FlatField(
         camera=lens,
@@ -268,8 +270,8 @@ def fit_flat_field(
         orders=tuple((one.order.name, model.size(one.order), value) for one, value in zip(fits, rms, strict=True)),
         residual=residuals[best],
         dust=dust,
-        exponent_error=_exponent_errors(model, fit, scale, rms[best]),
-        common_percent=_common(residuals[best], dust),
+        exponent_error=model.exponents(errors, fit.order),
+        common_percent=100 * float(np.sqrt(np.mean(residuals[best][:, ~dust].mean(axis=0) ** 2))),
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
         card=plane,
@@ -325,13 +327,3 @@ def _result(
             )
         )
     return replace(camera, shading=shading), tuple(lit)
-
-
-def _exponent_errors(model: CardModel, fit: _CardFit, scale: float, rms_percent: float) -> Array:
-    """Standard errors (L,) of the exponents, the residuals taken as independent between cells."""
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms_percent / scale)
-    return model.exponents(errors, fit.order)
-
-
-def _common(residual: Array, dust: NDArray[np.bool_]) -> float:
-    return 100 * float(np.sqrt(np.mean(residual[:, ~dust].mean(axis=0) ** 2)))

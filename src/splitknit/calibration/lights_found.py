@@ -124,18 +124,6 @@ class CalibratedLights:
     """What ``splitknit calibrate lights --json`` prints: also each step, plain."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NailLights:
-    """The LEDs of a table of nail and shadow tips."""
-
-    method: str
-    chosen: Mapping[LedName, LedEstimate]
-    facts: dict[str, Any]
-    """For ``--json``."""
-    sentence: str | None
-    """Why it is refused, None where it is not."""
-
-
 def find_leds(
     tips: Sequence[Tip],
     camera: Camera,
@@ -143,8 +131,9 @@ def find_leds(
     settings: LightSettings,
     *,
     how: LightsAsked,
-) -> NailLights:
-    """Find and judge every LED of a table; BadInput if it is incomplete or impossible.
+) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
+    """Find and judge every LED of a table; BadInput if it is incomplete or impossible. The LEDs, facts for ``--json``,
+    and why they are refused, None where they are not.
 
     The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
     """
@@ -183,7 +172,7 @@ def find_leds(
         + ([f"kept although {sentence}"] if keep and sentence else []),
         "refused": None if keep else sentence,
     }
-    return NailLights(method, chosen, facts, None if keep else sentence)
+    return chosen, facts, None if keep else sentence
 
 
 def rig_of(

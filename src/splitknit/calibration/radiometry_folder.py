@@ -186,30 +186,25 @@ def _measure_camera(plan: _RadiometryPlan, capture: Capture) -> _CameraFacts:
     response, samples = None, []
     if plan.exposures:
         rows = []
-        for one in plan.exposures:
-            frame = _image(one.file, capture, hashes)
+        for path, _ in plan.exposures:
+            frame = _image(path, capture, hashes)
             rows.append(_patches(frame))
             samples += _noise(frame, dark)
-        values, even = (np.stack([row[part] for row in rows]) for part in (0, 1))
-        response = fit_response(
-            _even_patches(values, even),
-            [one.exposure for one in plan.exposures],
-            name=str(plan.document),
-        )
+        values, spread = (np.stack([row[part] for row in rows]) for part in (0, 1))
+        even = spread.max(axis=0) <= _MAX_TEXTURE
+        values = values[:, even] if int(even.sum()) >= 100 else values  # all, if few are even in all images
+        response = fit_response(values, [time for _, time in plan.exposures], name=str(plan.document))
         require(
             response.encoding == capture.encoding,
-            f"the exposures in {plan.document} are {_WORDS[response.encoding]}, but capture.json states "
-            f'"encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all captures '
-            f"of this camera.",
+            f"the exposures in {plan.document} are {response.encoding.replace('srgb', 'sRGB')}, but capture.json "
+            f'states "encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all '
+            f"captures of this camera.",
         )
     if not samples:
         samples = [item for band in capture.bands.values() for frame in band.pixels for item in _noise(frame, dark)]
     if plan.document is not None:
         hashes[plan.document.name] = file_hash(plan.document)
     return _CameraFacts(dark, response, _noise_models(samples) if capture.encoding == "linear" else {}, hashes)
-
-
-_WORDS = {"linear": "linear", "srgb": "sRGB"}
 
 
 def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
@@ -236,12 +231,6 @@ def _patches(frame: PixelArray) -> tuple[NDArray[np.float64], NDArray[np.float64
     mean = squares.mean(axis=1).astype(np.float64)
     clipped = (squares.max(axis=1) >= 0.985) | ((squares == 0).mean(axis=1) > 0.02)
     return np.where(clipped, np.nan, mean), squares.std(axis=1).astype(np.float64)
-
-
-def _even_patches(values: NDArray[np.float64], spread: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Patches (J, n) that are even in all images, or all if these are few."""
-    even = spread.max(axis=0) <= _MAX_TEXTURE
-    return values[:, even] if int(even.sum()) >= 100 else values
 
 
 def _noise(frame: PixelArray, dark: Dark | None) -> list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
@@ -331,20 +320,12 @@ _KNOWN = {"format", "version", "dark", "exposures"}
 
 
 @dataclass(frozen=True, slots=True)
-class _Exposure:
-    """One image of the series."""
-
-    file: Path
-    exposure: float
-    """Time times gain."""
-
-
-@dataclass(frozen=True, slots=True)
 class _RadiometryPlan:
     """What ``radiometry.json`` names."""
 
     dark: tuple[Path, ...] = ()
-    exposures: tuple[_Exposure, ...] = ()
+    exposures: tuple[tuple[Path, float], ...] = ()
+    """Images of the series, and time times gain of each."""
     document: Path | None = None
 
 
@@ -369,12 +350,12 @@ def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
         for k, item in enumerate(fields.items("exposures")):
             entry = Fields(item, str(file), f"exposures[{k}]")
             time = entry.number("exposure_s", 1e-9, 1e6) * entry.number("gain", 1e-6, 1e6, 1.0)
-            exposures.append(_Exposure(inside(folder, entry.get("file"), str(file), entry.path("file")), time))
+            exposures.append((inside(folder, entry.get("file"), str(file), entry.path("file")), time))
         require(
             len(exposures) >= MIN_EXPOSURES,
             f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed.",
         )
-    files = [*dark, *(one.file for one in exposures)]
+    files = [*dark, *(image for image, _ in exposures)]
     for k, path in enumerate(files):
         require(files.index(path) == k, f"{file} names {path.name} twice; every image serves once.")
     return _RadiometryPlan(tuple(dark), tuple(exposures), file)

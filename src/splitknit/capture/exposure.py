@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput, check_image, check_mask, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits, check_fields
+from splitknit.settings import Checked, Limits
 
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
@@ -186,14 +186,10 @@ class FocusSettings(Checked):
 
     patience: Annotated[int, Limits(1)] = 8
     """A live measurement ends after so many in a row that do not rise above the best so far by `rise`."""
-    rise: Annotated[float, Limits(0, 1)] = 0.02
+    rise: Annotated[float, Limits(0, 1, below=True)] = 0.02
     """Relative."""
     most: Annotated[int, Limits(1)] = 400
     """Measurements at most."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(self.rise < 1, "focus.rise must be below 1.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,7 +240,8 @@ def _meter(
         room = camera.preview()
         _check_light(band.replace("_", " "), seen, room)
         if region is None:
-            region = _region(seen, room, devices) if settings.find_finger else np.ones(_previews(seen), dtype=np.bool_)
+            everything = np.ones(room.pixels.shape[:2], dtype=np.bool_)
+            region = _region(seen, room, devices) if settings.find_finger else everything
         dark = typical_level(room, region, typical)
         lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
         _check_lit(lit, dark, devices.names)
@@ -251,12 +252,6 @@ def _meter(
         progress((done + 1) / len(bands))
     assert region is not None
     return region, exposures
-
-
-def _previews(seen: Survey) -> tuple[int, int]:
-    """Rows and columns of the previews."""
-    rows, columns = next(iter(seen.frames.values())).pixels.shape[:2]
-    return rows, columns
 
 
 def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:

@@ -300,13 +300,15 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     board_z = camera.height_mm + settings.camera.board_above_lens_mm
     plate_top = frame_z + sizes.JOINT_PLATE_MM
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
-    lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + _gusset(settings)
+    gusset = sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - settings.joint.wall_mm  # 45 deg, below a lug
+    lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + gusset
     box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
     films = rig_films(rig)
     if films is not None and films.kind == "servo":
         box_z = max(box_z, plate_top + sizes.SERVO_HIGH_MM)
     second = sizes.SECOND_BOARD_MM if films is not None and films.kind == "neighbours" else 0.0
-    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high() + second, box_z + lug_room)
+    boards = sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM + 1.6 + sizes.PCB_PARTS_MM
+    lid_z = max(box_z + sizes.JOINT_PLATE_MM + boards + second, box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,
@@ -345,16 +347,6 @@ def _opening(settings: PartSettings) -> float:
     x = settings.finger.widest_mm / 2 * np.cos(angle)
     z = sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
     return float(np.hypot(x, z).max()) + sizes.FINGER_CLEARANCE_MM
-
-
-def _gusset(settings: PartSettings) -> float:
-    """Height of the 45 deg support under a lug."""
-    joint = settings.joint
-    return sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - joint.wall_mm
-
-
-def _boards_high() -> float:
-    return sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM + 1.6 + sizes.PCB_PARTS_MM
 
 
 _LIP_WALL_MM = 1.2

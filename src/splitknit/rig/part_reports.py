@@ -113,21 +113,21 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     sound = _check_soundness(triangles)
     if not sound.watertight:
         raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
-    wall = _thinnest_wall(triangles)
+    thickness, place, samples = _thinnest_wall(triangles)
     hanging = _overhang(triangles, sizes.MAX_OVERHANG_DEG, sizes.LAYER_MM)
     points = triangles.reshape(-1, 3).astype(np.float64)
     size = points.max(axis=0) - points.min(axis=0)
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
-    thick = wall.thickness_mm >= sizes.MIN_WALL_MM - _FACETS_MM
+    thick = thickness >= sizes.MIN_WALL_MM - _FACETS_MM
     bridged = hanging.bridge_mm <= sizes.BRIDGE_MM
     volume = sound.volume_mm3 / 1000.0
     findings = [kind.remedy] if kind.remedy else []
     if not fits:
         findings.append(f"It is {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, larger than the printer's bed.")
     if not thick:
-        x, y, z = wall.place_mm
+        x, y, z = place
         findings.append(
-            f"Its thinnest place measures {wall.thickness_mm:.2f} mm, less than {sizes.MIN_WALL_MM:g} mm, at "
+            f"Its thinnest place measures {thickness:.2f} mm, less than {sizes.MIN_WALL_MM:g} mm, at "
             f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm on the bed."
         )
     if not bridged:
@@ -153,10 +153,10 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
             "watertight": {"ok": True, "triangles": sound.triangles, "edges": sound.edges},
             "wall": {
                 "ok": bool(thick),
-                "smallest_mm": round(wall.thickness_mm, 2),
-                "at_mm": [round(float(value), 1) for value in wall.place_mm],
+                "smallest_mm": round(thickness, 2),
+                "at_mm": [round(float(value), 1) for value in place],
                 "least_mm": sizes.MIN_WALL_MM,
-                "places": wall.samples,
+                "places": samples,
             },
             "bed": {"ok": fits, "bed_mm": [printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm]},
             "overhang": {
@@ -329,22 +329,11 @@ def _check_soundness(triangles: Triangles) -> _Soundness:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wall:
-    """The thinnest place that was found."""
+def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> tuple[float, NDArray[np.float64], int]:
+    """Thinnest wall up to 8 mm, its place (3,), and from how many points on the surface it was sought.
 
-    thickness_mm: float
-    """8 where no wall is thinner than that."""
-    place_mm: NDArray[np.float64]
-    """(3,) on the surface."""
-    samples: int
-
-
-def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> _Wall:
-    """Measure the thickness from points on the surface, drawn by area, at least one a triangle, straight to the
-    opposite face.
-
-    Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin.
+    Points are drawn by area, at least one a triangle. Only faces that look away from each other within 25 deg count:
+    towards a sharp edge every body becomes thin.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     normals = _unit_normals(triangles)
@@ -353,10 +342,10 @@ def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> 
     distance, hit = _first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
     met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
     if not bool(met.any()):
-        return _Wall(_REACH_MM, points[0], len(points))
+        return _REACH_MM, points[0], len(points)
     thickness = np.where(met, distance, np.inf)
     thinnest = int(np.argmin(thickness))
-    return _Wall(float(thickness[thinnest]) + 1e-4, points[thinnest], len(points))
+    return float(thickness[thinnest]) + 1e-4, points[thinnest], len(points)
 
 
 def _surface_points(

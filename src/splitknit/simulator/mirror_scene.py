@@ -269,7 +269,7 @@ def _mirror_frame(
 ) -> _Frame:
     """Lay out what surrounds the finger in and around one mirror; the holders stand where the drawing has them."""
     name, profile = view.mirror.name, HolderProfile(views.parts)
-    inwards = _inwards(name)
+    inwards = {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
 
     def plate(low: Array, high: Array, albedo: float) -> _Plate:
         corners = profile.quad(name, camera, low, high)
@@ -293,11 +293,6 @@ def _mirror_frame(
     wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
     specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
     return _Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
-
-
-def _inwards(name: str) -> Array:
-    """(3,) horizontal direction from a mirror towards the finger and beyond."""
-    return {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
 
 
 def _face_normal(corners: Array, inwards: Array) -> Array:

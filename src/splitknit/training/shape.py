@@ -76,14 +76,13 @@ class ShapeNetSettings(FieldsSettings):
     """By which weights shrink, times the learning rate."""
     beyond_px: Annotated[int, Limits(0)] = 20
     """How far a patch may reach over a finger's edge, where the shape errs most."""
-    no_nir_share: Annotated[float, Limits(0, 1)] = 0.15
+    no_nir_share: Annotated[float, Limits(0, 1, below=True)] = 0.15
     """Fraction of the patches without near-infrared fields; below 1."""
     wide_share: Annotated[float, Limits(0)] = 1.0
     """Weight of the mean slopes of blocks in the loss, beside the slopes with weight one."""
 
     def __post_init__(self) -> None:
         FieldsSettings.__post_init__(self)
-        require(self.no_nir_share < 1, "training.no_nir_share must be below 1.")
         require(
             max(self.beyond_px + 1, _WIDE_PX) <= self.patch_px,
             f"training.patch_px must be larger than beyond_px ({self.beyond_px}) and {_WIDE_PX - 1}, "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -199,7 +199,7 @@ _EDGE = 0.02
 
 # How a person holds a checkerboard under the rig.
 
-_Pose = dict[str, tuple[float, float, float]]
+_Pose = dict[str, Any]
 """`rotation_vector` and `translation_mm` of a :class:`BoardScene`."""
 
 

@@ -200,7 +200,6 @@ def separate_truth(
     frequency illumination, equations (3) and (4).
     """
     _check_size(check_mm, surface)
-    require(phases in ("all", "centred"), f"phases must be 'all' or 'centred', but it is '{phases}'.")
     scene = _Scene(surface, led, skin, settings)
     white = scene.image(None)
     direct = scene.largest_difference(check_mm) if phases == "all" else scene.centred_difference(check_mm)
