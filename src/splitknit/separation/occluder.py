@@ -43,19 +43,13 @@ def occluder(
     images in which every pixel is surely in full shadow; the median of that many darkest images is its shadow, and the
     median of the upper half its light (robust against a passing fly, less biased, not unbiased). Or `patterns`, known
     or from :func:`splitknit.separation.states.estimate_patterns`: the means over a pixel's lit and shadowed images,
-    unbiased. Raises BadInput if pixels were never shadowed (with their fraction and the first of them), or the images
-    are unusable.
+    unbiased.
 
-    Parameters
-    ----------
-    sequence : (N, H, W) or (N, H, W, C), or an iterable of images; two at least
-        Linear light, black level removed, lamp and camera fixed.
-    kind : ``line`` or ``mesh``
-    alpha : fraction of the light that passes, in (0, 1]; 1 for a line, to be given for a mesh
-    shadow_percent : 0 (plain extremes) to 50
-    patterns : (N, H, W) in [0, 1], optional
-        1 where a pixel is lit, 0 where it lies in the shadow; between them it is left out.
-    mask : (H, W) bool, optional
+    `sequence`: (N, H, W) or (N, H, W, C) linear light, black level removed, lamp and camera fixed, or an iterable of
+    images, two at least; `kind`: ``line`` or ``mesh``; `alpha`, in (0, 1], is to be given for a mesh; `shadow_percent`:
+    0 (plain extremes) to 50; `patterns`: (N, H, W), 1 where a pixel is lit, 0 where it lies in the shadow, left out
+    between them; `mask`: (H, W) bool. Raises BadInput if pixels were never shadowed (with their fraction and the first
+    of them), or the images are unusable.
     """
     require(kind in KINDS, f"kind must be 'line' or 'mesh', but it is '{kind}'.")
     require(kind == "line" or alpha is not None, "a mesh needs alpha, the fraction of the light that passes it.")

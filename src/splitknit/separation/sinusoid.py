@@ -52,22 +52,15 @@ def sinusoid(
 
     B is the length of a noisy vector and so biased upwards, by v / (2 B) for a variance v of its two components (H.
     Gudbjartsson and S. Patz, "The Rician distribution of noisy MRI data", Magnetic Resonance in Medicine 34(6), 1995).
-    Two remedies: `known_phase_rad`, with which B is linear in the images and has no bias; or `noise_std`, by which this
-    bias is taken off, to second order in noise over B (sound where B exceeds about three standard deviations). Raises
-    BadInput if there are fewer than three images, two phases agree, they do not determine a sinusoid, the images do not
-    follow them, or the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
+    Two remedies: `known_phase_rad`, (H, W) from a calibrated projector or a smooth fit, with which B is linear in the
+    images and has no bias; or `noise_std`, of one image in units of linear light, by which this bias is taken off, to
+    second order in noise over B (sound where B exceeds about three standard deviations).
 
-    Parameters
-    ----------
-    stack : (N, H, W) or (N, H, W, C), three images at least
-        Linear light, black level removed.
-    phases_rad : (N,), optional
-        Shift of each image; equal steps of 2 pi / N where None.
-    dark : least brightness of the source relative to its greatest, in [0, 1)
-    known_phase_rad : (H, W), optional
-        Phase at each pixel, from a calibrated projector or a smooth fit.
-    noise_std : standard deviation of one image's noise, in units of linear light
-    mask : (H, W) bool, optional
+    `stack`: (N, H, W) or (N, H, W, C) linear light, black level removed, three images at least; `phases_rad`: (N,),
+    equal steps of 2 pi / N where None; `dark`: least brightness of the source relative to its greatest, in [0, 1);
+    `mask`: (H, W) bool. Raises BadInput if there are fewer than three images, two phases agree, they do not determine a
+    sinusoid, the images do not follow them, or the stack is unusable as for
+    :func:`splitknit.separation.checkerboard.checkerboard`.
     """
     check_fraction(dark, "dark")
     require(bool(np.isfinite(noise_std)) and noise_std >= 0, f"noise_std must not be negative, but it is {noise_std}.")
