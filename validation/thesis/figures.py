@@ -39,8 +39,6 @@ from splitknit.report.charts import Axis, Curve, line_chart
 from splitknit.report.figures import oblique_view, small_fields
 from splitknit.steps import Memory
 
-CAPTURES = 24
-"""Of different fingers, so many as there are."""
 CASES = ("snk", "pr", "ea")
 BANDS = {"shape": (0.0, 2.0), "between": (2.0, 10.0), "ridges": (10.0, 1000.0)}
 """Cycles per cm: the shape has 0.7, ridges have 23."""

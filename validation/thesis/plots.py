@@ -15,7 +15,6 @@ from splitknit.evaluation.scores import Scores
 from splitknit.report.charts import Axis, Curve, line_chart, percent_marks, standalone
 from splitknit.report.evaluation import roc_chart
 
-
 PAINTS = ("#D55E00", "#0072B2", "#F0B895", "#99C7E0")
 """EA and SnK here, EA and SnK in the thesis."""
 
@@ -83,7 +82,10 @@ def bars_figure(groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[flo
     for k, (label, bars) in enumerate(groups):
         for n, (name, value, ends) in enumerate(bars):
             x, y = left + k * step + wide * (n + 0.5), floor - high * value / 100
-            parts += [_bar(x, y, wide - 4, floor - y, colours[name]), _words(x + 15, floor - 5, f"{value:.1f}", "middle")]
+            parts += [
+                _bar(x, y, wide - 4, floor - y, colours[name]),
+                _words(x + 15, floor - 5, f"{value:.1f}", "middle"),
+            ]
             if ends is not None:
                 below, above = (floor - high * end / 100 for end in ends)
                 parts.append(_bar(x + 14, above, 1.5, below - above, "#000000"))
