@@ -60,7 +60,7 @@ _EDGE_MM = 0.4
 _NODES_MM, _STIFFNESS = 1.5, 0.02
 """Spacing of the control points of elastic shifts, and their weight against differences of neighbours."""
 _ROLL_STEP_MM, _ROLL_BLOCK_MM, _ROLL_REPLICATES, _ROLL_ERROR_DEG = 0.1, 4.0, 50, 0.9
-"""Pixels, blocks and draws of :func:`roll_between`, and the shape's error, measured (``validation/thesis/rolls.py``)."""
+"""Pixels, blocks and draws of :func:`roll_between`, and the error of the shape (``validation/thesis/rolls.py``)."""
 _STEPS, _ORDER = 25, 9
 """Of the rigid fit; order of the polynomial for the slow shape."""
 
