@@ -30,7 +30,7 @@ export OMP_NUM_THREADS=1
 started=$SECONDS
 step "$python" -m splitknit simulate population --out "$out/people" --seed 3170 --scale 0.4 --subjects 17 \
     --fingers right_index --sessions 4 --set sessions.partial_share=0 --workers "$jobs"
-step "$python" -m splitknit batch "$out/people" --out "$out/store" --cases "$cases" --matchers thesis,ridge \
+step "$python" -m splitknit batch "$out/people" --out "$out/store" --cases "$cases" --matchers thesis \
     --impostors 1 --seed 3170 --jobs "$jobs"
 for part in cases fusion rolls figures; do experiment "$part"; done
 step "$python" validation/thesis/claims.py "$out/tables"
