@@ -55,7 +55,7 @@ _FOLDS, _SECTORS = 20, 8
 """Parts that are left out in turns: balls, or of fewer than `_FEW` balls their sectors."""
 _FEW = 4
 _SPREAD, _COVERED = 5, 0.6
-"""Coefficients may vary over the field where there are more balls; it is covered if they span this part of its sides."""
+"""Coefficients may vary over the field where there are more balls; it is covered if they span this part of it."""
 _SIMPLER = 1.03
 """A simpler polynomial is taken where it errs at most so many times as much as the best one."""
 _BINS = 9
@@ -68,7 +68,7 @@ _PRIOR = 0.5
 _LINEAR = 0.02
 """The same of linear variation, which near lights show, over that of higher degrees."""
 _CENTRE = 0.06
-"""Standard deviation of a centre as given or found, in radii."""
+"""Standard deviation of a centre as given, in radii, where no photograph of the flat gel holds the slopes."""
 _LARGEST = 300
 """Terms of a polynomial at most."""
 
@@ -145,6 +145,7 @@ def calibrate_shading(
     units = _units(data, centre, used, first)
     model, without, tried = _chosen(data, centre, units, radius_mm)
     by_slope, spent = _errors_left_out(data, centre, units, without)
+    model, covariance, own = _covariance(data, centre, model, units)
     rms, gains, maps = np.full(len(centre), np.nan), np.full(len(centre), np.nan), {}
     for unit, one in zip(units, without, strict=True):
         error, gains[unit.ball] = _cap_error(data, centre[unit.ball], one)
@@ -175,10 +176,10 @@ def calibrate_shading(
         relative=model.relative,
         degree=model.degree,
         weights=model.weights,
-        covariance=_covariance(data, model, units, without),
+        covariance=covariance,
         deviation=by_slope[:, 2],
         max_slope=float(by_slope[-1, 0]),
-        height_mm_per_slope=cap_rms_um / 1000.0 / spent,
+        height_mm_per_slope=cap_rms_um / 1000.0 / float(np.hypot(spent, own)),
         facts=facts,
     )
     outline = np.column_stack([centre, outlines[:, 3]])
@@ -449,7 +450,7 @@ def _joint(data: _Data, given: Array) -> tuple[Array, BoolArray, _Model]:
     plane = model.plane(data, len(balls)) + np.zeros((count, count))
     for turn in range(7):
         whole, reduced, right = plane.copy(), np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
-        given_by = (misfit / (_CENTRE * data.radius_px)) ** 2
+        given_by = (misfit / (_CENTRE * data.radius_px)) ** 2 if data.between else 0.0
         steps, off = [], []
         for k, ball in enumerate(balls):
             values, columns, rows, slopes, error = _sampled(data, ball, model if turn > 1 else None)
@@ -610,20 +611,32 @@ def _errors_left_out(
     return table, float(np.sqrt((error[inner] ** 2).mean()))
 
 
-def _covariance(data: _Data, model: _Model, units: Sequence[_Unit], without: Sequence[_Model]) -> Array:
-    """Covariance of the weights, robust to errors that are alike all over a ball (White's sandwich, of units left out),
-    and, where balls do not hold what varies over the field, what it may be by the prior."""
+def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]) -> tuple[_Model, Array, float]:
+    """Covariance of the weights, and the standard deviation that it gives slopes of the balls.
+
+    White's sandwich, by units: robust to errors that are alike all over a ball. Where balls cover a part of the field,
+    nothing varies with the place in the model, since that would be extrapolated: the linear variation that they show,
+    from their middle on, is then uncertainty, and the model gets terms for it whose weights are zero.
+    """
     equations = [unit.equations(data, model) for unit in units]
     normal = model.plane(data, len(units)) + np.sum([terms.T @ terms for terms, _ in equations], axis=0)
-    prior = model.prior(normal, len(units))
-    inverse = np.linalg.inv(_damped(normal + prior))
-    spread = np.zeros_like(normal)
-    misfit = 0.0
-    for (terms, slopes), one in zip(equations, without, strict=True):
-        score = terms.T @ (slopes - terms @ one.weights)
-        spread += 0.5 * score @ score.T
-        misfit += 0.5 * float(((slopes - terms @ one.weights) ** 2).sum()) / len(units)
-    return np.asarray(inverse @ (spread + misfit * prior) @ inverse)
+    inverse = np.linalg.inv(_damped(normal + model.prior(normal, len(units))))
+    scores = [terms.T @ (slopes - terms @ model.weights) for terms, slopes in equations]
+    spread = 0.5 * np.sum([score @ score.T for score in scores], axis=0)
+    covariance = inverse @ spread @ inverse
+    if model.place == 1 and data.plane and len(units) > _SPREAD and not data.varies(balls):
+        count = len(model.weights)
+        varying, _ = _left_out(replace(model, place=3), units, data)
+        column, row = balls[:, 1:].mean(axis=0)
+        middle = place_terms(data.size, [column], [row], 3)[:, 0]
+        covariance = np.pad(covariance, (0, 2 * count))
+        for k in (1, 2):
+            step = np.eye(3)[k] - middle[k] * np.eye(3)[0]
+            along = np.kron(step[:, None], varying.weights[k * count : (k + 1) * count])
+            covariance += 0.5 * along @ along.T
+        model = replace(model, place=3, weights=np.concatenate([model.weights, np.zeros((2 * count, 2))]))
+    of_balls = np.mean([((terms @ covariance) * terms).sum() for terms, _ in (u.equations(data, model) for u in units)])
+    return model, np.asarray(covariance), float(np.sqrt(of_balls))
 
 
 def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) -> Array:
@@ -702,9 +715,11 @@ def _physics(data: _Data, units: Sequence[_Unit], pitch_mm: float) -> tuple[Arra
         scale = float(np.median(image))
         start = [np.arctan2(pull[1], pull[0]), 0.6, 0.01, 0.3, scale]
         bounds = ([-10.0, 0.05, 0.0, 0.0, 0.01 * scale], [10.0, 1.57, 0.9, 0.98, 100.0 * scale])
-        fit = least_squares(
-            lambda p, image=image: light(p)[1] - image, start, bounds=bounds, x_scale=[1, 0.3, 0.1, 0.3, scale]
-        )
+
+        def left_over(p: Array, image: Array = image) -> Array:
+            return light(p)[1] - image
+
+        fit = least_squares(left_over, start, bounds=bounds, x_scale=[1, 0.3, 0.1, 0.3, scale])
         found.append([*light(fit.x)[0], fit.x[2] / width, fit.x[3]])
         left.append(float(np.sqrt((fit.fun**2).mean())) / scale)
     return np.array(found), np.array(left)

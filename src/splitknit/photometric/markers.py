@@ -86,8 +86,8 @@ def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> Fl
     """Fields whose masked pixels are replaced by means of the others near them.
 
     The means have a bell-shaped kernel (triangles along rows and columns) and are normalised by how much of it is not
-    masked, first of `reach_px`, then, inside larger holes, of two and four times that and so on. Then each masked pixel becomes the mean of a square around it,
-    a few times over: a field that is linear across a hole stays so.
+    masked, first of `reach_px`, then, inside larger holes, of two and four times that and so on. Then each masked pixel
+    becomes the mean of a square around it, a few times over: a field that is linear across a hole stays so.
 
     Parameters
     ----------

@@ -43,8 +43,8 @@ def write_page(page: Path, fit: ShadingFit) -> None:
         )
     ]
     rows, columns = shading.image_size
-    corners = np.array([(0, 0), (columns - 1, 0), (0, rows - 1), (columns - 1, rows - 1)]).T
-    terms = place_terms(shading.image_size, *corners, shading.fall_off.shape[1])
+    left, bottom = [0, 0, columns - 1, columns - 1], [rows - 1, 0, rows - 1, 0]
+    terms = place_terms(shading.image_size, left, bottom, shading.fall_off.shape[1])
     edges = np.exp((shading.fall_off @ terms) - shading.fall_off[:, :1])
     chart = _slope_chart(fit) if len(fit.error_by_slope) else ""
     picture, limit = _residual_map(fit) if fit.cap_errors else ("", 0.0)
