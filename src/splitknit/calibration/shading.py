@@ -90,8 +90,6 @@ class ShadingFit:
     """Of each used ball (n, 3): column, row, error of the height in um."""
     error_by_slope: Array
     """(B, 3) slope, mean error, rms error of a slope's part, of balls left out."""
-    tried: tuple[dict[str, Any], ...]
-    """Polynomials with their errors on balls left out."""
     notes: tuple[str, ...]
 
 
@@ -184,7 +182,7 @@ def calibrate_shading(
     )
     outline = np.column_stack([centre, outlines[:, 3]])
     notes = _notes(data, outlines, spacing_mm)
-    return ShadingFit(shading, outline, used, rms, gains, tuple(maps.values()), by_slope, tried, notes)
+    return ShadingFit(shading, outline, used, rms, gains, tuple(maps.values()), by_slope, notes)
 
 
 def _over_flat(
@@ -620,9 +618,13 @@ def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]
     """
     equations = [unit.equations(data, model) for unit in units]
     normal = model.plane(data, len(units)) + np.sum([terms.T @ terms for terms, _ in equations], axis=0)
-    inverse = np.linalg.inv(_damped(normal + model.prior(normal, len(units))))
-    scores = [terms.T @ (slopes - terms @ model.weights) for terms, slopes in equations]
+    prior = model.prior(normal, len(units))
+    inverse = np.linalg.inv(_damped(normal + prior))
+    errors = [slopes - terms @ model.weights for terms, slopes in equations]
+    scores = [terms.T @ error for (terms, _), error in zip(equations, errors, strict=True)]
     spread = 0.5 * np.sum([score @ score.T for score in scores], axis=0)
+    if not data.covered(balls):  # what varies is then extrapolated: it may be all that the prior allows
+        spread += 0.5 * float(np.mean([(error**2).sum() for error in errors])) * prior
     covariance = inverse @ spread @ inverse
     if model.place == 1 and data.plane and len(units) > _SPREAD and not data.varies(balls):
         count = len(model.weights)

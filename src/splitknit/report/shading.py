@@ -50,7 +50,7 @@ def write_page(page: Path, fit: ShadingFit) -> None:
     picture, limit = _residual_map(fit) if fit.cap_errors else ("", 0.0)
     html = template("shading.html").render(
         title=_TITLE, facts=facts, shading=shading, notes=fit.notes, lights=lights, chart=chart, map=picture,
-        limit=limit, tried=fit.tried, places=sum(fit.used), balls=[
+        limit=limit, tried=facts.get("tried", ()), places=sum(fit.used), balls=[
             (f"{one[1]:.1f}", f"{one[2]:.1f}", "yes" if used else "no", f"{rms:.2f}", f"{gain:.3f}")
             for one, used, rms, gain in zip(fit.balls, fit.used, fit.cap_rms_um, fit.cap_gain, strict=True)
         ],
