@@ -61,7 +61,7 @@ def test_a_short_lens_shows_more_terms():
     assert lens.distortion[:2] == pytest.approx((-0.3, 0.12), abs=0.02)
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_standard_deviations_are_what_repetition_gives():
     exact = views(3, 8, noise_px=0)
     rng = np.random.default_rng(7)

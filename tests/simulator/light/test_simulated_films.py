@@ -133,6 +133,7 @@ def test_a_turned_film_shifts_the_crossed_series_only():
     assert np.abs(plain["white_crossed"] - shifted["white_crossed"]).max() > 500
 
 
+@pytest.mark.slow
 def test_a_finger_moves_between_the_series():
     _, capture, truth = pixels({"films.kind": "analyser", "motion.amplitude_mm": 0.2})
     assert list(capture.bands) == ["white", "white_crossed", "nir"]

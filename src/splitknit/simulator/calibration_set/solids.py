@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -398,9 +398,6 @@ class SphereScene(GroundScene):
     def _led_in_mirror(self, led: Led, lines: SightLines, rays: Lines) -> Array:
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
 
-        def shine(finer: SightLines) -> tuple[Array, Array]:
-            return _led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
-
         inwards, radiance = _led_face(led, self.bench.led_radius_mm, rays)
         step = steps(inwards)
         # in the very middle of the face the distance from its rim has no slope: the neighbours' counts
@@ -408,9 +405,9 @@ class SphereScene(GroundScene):
         light = np.where(inwards > 0.0, radiance, 0.0)
         at = np.nonzero(np.abs(inwards) < 2.0 * pixel)
         if at[0].size:
-            light[at] = np.mean(
-                [np.where(hit > 0.0, value, 0.0) for hit, value in map(shine, _finer_lines(lines, at))], 0
-            )
+            finer = _finer_lines(lines, at)
+            hit, value = _led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
+            light[at] = np.mean(np.where(hit > 0.0, value, 0.0), axis=0)
         return light
 
     @property
@@ -469,18 +466,16 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
 
 
-def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> Iterator[SightLines]:
-    """Lines of sight of a square grid of points within the pixels `at`, one point of all pixels after the other."""
-    values = (sight.x, sight.y, sight.slope_x, sight.slope_y)
-    slopes = [steps(value) for value in values]
+def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> SightLines:
+    """Lines of sight (FINER^2, N) of a square grid of points within the N pixels `at`."""
     places = (np.arange(FINER) + 0.5) / FINER - 0.5
-    for row in places:
-        for column in places:
-            moved = (
-                value[at] + row * step.row[at] + column * step.column[at]
-                for value, step in zip(values, slopes, strict=True)
-            )
-            yield SightLines(*moved)
+    row, column = np.repeat(places, FINER)[:, None], np.tile(places, FINER)[:, None]
+
+    def finer(value: Array) -> Array:
+        step = steps(value)
+        return np.asarray(value[at] + row * step.row[at] + column * step.column[at])
+
+    return SightLines(finer(sight.x), finer(sight.y), finer(sight.slope_x), finer(sight.slope_y))
 
 
 def _axes(points: Array) -> FloatArray:
