@@ -1,12 +1,13 @@
 """The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 6] [--system NAME]`.
 
-Every finger and system is written to --out and not measured twice; `results.json` and the tables of
-docs/experiments/scanners.md are printed from what is there.
+Every finger and system is written to --out and not measured twice. `--fringes` measures fringes on skin, and
+`--tables` prints the tables of docs/experiments/scanners.md from what is there.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 from collections.abc import Callable
@@ -14,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import simulated as sim
+from scipy.stats import beta
 
 import splitknit
 from splitknit.io.clouds import Cloud
-from splitknit.model import default_rig
 from splitknit.scanners import focus, laser, stereo, structured_light
 from splitknit.scanners.cloud import CloudView, result_of_cloud
 from splitknit.simulator.light.skin import diffusion_profile
@@ -56,6 +57,7 @@ def stripes(finger: Fingers, channel: str = "blue") -> Scan:
     plan = [sim.stripe(period, k, STEPS) for period in PERIODS for k in range(STEPS)]
     shots = list(sight.light(channel, lamp, plan))
     images = np.stack([sight.record(one, brightest) for one, _ in shots])
+    images[:, (images >= 1.0).any(axis=0)] = np.nan
     begun = time.process_time()
     decoded = structured_light.decode(images.reshape(len(PERIODS), STEPS, *images.shape[1:]), PERIODS)
     cloud, _ = structured_light.scan(sight.view, lamp, decoded)
@@ -132,7 +134,7 @@ def hull(finger: Fingers) -> Scan:
     seen = [sim.silhouette(finger.who, 10.0, deg) for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0)]
     begun = time.process_time()
     box = np.array([[-13.0, -14.4, -8.0], [13.0, 14.4, 1.5]])
-    cloud = stereo.hull([mask for mask, _ in seen], [view for _, view in seen], box, 0.1)
+    cloud = stereo.hull([mask for mask, _ in seen], [view for _, view in seen], box, 0.045)
     return cloud, 1.0, time.process_time() - begun
 
 
@@ -141,7 +143,7 @@ SYSTEMS: dict[str, tuple[Callable[[Fingers], Scan], str, int, int, float]] = {
     "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 350, 4 * FRAME_S),
     "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 180, 0.0),
     "focus": (depth_from_focus, "Depth from focus, 20 pictures", 3, 150, 20 * FRAME_S),
-    "stereo2": (lambda f: cameras(f, (0.0, 18.0)), "Stereo, two cameras", 3, 70, FRAME_S),
+    "stereo2": (lambda f: cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 3, 70, FRAME_S),
     "stereo5": (lambda f: cameras(f, (-36.0, -18.0, 0.0, 18.0, 36.0)), "Stereo, five cameras", 6, 160, FRAME_S),
     "hull": (hull, "Visual hull, six cameras", 7, 190, FRAME_S),
 }
@@ -204,12 +206,95 @@ def measure(seed: int, names: list[str], out: Path) -> None:
         print(seed, name, {k: round(v, 3) for k, v in facts.items()}, flush=True)
 
 
+def fringe_table(out: Path) -> None:
+    """Modulation of fringes on skin by period and colour, and ridges by the colour of the stripes, on finger 1."""
+    path = out / "fringes.json"
+    if path.exists():
+        return
+    _, truth = splitknit.simulate_capture(1, settings={"scale": SCALE})
+    finger = Fingers(1)
+    sight, lamp, facts = finger.at(0), sim.projector(), {}
+    inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
+    for channel in ("opaque", "red", "green", "blue", "nir"):
+        rows = {}
+        for mm in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0):
+            period = mm / sim.PROJECTOR_PX_MM
+            shots = np.stack(
+                [one for one, _ in sight.light(channel, lamp, [sim.stripe(period, k, 4) for k in range(4)])]
+            )
+            found = structured_light.decode(shots[None], [period], 0.0).modulation[0][sight.patch.window]
+            rows[str(mm)] = float(np.median(found[inner]))
+        cloud, _, _ = stripes(finger, channel)
+        result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
+        figures = splitknit.compare(result, truth).figures
+        facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
+        if channel != "opaque":
+            optics = finger.who.optics.channel(channel)
+            profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
+            facts[channel]["half_radius_mm"] = profile.radius_mm(0.5)
+    path.write_text(json.dumps(facts, indent=1))
+
+
+def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool]]:
+    """Scans against second captures by `metric`, every pair: the matcher `ridge`, its similarity and its decision."""
+    path = out / f"rates-{name}.json"
+    kept = json.loads(path.read_text()) if path.exists() else {}
+    for a, b in itertools.product(seeds, seeds):
+        if f"{a}-{b}" not in kept:
+            try:
+                found = splitknit.match(out / f"{a}-{name}", out / f"{b}-second", "ridge", fmr=1e-3)
+                kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision["match"])
+            except splitknit.BadInput:  # too little of it to compare
+                kept[f"{a}-{b}"] = 0.0, False
+            path.write_text(json.dumps(kept))
+    return kept
+
+
+def interval(hits: int, tried: int) -> str:
+    """Fraction with the 95 % interval of Clopper and Pearson, per cent."""
+    low = beta.ppf(0.025, hits, tried - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, tried - hits) if hits < tried else 1.0
+    return f"{hits} of {tried} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def tables(out: Path, seeds: list[int]) -> None:
+    """Print the tables, means over the fingers."""
+    print(f"{len(seeds)} fingers")
+    names = {"metric": ("", "`metric`", 17, 110, 2.4)} | SYSTEMS
+    for name, (_, title, parts, price, capture) in names.items():
+        rows = [json.loads((out / f"{seed}-{name}.json").read_text()) for seed in seeds]
+        mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+        spread = float(np.std([1e3 * row["surface_rms_mm"] for row in rows], ddof=1))
+        fusion = f"{1e3 * mean['fused_surface_rms_mm']:.0f}" if "fused_surface_rms_mm" in mean else "-"
+        cells = [
+            title, f"{1e3 * mean['surface_rms_mm']:.0f} +- {spread:.0f}", f"{mean['ridge_correlation']:.2f}",
+            f"{mean['ridge_gain']:.2f}", f"{mean['ridge_rms_um']:.0f}", f"{mean['ridge_area_mm2']:.0f}",
+            f"{100 * mean['ridge_good_area']:.0f}", fusion, f"{capture:.2g}", f"{mean['compute_s']:.1f}",
+            f"{mean['light']:.1f}", str(parts), str(price),
+        ]  # fmt: skip
+        scores = rates(out, seeds, name)
+        genuine = [scores[f"{k}-{k}"][1] for k in seeds]
+        others = [scores[f"{a}-{b}"][1] for a, b in itertools.permutations(seeds, 2)]
+        cells += [interval(sum(genuine), len(genuine)), interval(sum(others), len(others))]
+        print("| " + " | ".join(cells) + " |", flush=True)
+    for channel, facts in json.loads((out / "fringes.json").read_text()).items():
+        cells = [f"{facts[mm]:.2f}" for mm in ("0.25", "0.5", "1.0", "2.0", "4.0", "8.0")]
+        cells += [f"{facts['ridge_correlation']:.2f}", f"{facts['ridge_gain']:.2f}", f"{facts['ridge_rms_um']:.0f}"]
+        print(f"| {channel} | {facts.get('half_radius_mm', 0):.2f} | " + " | ".join(cells) + " |")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--fingers", type=int, default=6)
     parser.add_argument("--system", choices=[*SYSTEMS], action="append")
     parser.add_argument("--out", type=Path, default=Path("build/scanners"))
+    parser.add_argument("--fringes", action="store_true", help="the table of fringes on skin only")
+    parser.add_argument("--tables", action="store_true", help="match what was measured, and print the tables only")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    for seed in range(1, given.fingers + 1):
+    if given.fringes:
+        fringe_table(given.out)
+    if given.tables:
+        tables(given.out, list(range(1, given.fingers + 1)))
+    for seed in range(1, given.fingers + 1) if not (given.fringes or given.tables) else ():
         measure(seed, given.system or [*SYSTEMS], given.out)

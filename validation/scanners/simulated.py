@@ -33,7 +33,9 @@ APERTURE_MM = 28.0
 def turned(about: str, deg: float) -> np.ndarray:
     """(3, 3) turn about x or y that takes the direction of a device, `deg` from the z axis, to the z axis."""
     c, s = np.cos(np.deg2rad(deg)), np.sin(np.deg2rad(deg))
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) if about == "x" else np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    return (
+        np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) if about == "x" else np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    )
 
 
 def camera_of(px_per_mm: float) -> Camera:
@@ -93,21 +95,31 @@ class Sight:
 
     def light(self, channel: str, lamp: View, patterns: Iterator | None = None) -> Iterator[tuple]:
         """Radiance (H, W) and mean light on the skin under a lamp, or under each pattern (a function of its rows)."""
-        if channel not in self._media:
+        if channel != "opaque" and channel not in self._media:
             medium = Medium((self.who.optics.channel(channel),), self.who.optics.roughness, self.who.optics.glare)
             blur = SubsurfaceScattering(self.patch, medium, RenderSettings(workers=1))
             self._media[channel] = blur, Relief(self.surface, self.patch, medium)
-        blur, relief = self._media[channel]
         place = self.turn @ (lamp.centre_mm - PIVOT) + PIVOT
         led = Led("white", tuple(place))
         entering, gloss = light_on(self.patch, led, self.who.optics.roughness, LED_RADIUS_MM)
         entering, gloss = entering.astype(np.float32), (gloss * self.who.optics.glare).astype(np.float32)
-        gain = next(iter(relief.gains(led)))
+        if channel == "opaque":  # painted: no light below the surface, no gloss
+            gloss *= 0
+
+            def leaving(light):
+                return light / np.float32(np.pi)
+        else:
+            blur, relief = self._media[channel]
+            gain = next(iter(relief.gains(led)))
+
+            def leaving(light):
+                return next(iter(blur(light))) * gain
+
         row = lamp.pixels(self.points)[1].astype(np.float32)
         for pattern in patterns or (None,):
             on = np.float32(1.0) if pattern is None else pattern(row).astype(np.float32)
             whole = np.zeros(self.camera.image_size, np.float32)
-            whole[self.patch.window] = next(iter(blur(entering * on))) * gain + gloss * on
+            whole[self.patch.window] = leaving(entering * on) + gloss * on
             yield whole, float((entering * on)[self.patch.mask].mean())
 
     def record(self, radiance: np.ndarray, brightest: float) -> np.ndarray:

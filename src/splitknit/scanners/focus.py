@@ -17,9 +17,7 @@ from splitknit.model import FloatArray
 from splitknit.scanners.views import View, cloud_of
 
 
-def depth(
-    stack: NDArray[np.floating], window_px: float, least: float = 0.2
-) -> tuple[FloatArray, FloatArray]:
+def depth(stack: NDArray[np.floating], window_px: float, least: float = 0.2) -> tuple[FloatArray, FloatArray]:
     """Find the sharpest picture of each pixel.
 
     Parameters

@@ -68,7 +68,11 @@ def _pair(
         matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
         turned.append(View(matrix, turn, -turn @ view.centre_mm))
         warp = matrix @ turn @ view.rotation.T @ np.linalg.inv(view.matrix)
-        fields.append(cv2.warpPerspective(picture, warp, (shape[1], shape[0]), flags=cv2.INTER_CUBIC))
+        fields.append(
+            np.asarray(
+                cv2.warpPerspective(picture, warp, (shape[1], shape[0]), flags=cv2.INTER_CUBIC), dtype=np.float32
+            )
+        )
     far = float((turn @ (middle - views[0].centre_mm))[2])
     reach = focal * length * depth_mm / far**2
     lowest = -int(np.ceil(reach))
@@ -105,15 +109,15 @@ def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[Float
     start, reference = disparity, fields[0]
     side = (9, 9)
     for _ in range(_ROUNDS):
-        other = cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC)
-        slope = cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3) / 8.0
+        other = np.asarray(cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32)
+        slope = np.asarray(cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3), dtype=np.float32) / np.float32(8.0)
         step = cv2.blur(slope * (other - reference), side) / (cv2.blur(slope * slope, side) + 1e-3)
         disparity = disparity + np.clip(step, -_LARGEST_STEP_PX, _LARGEST_STEP_PX)
-    other = cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC)
-    a, b = reference - cv2.blur(reference, side), other - cv2.blur(other, side)
+    other = np.asarray(cv2.remap(fields[1], columns - disparity, rows, cv2.INTER_CUBIC), dtype=np.float32)
+    a, b = (np.asarray(one - cv2.blur(one, side), dtype=np.float32) for one in (reference, other))
     power = cv2.blur(a * a, side) * cv2.blur(b * b, side)
     alike = cv2.blur(a * b, side) / np.sqrt(np.maximum(power, 1e-8))
-    return disparity, np.asarray((alike > 0.6) & (np.abs(disparity - start) < 2.0))
+    return np.asarray(disparity, dtype=np.float32), np.asarray((alike > 0.6) & (np.abs(disparity - start) < 2.0))
 
 
 def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch_mm: float) -> Cloud:
@@ -124,7 +128,7 @@ def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch
     masks : (H, W) silhouettes; what leaves a picture goes on beyond its border
     views : of the cameras
     box_mm : (2, 3) lowest and highest corner of what is searched
-    pitch_mm : of the grid
+    pitch_mm : of the grid, sideways; along z it is four times that, and interpolated
 
     Raises
     ------
@@ -132,11 +136,14 @@ def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch
         If there are fewer than two silhouettes, or they have nothing in common.
     """
     require(2 <= len(masks) == len(views), "a visual hull needs two silhouettes at least, each with its view.")
-    x, y, z = (np.arange(low, high, pitch_mm) for low, high in np.asarray(box_mm).T)
+    steps = (pitch_mm, pitch_mm, 4.0 * pitch_mm)
+    x, y, z = (np.arange(low, high, step) for (low, high), step in zip(np.asarray(box_mm).T, steps, strict=True))
     require(x.size * y.size * z.size <= 100_000_000, "the grid is too fine for the box; give a larger `pitch_mm`.")
     inside = []
     for mask in masks:  # distance to the outline, positive inside
-        near = [cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for one in (mask, ~mask)]
+        near = [
+            cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for one in (mask, ~mask)
+        ]
         inside.append(np.asarray(near[0] - near[1], dtype=np.float32))
     grid_y, grid_x = np.meshgrid(y[::-1], x, indexing="ij")
     top = np.full(grid_x.shape, np.nan)
@@ -148,6 +155,6 @@ def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch
             column, row = (one.astype(np.float32) for one in view.pixels(points))
             here = np.minimum(here, cv2.remap(distance, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         entered = np.isnan(top) & (here > 0)
-        top[entered] = height + (pitch_mm * here / np.maximum(here - above, 1e-6))[entered]
+        top[entered] = height + (steps[2] * here / np.maximum(here - above, 1e-6))[entered]
         above = here
     return cloud_of(np.stack([grid_x, grid_y, top], axis=-1), "visual hull")

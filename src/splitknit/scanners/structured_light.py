@@ -10,6 +10,7 @@ al., "Temporal phase unwrapping algorithms for fringe projection profilometry", 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -55,7 +56,8 @@ def decode(images: NDArray[np.floating], periods: Sequence[float], least: float 
 
     Parameters
     ----------
-    images : (F, N, H, W) linear light without ambient light: F periods, N equal steps as :func:`fringes` has them.
+    images : (F, N, H, W) linear light without ambient light, NaN where a pixel is saturated: F periods, N equal
+        steps as :func:`fringes` has them.
         Three-colour fringes are N = 3 channels, each over that of an evenly lit exposure.
     periods : F periods in projector rows, descending; the first spans the whole field, from row 0
     least : smallest modulation that counts
@@ -67,7 +69,7 @@ def decode(images: NDArray[np.floating], periods: Sequence[float], least: float 
     """
     require(images.ndim == 4 and images.shape[1] >= 3, "phase shifting needs at least three steps a period.")
     require(
-        len(periods) == images.shape[0] and all(a > b > 0 for a, b in zip(periods, periods[1:], strict=False)),
+        len(periods) == images.shape[0] and all(a > b > 0 for a, b in itertools.pairwise(periods)),
         "the periods must be as many as the series of images, positive and descending.",
     )
     steps = images.shape[1]
@@ -89,7 +91,8 @@ def decode(images: NDArray[np.floating], periods: Sequence[float], least: float 
     assert row is not None
     modulation = np.stack(modulations)
     known = (modulation >= least).all(axis=0)
-    return Decoded(*(np.where(known, one, np.nan).astype(np.float32) for one in (row, sigma)), modulation)
+    row, sigma = np.where(known, row, np.nan), np.where(known, sigma, np.nan)
+    return Decoded(row.astype(np.float32), sigma.astype(np.float32), modulation)
 
 
 def scan(camera: View, projector: View, decoded: Decoded, largest_mm: float = 0.1) -> tuple[Cloud, FloatArray]:
