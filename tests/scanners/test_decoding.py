@@ -10,7 +10,7 @@ import pytest
 
 from splitknit.errors import BadInput
 from splitknit.scanners import focus, laser, stereo, structured_light
-from splitknit.scanners.views import View, cloud_of, on_planes
+from splitknit.scanners.views import View, cloud_of, on_planes, resection
 
 SHAPE = (60, 80)
 
@@ -61,6 +61,23 @@ def test_a_ray_meets_the_plane_of_its_row() -> None:
     np.testing.assert_allclose(points, truth, atol=1e-8)
     moved = on_planes(camera, projector, row + 1e-3)[0]
     np.testing.assert_allclose(np.linalg.norm(moved - points, axis=-1), 1e-3 * slope, rtol=1e-4)
+
+
+def test_a_projector_is_calibrated_from_boards_at_three_heights() -> None:
+    projector = view(25, 0, 4000.0, (600, 600))
+    rng = np.random.default_rng(3)
+    points = np.concatenate([np.column_stack([rng.uniform(-9, 9, (200, 2)), np.full(200, z)]) for z in (-8.0, -4, 0)])
+    pixels = np.stack(projector.pixels(points), axis=1)
+    found = resection(points, pixels)
+    np.testing.assert_allclose(found.matrix, projector.matrix, atol=1e-4)
+    np.testing.assert_allclose(found.centre_mm, projector.centre_mm, atol=1e-5)
+    noisy = resection(points, pixels + 0.1 * rng.standard_normal(pixels.shape))
+    camera = view(0, 0)
+    truth = hill(camera)
+    away = on_planes(camera, noisy, projector.pixels(truth)[1])[0] - truth
+    assert np.sqrt((away**2).sum(axis=-1).mean()) < 2e-3
+    with pytest.raises(BadInput, match="one plane"):
+        resection(points[:200], pixels[:200])
 
 
 def test_a_line_that_passes_is_timed_between_frames() -> None:

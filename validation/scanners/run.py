@@ -26,6 +26,8 @@ from splitknit.simulator.light.skin import diffusion_profile
 SCALE = 0.4
 PX_PER_MM = 75.7 * SCALE
 PERIODS = (1300.0, 200.0, 36.0)
+FINE = 12.0
+"""Period in projector rows, finer than ridges."""
 STEPS = 6
 FRAME_S = 1 / 30
 Scan = tuple[Cloud, float, float]
@@ -51,15 +53,15 @@ def even(sight: sim.Sight, channel: str, lamp) -> tuple[np.ndarray, float, float
     return radiance, brightest, on_skin
 
 
-def stripes(finger: Fingers, channel: str = "blue") -> Scan:
+def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] = PERIODS) -> Scan:
     sight, lamp = finger.at(0), sim.projector()
     _, brightest, unit = even(sight, channel, lamp)
-    plan = [sim.stripe(period, k, STEPS) for period in PERIODS for k in range(STEPS)]
+    plan = [sim.stripe(period, k, STEPS) for period in periods for k in range(STEPS)]
     shots = list(sight.light(channel, lamp, plan))
     images = np.stack([sight.record(one, brightest) for one, _ in shots])
     images[:, (images >= 1.0).any(axis=0)] = np.nan
     begun = time.process_time()
-    decoded = structured_light.decode(images.reshape(len(PERIODS), STEPS, *images.shape[1:]), PERIODS)
+    decoded = structured_light.decode(images.reshape(len(periods), STEPS, *images.shape[1:]), periods)
     cloud, _ = structured_light.scan(sight.view, lamp, decoded)
     return cloud, sum(one for _, one in shots) / unit, time.process_time() - begun
 
@@ -140,14 +142,21 @@ def hull(finger: Fingers) -> Scan:
 
 SYSTEMS: dict[str, tuple[Callable[[Fingers], Scan], str, int, int, float]] = {
     "stripes": (stripes, "Structured light, 3 periods x 6 steps, blue", 3, 350, 18 * FRAME_S),
+    "stripes-fine": (
+        lambda f: stripes(f, "blue", (*PERIODS, FINE)),
+        "Structured light, a fourth period of 0.36 mm, blue",
+        3,
+        350,
+        24 * FRAME_S,
+    ),
     "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 350, 4 * FRAME_S),
-    "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 180, 0.0),
+    "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 180, 264 * FRAME_S),
     "focus": (depth_from_focus, "Depth from focus, 20 pictures", 3, 150, 20 * FRAME_S),
     "stereo2": (lambda f: cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 3, 70, FRAME_S),
     "stereo5": (lambda f: cameras(f, (-36.0, -18.0, 0.0, 18.0, 36.0)), "Stereo, five cameras", 6, 160, FRAME_S),
     "hull": (hull, "Visual hull, six cameras", 7, 190, FRAME_S),
 }
-"""How, name, parts, price in US dollars (both estimated), seconds of capture (laser: from its frames)."""
+"""How, name, parts, price in US dollars (both estimated), seconds of capture at 30 frames a second."""
 
 
 def on_grid(cloud: Cloud, shape: tuple[int, int], pitch: float) -> splitknit.Reconstruction:
@@ -228,6 +237,9 @@ def fringe_table(out: Path) -> None:
         result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
         figures = splitknit.compare(result, truth).figures
         facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
+        cloud, _, _ = stripes(finger, channel, (*PERIODS, FINE))
+        figures = splitknit.compare(on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth).figures
+        facts[channel] |= {f"fine_{k}": float(figures[k]) for k in KEEP if k in figures}
         if channel != "opaque":
             optics = finger.who.optics.channel(channel)
             profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
@@ -279,7 +291,8 @@ def tables(out: Path, seeds: list[int]) -> None:
         print("| " + " | ".join(cells) + " |", flush=True)
     for channel, facts in json.loads((out / "fringes.json").read_text()).items():
         cells = [f"{facts[mm]:.2f}" for mm in ("0.25", "0.5", "1.0", "2.0", "4.0", "8.0")]
-        cells += [f"{facts['ridge_correlation']:.2f}", f"{facts['ridge_gain']:.2f}", f"{facts['ridge_rms_um']:.0f}"]
+        for key in ("ridge_", "fine_ridge_"):
+            cells += [f"{facts[f'{key}correlation']:.2f}", f"{facts[f'{key}gain']:.2f}", f"{facts[f'{key}rms_um']:.0f}"]
         print(f"| {channel} | {facts.get('half_radius_mm', 0):.2f} | " + " | ".join(cells) + " |")
 
 

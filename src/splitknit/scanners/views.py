@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import rq
 
 from splitknit.errors import require
 from splitknit.io.clouds import Cloud
@@ -40,6 +41,56 @@ class View:
         rows, columns = np.mgrid[: shape[0], : shape[1]]
         pixels = np.stack([columns, rows, np.ones(shape)], axis=-1)
         return np.asarray(pixels @ (self.rotation.T @ np.linalg.inv(self.matrix)).T)
+
+
+def resection(points_mm: Array, pixels: Array) -> View:
+    """Calibrate a camera or a projector from known points and the pixels that they have in it.
+
+    A projector's pixels are decoded from fringes in both directions on a board that stands at several heights.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) of six points at least, not all in one plane
+    pixels : (N, 2) column and row of each
+
+    Raises
+    ------
+    BadInput
+        If there are fewer than six points, or they lie in one plane.
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, 2004, algorithm 7.1 (direct linear transformation; the last row is
+    then the weight of a second round, which makes the residual that of the picture); S. Zhang and P. Huang, "Novel
+    method for structured light system calibration", Optical Engineering 45(8), 2006.
+    """
+    require(points_mm.shape == (len(pixels), 3) and len(pixels) >= 6, "calibration needs six points and their pixels.")
+    scale, middle = float(points_mm.std()), points_mm.mean(axis=0)
+    size, centre = float(pixels.std()), pixels.mean(axis=0)
+    world = np.column_stack([(points_mm - middle) / scale, np.ones(len(pixels))])
+    require(float(np.linalg.svd(world[:, :3])[1][-1]) > 1e-6, "the points lie in one plane; move the board.")
+    image = (pixels - centre) / size
+    depth = np.ones((len(pixels), 1))
+    whole = np.zeros((3, 4))
+    for _ in range(3):
+        empty = np.zeros_like(world)
+        rows = np.concatenate(
+            [
+                np.hstack([world, empty, -image[:, :1] * world]) / depth,
+                np.hstack([empty, world, -image[:, 1:] * world]) / depth,
+            ]
+        )
+        whole = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 4)
+        depth = world @ whole[2][:, None]
+    back = np.eye(4)
+    back[:3] = np.column_stack([np.eye(3), -middle]) / scale
+    projection = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1]]) @ whole @ back
+    projection *= np.sign(np.linalg.det(projection[:, :3]))
+    matrix, rotation = rq(projection[:, :3])
+    signs = np.diag(np.sign(np.diag(matrix)))
+    matrix, rotation = matrix @ signs, signs @ rotation
+    rotation = np.asarray(rotation, dtype=np.float64)
+    return View(matrix / matrix[2, 2], rotation, np.linalg.solve(matrix, projection[:, 3]))
 
 
 def on_planes(camera: View, projector: View, row: NDArray[np.floating]) -> tuple[Array, Array]:
