@@ -141,22 +141,22 @@ def hull(finger: Fingers) -> Scan:
 
 
 SYSTEMS: dict[str, tuple[Callable[[Fingers], Scan], str, int, int, float]] = {
-    "stripes": (stripes, "Structured light, 3 periods x 6 steps, blue", 3, 350, 18 * FRAME_S),
+    "stripes": (stripes, "Structured light, 3 periods x 6 steps, blue", 3, 650, 18 * FRAME_S),
     "stripes-fine": (
         lambda f: stripes(f, "blue", (*PERIODS, FINE)),
         "Structured light, a fourth period of 0.36 mm, blue",
         3,
-        350,
+        650,
         24 * FRAME_S,
     ),
-    "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 350, 4 * FRAME_S),
-    "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 180, 264 * FRAME_S),
-    "focus": (depth_from_focus, "Depth from focus, 20 pictures", 3, 150, 20 * FRAME_S),
-    "stereo2": (lambda f: cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 3, 70, FRAME_S),
-    "stereo5": (lambda f: cameras(f, (-36.0, -18.0, 0.0, 18.0, 36.0)), "Stereo, five cameras", 6, 160, FRAME_S),
-    "hull": (hull, "Visual hull, six cameras", 7, 190, FRAME_S),
+    "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 650, 4 * FRAME_S),
+    "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 450, 264 * FRAME_S),
+    "focus": (depth_from_focus, "Depth from focus, 20 pictures", 4, 400, 20 * FRAME_S),
+    "stereo2": (lambda f: cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 4, 300, FRAME_S),
+    "stereo5": (lambda f: cameras(f, (-36.0, -18.0, 0.0, 18.0, 36.0)), "Stereo, five cameras", 7, 550, FRAME_S),
+    "hull": (hull, "Visual hull, six cameras", 8, 620, FRAME_S),
 }
-"""How, name, parts, price in US dollars (both estimated), seconds of capture at 30 frames a second."""
+"""How, name, parts, price in EUR (both estimated), seconds of capture at 30 frames a second."""
 
 
 def on_grid(cloud: Cloud, shape: tuple[int, int], pitch: float) -> splitknit.Reconstruction:
@@ -272,7 +272,7 @@ def interval(hits: int, tried: int) -> str:
 def tables(out: Path, seeds: list[int]) -> None:
     """Print the tables, means over the fingers."""
     print(f"{len(seeds)} fingers")
-    names = {"metric": ("", "`metric`", 17, 110, 2.4)} | SYSTEMS
+    names = {"metric": ("", "`metric`", 17, 306, 2.4)} | SYSTEMS
     for name, (_, title, parts, price, capture) in names.items():
         rows = [json.loads((out / f"{seed}-{name}.json").read_text()) for seed in seeds]
         mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}

@@ -89,8 +89,8 @@ def resection(points_mm: Array, pixels: Array) -> View:
     matrix, rotation = rq(projection[:, :3])
     signs = np.diag(np.sign(np.diag(matrix)))
     matrix, rotation = matrix @ signs, signs @ rotation
-    rotation = np.asarray(rotation, dtype=np.float64)
-    return View(matrix / matrix[2, 2], rotation, np.linalg.solve(matrix, projection[:, 3]))
+    turn: Array = np.asarray(rotation, dtype=np.float64)
+    return View(matrix / matrix[2, 2], turn, np.linalg.solve(matrix, projection[:, 3]))
 
 
 def on_planes(camera: View, projector: View, row: NDArray[np.floating]) -> tuple[Array, Array]:
