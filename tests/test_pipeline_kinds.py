@@ -75,7 +75,11 @@ KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = 
 `snk` see every kind, each of the others two kinds that differ."""
 
 
-@pytest.mark.parametrize(("kind", "preset"), [(k, p) for k in KINDS for p in ("metric", "snk", *KINDS[k][2])])
+@pytest.mark.parametrize(
+    ("kind", "preset"),
+    [(kind, preset) for kind in KINDS for preset in ("metric", KINDS[kind][2][0])]
+    + [pytest.param(k, p, marks=pytest.mark.slow) for k in KINDS for p in ("snk", KINDS[k][2][1])],
+)
 def test_kinds_of_captures(kind: str, preset: str, capture: Capture, truth: Truth) -> None:
     make, worse, _ = KINDS[kind]
     (rms, _), (correlation, _), _ = kinds.FIGURES[preset]
