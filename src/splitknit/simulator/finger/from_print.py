@@ -59,8 +59,8 @@ def fingertip_of_print(
     inside = check_mask(inside, (inside.shape[0], inside.shape[1]))
     require(bool(inside.any()), "the print is empty: not one pixel is ink.")
     require(0.0 < pitch_mm < 10.0, f"`pitch_mm` must lie between 0 and 10, but it is {pitch_mm:g}.")
-    require(0.2 <= aspect <= 2.0, f"`aspect` must lie in 0.2 to 2, but it is {aspect:g}.")
-    require(60.0 <= turn_deg <= 300.0, f"`turn_deg` must lie in 60 to 300, but it is {turn_deg:g}.")
+    require(0.2 <= aspect <= 2.0, f"The aspect must lie in 0.2 to 2, but it is {aspect:g}.")
+    require(60.0 <= turn_deg <= 300.0, f"A roll must turn by 60 to 300 deg, but it is {turn_deg:g}.")
     rows = np.arange(*(np.flatnonzero(inside.any(axis=1))[[0, -1]] + (0, 1)))
     known = rows[inside[rows].any(axis=1)]
     first = inside[known].argmax(axis=1)
