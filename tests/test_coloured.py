@@ -226,6 +226,7 @@ def test_settings_of_coloured_leds_are_in_every_document() -> None:
     assert asdict(override(PRESETS["ea"], {"lights.compose": 1}))["lights"]["compose"] == 1
 
 
+@pytest.mark.slow
 def test_simulate_takes_coloured_lights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = ["simulate", "--scale", "0.06", "--lights", "coloured9"]
     assert main([*given, "--out", str(tmp_path / "c")]) == 0

@@ -199,7 +199,7 @@ def work_through(page: Path, folder: Path) -> list[str]:
     return missing
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "page", [ROOT / "README.md", *sorted(ROOT.glob("docs/guide/tutorial-*.md"))], ids=lambda page: page.stem

@@ -204,7 +204,6 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("run", NETWORKS)
 def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> None:
     places = {"PEOPLE": str(people), "CAPTURE": str(people / "S01" / "session_1" / "right_index")}

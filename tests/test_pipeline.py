@@ -75,6 +75,7 @@ def test_the_surface_is_that_of_the_finger(results: dict[str, Reconstruction], t
     as_accurate(preset, results[preset], truth)
 
 
+@pytest.mark.slow
 def test_the_networks_show_the_ridges_of_a_coarse_camera(capture: Capture, results: dict[str, Reconstruction]) -> None:
     """At 12.9 pixels a millimetre both networks run, on a grid twice as fine."""
     fine, truth = simulate_capture(
@@ -181,6 +182,7 @@ def test_a_turned_capture_gives_the_turned_surface(
     assert result.upright_size == pytest.approx(expected.upright_size, abs=4)
 
 
+@pytest.mark.slow
 def test_a_yawed_finger_is_the_same_phalange() -> None:
     """The same finger laid down straight and turned by 17 deg: upright, its relief and outline agree."""
     uprights = []
@@ -293,6 +295,7 @@ def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
     assert result.facts["separation"].startswith("none")
 
 
+@pytest.mark.slow
 def test_cases_that_share_a_memory_are_what_they_are_alone(
     capture: Capture, results: dict[str, Reconstruction], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -75,7 +75,11 @@ KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = 
 `snk` see every kind, each of the others two kinds that differ."""
 
 
-@pytest.mark.parametrize(("kind", "preset"), [(k, p) for k in KINDS for p in ("metric", "snk", *KINDS[k][2])])
+@pytest.mark.parametrize(
+    ("kind", "preset"),
+    [(kind, preset) for kind in KINDS for preset in ("metric", KINDS[kind][2][0])]
+    + [pytest.param(k, p, marks=pytest.mark.slow) for k in KINDS for p in ("snk", KINDS[k][2][1])],
+)
 def test_kinds_of_captures(kind: str, preset: str, capture: Capture, truth: Truth) -> None:
     make, worse, _ = KINDS[kind]
     (rms, _), (correlation, _), _ = kinds.FIGURES[preset]
@@ -94,7 +98,7 @@ def test_colours_of_a_grey_capture_are_refused(material: str, capture: Capture) 
         quick(kinds.grey(capture, material), "lin")
 
 
-@pytest.mark.parametrize("size", [(323, 459), (329, 470)])
+@pytest.mark.parametrize("size", [(323, 459), pytest.param((329, 470), marks=pytest.mark.slow)])
 def test_odd_sizes(size: tuple[int, int], capture: Capture, truth: Truth) -> None:
     rows, columns = slice(0, size[0]), slice(7, 7 + size[1])
     part = {name: truth[name][rows, columns] for name in ("height_mm", "shape_mm", "mask")}
@@ -124,7 +128,9 @@ TWINS: dict[str, TwinSettings] = {
 }
 
 
-@pytest.mark.parametrize("kind", TWINS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=() if kind in ("tiny", "smallest") else pytest.mark.slow) for kind in TWINS]
+)
 def test_kinds_of_fingers_and_cameras(kind: str) -> None:
     settings = TWINS[kind]
     capture, truth = simulate_capture(3, "whorl", replace(settings, scale=min(settings.scale, 0.12)))
@@ -135,6 +141,7 @@ def test_kinds_of_fingers_and_cameras(kind: str) -> None:
         plausible(result, truth)
 
 
+@pytest.mark.slow
 def test_two_creases_in_view() -> None:
     """A finger far in a picture that is higher than the rig's: it is cut at its first crease, not at its second."""
     settings = TwinSettings(scale=0.15)

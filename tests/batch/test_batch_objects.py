@@ -262,7 +262,7 @@ def bucket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Objects]
         type(fs).clear_instance_cache()
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_a_cluster_that_shares_no_disk(people: Path, tmp_path: Path, bucket: Objects, capsys: Any) -> None:
     """Scheduler and three workers, each in a folder of its own; stopped and resumed, and one worker killed."""
     pytest.importorskip("distributed")

@@ -25,6 +25,7 @@ MATCHING = MatchingSettings(
 VOTED = BatchSettings(cases=preset_cases(("ea",)), matchers=("voted",), chunk_captures=2, matching=MATCHING)
 
 
+@pytest.mark.slow
 def test_voted_minutiae_have_a_folder_of_their_own(people: Path, store: Path) -> None:
     pytest.importorskip("nbis")
     before = chunks(store)

@@ -279,7 +279,7 @@ def test_the_page_s_commands_make_certificates_and_start_a_cluster_with_them(
     subprocess.run(["openssl", "verify", "-CAfile", "ca.pem", "cert.pem"], check=True, capture_output=True)
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_a_killed_worker_of_a_cluster_loses_nothing(people: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     out = tmp_path / "cluster"

@@ -62,6 +62,7 @@ def test_light_depth_and_colour_do_not_matter():
     assert find_board(255 * image, board) == pytest.approx(plain, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_only_the_board_that_was_asked_for_is_found():
     image, truth = picture(Board(9, 6, 3.0))
     other = find_board(image, Board(6, 9, 3.0))  # the same board, its corners in another order

@@ -32,7 +32,7 @@ def test_tables(lights, tmp_path, capsys):
     assert four["mean"] < cases["circle, two positions"]["mean"]
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_photographs(lights):
     figures = lights.photographs(1, 0.1, 13.0)
     assert figures["mean"] < 0.3

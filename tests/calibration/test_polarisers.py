@@ -22,9 +22,9 @@ from splitknit.io.capture import ReadSettings, read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 from splitknit.model import Band, Capture, Films
-from splitknit.simulator.bench_photos import behind_films
+from splitknit.simulator.bench_photos import behind_films, drawn_films
+from splitknit.simulator.calibration_set import solids
 from splitknit.simulator.calibration_set.bench import BenchSettings
-from splitknit.simulator.calibration_set.films import drawn_films
 from splitknit.simulator.rigs import built_rig
 
 SCALE = 0.2
@@ -34,8 +34,10 @@ def photographed(folder: Path, seed: int, extinction: float) -> Films:
     """Write the photographs of a rig's films, and return them."""
     rig = built_rig(seed, scale=SCALE)
     films, ball = drawn_films(rig, np.random.SeedSequence(seed), BenchSettings(), extinction)
-    for _, job in behind_films(replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)):
-        job(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solids, "FINER", 4)  # samples across a pixel of the LEDs' images: less than 12, for time
+        for _, job in behind_films(replace(rig, films=films), ball, np.random.SeedSequence(seed + 1)):
+            job(folder)
     return films
 
 
@@ -78,6 +80,7 @@ def test_good_films(bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.Ca
     assert rig.provenance["polarisers"]["inputs"]
 
 
+@pytest.mark.slow
 def test_poor_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     films = photographed(tmp_path, 6, 100.0)
     check(tmp_path / "polarisers", films, tmp_path, capsys)

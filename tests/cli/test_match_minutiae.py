@@ -125,6 +125,7 @@ def holds(scores: Scores, person: str) -> np.ndarray:
     return (scores.subject.codes == scores.subject.names.index(person)).any(axis=1)
 
 
+@pytest.mark.slow
 def test_a_gallery_of_prints_is_searched_and_evaluated_by_both(
     impressions: Path, tmp_path: Path, capsys, monkeypatch
 ) -> None:

@@ -42,6 +42,7 @@ def drawn() -> tuple[Capture, dict[str, np.ndarray]]:
     return scene.capture(("right",))
 
 
+@pytest.mark.slow
 def test_a_rolled_print_its_mesh_and_its_facts(drawn, tmp_path: Path, capsys, monkeypatch) -> None:
     capture, masks = drawn
     write_capture(capture, tmp_path / "capture")
@@ -97,7 +98,7 @@ def test_what_is_no_capture_and_surfaces_that_do_not_fit_are_refused(tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_the_twin_between_mirrors_is_rolled_by_itself(tmp_path: Path, capsys) -> None:
     made = ["simulate", "--out", str(tmp_path / "capture"), "--seed", "105", "--scale", "0.6", "--no-nir"]
     assert main([*made, "--mirrors", "left,right", "--set", "pose.roll_deg=[0,0]", "--json"]) == 0

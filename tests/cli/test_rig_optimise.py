@@ -28,6 +28,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_small_sweep_gives_a_result(swept: Path) -> None:
     results = json.loads((swept / "results.json").read_text())
     assert results["counts"] == {"done": 4, "refused": 0, "failed": 0}
@@ -113,7 +114,7 @@ def test_foreign_files_and_other_settings_are_left_alone(swept: Path, tmp_path: 
     assert "other settings (method)" in capsys.readouterr().err
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_an_interrupt_keeps_what_is_finished_and_the_next_run_completes_it(swept: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     command = [sys.executable, "-m", "splitknit.cli.main", "rig", "optimise", "--out", str(out), *SMALL]

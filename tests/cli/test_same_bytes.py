@@ -29,7 +29,7 @@ def digests(folder: Path) -> dict[str, str]:
     return {path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_threads_do_not_change_a_byte(twin_folder: Path, tmp_path: Path) -> None:
     opaque = copy_of(twin_folder, tmp_path / "opaque")
     edit(opaque / "capture.json", lambda document: document.update(material="opaque"))

@@ -91,6 +91,7 @@ def test_the_table_lists_all_captures(population: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_with_other_workers_to_the_same_bytes(population: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -160,6 +161,7 @@ def list_of_processes(out: Path) -> list[str]:
     return alive
 
 
+@pytest.mark.slow
 def test_a_plan_may_grow(population: Path, tmp_path: Path, capsys: Captured) -> None:
     out = tmp_path / "grown"
     shutil.copytree(population, out)
@@ -257,6 +259,7 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_third_of_the_fingers_have_ridges_of_real_prints(
     population: Path, tmp_path: Path, prints: Path, capsys: Captured
 ) -> None:

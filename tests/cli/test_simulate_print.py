@@ -13,6 +13,7 @@ from splitknit.io.npz import read_npz
 from splitknit.simulator.finger.master_print import ink_print, master_print
 
 
+@pytest.mark.slow
 def test_the_finger_that_left_a_print_is_photographed(tmp_path: Path) -> None:
     """Its ridges end where the print does, and are not those of the seed."""
     write_image(tmp_path / "print.png", ink_print(master_print("whorl", 5)))

@@ -59,7 +59,7 @@ def test_part_of_a_board_is_not_the_board(folder):
     assert size_in_view(pixels) == (9, 6)
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_the_right_camera_and_the_wrong_board(folder, tmp_path, capsys):
     out = tmp_path / "rig.json"
     words = ["calibrate", "camera", str(folder), "--pattern", "right*.jpg", "--square-mm", "25", "--out", str(out)]

@@ -54,6 +54,7 @@ def baseline_rms_mm(traced: Traced) -> float:
     return surface_rms_mm(height, true, inside, EDGE_MM, pitch * BLOCK)
 
 
+@pytest.mark.slow
 def test_the_surface_is_better_than_forty_lines(traced: Traced, request) -> None:
     if traced.name == "loop":
         why = "0.085 mm where the forty lines have 0.062: see docs/experiments/accuracy.md"

@@ -46,6 +46,7 @@ def test_motion_between_the_series_is_found_to_micrometres(capture: Capture, mov
     assert np.corrcoef(specular[inside], still[inside])[0, 1] > 0.97
 
 
+@pytest.mark.slow
 def test_prints_of_specular_light_and_of_relief_are_one_finger(capture: Capture, tmp_path: Path, capsys) -> None:
     result, out = tmp_path / "result", []
     splitknit.reconstruct(capture, "snk").save(result, None)
@@ -72,6 +73,7 @@ def test_heights_are_measured_where_the_skin_faces_the_camera(capture: Capture, 
     assert 0.7 < found["error_over_stated"] < 1.2
 
 
+@pytest.mark.slow
 def test_grey_photographs_do_where_the_skin_faces_the_camera(capture: Capture, data_dir: Path) -> None:
     """0.996, 0.96 and 1.9 um below 15 degrees; from a relief by colour the heights ended at 0.82, 0.34 and 14 um."""
     luminance = np.array([0.2126, 0.7152, 0.0722])

@@ -162,6 +162,7 @@ def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) ->
     assert np.ptp(along[np.isfinite(along)]) < 8.0
 
 
+@pytest.mark.slow
 def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Path, capsys) -> None:
     """Through files and the command line: the same finger, and all results."""
     assert phalange.mask is not None
@@ -185,6 +186,7 @@ def test_the_phalange_is_found_without_its_mask(phalange: Capture, tmp_path: Pat
     assert 0.3 < (prints < 128).mean() < 0.6  # ridges and valleys
 
 
+@pytest.mark.slow
 def test_on_balls_pressed_into_a_gel_metric_is_as_good_as_ea(data_dir: Path) -> None:
     """Caps in um. Lights and ambient are fitted to the balls left of the crop; rims of contact cast shadows."""
     folder = needed(data_dir / "elastomer")

@@ -137,7 +137,7 @@ def test_images_of_one_shot_move_together(scene, centre):
         np.testing.assert_allclose(mean[shot], shift, atol=0.03)
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_small_elastic_shifts_are_found(scene):
     height, width = scene.mask.shape
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))

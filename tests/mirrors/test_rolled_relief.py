@@ -16,7 +16,7 @@ from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_a_camera_of_15_px_per_mm_shows_the_ridges_in_front_and_in_the_mirror() -> None:
     capture, truth = simulate_capture(
         11, None, TwinSettings(scale=0.35, mirrors=MirrorSettings(names=("left",), nir=False))

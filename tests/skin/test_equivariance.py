@@ -80,6 +80,7 @@ def straight(piece: Piece) -> tuple[np.ndarray, np.ndarray]:
     return piece.surface()
 
 
+@pytest.mark.slow
 def test_the_order_of_the_lights_is_of_no_account(piece: Piece, straight) -> None:
     order = [3, 0, 6, 1, 5, 2, 4]
     bands = tuple(

@@ -144,6 +144,7 @@ def test_a_polarised_capture_has_measured_heights(simulated: tuple[Capture, dict
     assert figures["ridge_gain"] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_films_that_are_not_crossed_say_so(simulated: tuple[Capture, dict[str, FloatArray]]) -> None:
     capture, _ = simulated
     white = replace(capture.bands["white"], name="white_crossed", polarisation="crossed")
@@ -152,6 +153,7 @@ def test_films_that_are_not_crossed_say_so(simulated: tuple[Capture, dict[str, F
     assert NO_SPECULAR in result.warnings
 
 
+@pytest.mark.slow
 def test_crossed_leds_beside_the_parallel_ones_do_as_well() -> None:
     capture, truth = splitknit.simulate_capture(3, settings={"scale": 0.25, "films.kind": "leds"})
     assert capture.bands["white"].leds != capture.bands["white_crossed"].leds

@@ -170,6 +170,7 @@ def test_a_scene_is_photographed_as_the_twin_photographs(photographed, monkeypat
     assert float(truth["skin_scattering_factor"]) == float(true["skin_scattering_factor"])
 
 
+@pytest.mark.slow
 def test_a_finger_goes_through_the_front_end_of_a_reconstruction(photographed) -> None:
     _, capture, truth = photographed
     true, found = (_sample_of(capture, truth, mix).astype(np.float32) for mix in (0.0, 1.0))

@@ -139,6 +139,7 @@ def test_slopes_are_of_the_mean_over_blocks_that_are_known(scene) -> None:
     np.testing.assert_allclose(sample[:, there], plain[:, there], atol=0.02)
 
 
+@pytest.mark.slow
 def test_a_finger_goes_through_a_reconstruction(monkeypatch) -> None:
     monkeypatch.setattr(learned, "PITCH_MM", (0.017, 0.1))  # a small image will do here
     sample, facts = shape_sample(5000, SMALL)

@@ -149,6 +149,7 @@ def run(out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_one_tiny_finger(tmp_path: Path) -> None:
     command = ("--fingers", "1", "--rows", "ea-split", "snk_plain_all")
     done = run(tmp_path, *command)

@@ -28,6 +28,7 @@ def run(out: Path, *arguments: str) -> dict:
     return json.loads((out / "results.json").read_text())
 
 
+@pytest.mark.slow
 def test_one_tiny_finger(tmp_path: Path) -> None:
     results = run(tmp_path, "--fingers", "1", "--presets", "metric", "ea")
     population = results["population"]

@@ -102,6 +102,7 @@ def test_true_minutiae_of_a_capture(script: Script, tmp_path: Path) -> None:
     assert figures["direction_median_deg"] < 8 and figures["direction_p90_deg"] < 30
 
 
+@pytest.mark.slow
 def test_pressed_print_and_summary(script: Script, tmp_path: Path) -> None:
     written = {"settings": {"seed": 31, "scale": 0.3, "rig_seed": 0}}
     (tmp_path / "population.json").write_text(json.dumps(written))

@@ -111,7 +111,7 @@ def test_the_committed_results_are_of_six_fingers() -> None:
     assert set(document["first"]["metric"]) == {"wet", "dry", "dusty", "scarred", "glossy"}
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_specks_are_measured_and_the_run_goes_on(script: Script, tmp_path: Path, monkeypatch) -> None:
     specks = script("specks")
     monkeypatch.setattr(specks, "KINDS", ("dusty",))

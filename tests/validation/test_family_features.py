@@ -38,6 +38,7 @@ def true_surface(name: str) -> Surface:
     return Surface(ridge, seen.shape_mm, seen.normals, seen.mask, camera.pitch_mm, *place)
 
 
+@pytest.mark.slow
 def test_it_measures(script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     pytest.importorskip("nbis")
     features = script("features")

@@ -37,7 +37,7 @@ def test_every_way_of_voting_is_measured(monkeypatch: pytest.MonkeyPatch) -> Non
         assert scores["genuine_above_all_impostors"] == 1.0
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_a_finger_under_three_kinds_of_light() -> None:
     with scripts_of(VALIDATION / "family") as named:
         lights = named("lights")

@@ -53,6 +53,7 @@ def test_fit_of_its_own_skin_reaches_what_the_noise_allows(script: Script) -> No
             assert 0.7 < row["layers_rms_deg"] / row["allowed_rms_deg"] < 1.3
 
 
+@pytest.mark.slow
 def test_figures_of_a_finger(script: Script) -> None:
     xie, ways = script("xie"), script("xie_ways")
     scene = xie.scenes(*xie.photographed(5000, 0.2, "no glare"), ("green",))["green"]

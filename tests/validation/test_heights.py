@@ -11,7 +11,7 @@ from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 @pytest.mark.parametrize(("refraction", "walks"), [(0.0, (0.4, 1.0)), (0.67, (1.0, 1.8))])
 def test_slanted_light_brightens_heights_as_much_as_in_walks_below_the_skin(refraction, walks):
     """What ln(1 / cos t) adds over what upright light shows, of red, green and blue: smallest and largest."""

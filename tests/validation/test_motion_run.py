@@ -53,7 +53,7 @@ def test_the_committed_results_are_whole():
         assert row["oracle"]["ridge_correlation"] > row["uncorrected"]["ridge_correlation"] - 0.01
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 def test_a_finger_is_measured_and_not_twice(script: Script, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(script("measure"), "capture_folder", _smaller(script, tmp_path))
     file = tmp_path / "results.json"

@@ -16,7 +16,7 @@ def walk():
         yield found("walk")
 
 
-@pytest.mark.experiment
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["photographs", "prints"])
 def test_every_step_goes_as_it_must(walk, name: str, tmp_path: Path) -> None:
     log = tmp_path / "log.md"

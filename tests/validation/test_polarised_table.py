@@ -12,6 +12,7 @@ from script_folder import VALIDATION, scripts_of
 from splitknit.model import Capture
 
 
+@pytest.mark.slow
 def test_both_ways_and_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

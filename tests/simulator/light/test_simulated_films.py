@@ -133,6 +133,7 @@ def test_a_turned_film_shifts_the_crossed_series_only():
     assert np.abs(plain["white_crossed"] - shifted["white_crossed"]).max() > 500
 
 
+@pytest.mark.slow
 def test_a_finger_moves_between_the_series():
     _, capture, truth = pixels({"films.kind": "analyser", "motion.amplitude_mm": 0.2})
     assert list(capture.bands) == ["white", "white_crossed", "nir"]
@@ -162,4 +163,4 @@ def test_what_films_do_not_go_with_is_refused():
 
 
 def test_without_films_a_rig_has_none():
-    assert len(lay_down(1, "whorl", TwinSettings(scale=0.08)).rig.leds) == 14
+    assert len(lay_down(1, "whorl", TwinSettings(scale=0.08))[1].rig.leds) == 14

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,13 +48,6 @@ class NailScene(GroundScene):
     """Reflectance of the base."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        require(
-            0.0 < self.tip_radius_mm <= self.base_radius_mm,
-            f"the nail's tip must not be wider than its base, but the radii are {self.tip_radius_mm} mm and "
-            f"{self.base_radius_mm} mm.",
-        )
-        require(self.nail_mm > 0.0, f"the nail's height must be positive, but it is {self.nail_mm} mm.")
         heights = self.plane.own(_positions_of(self.leds, "a nail"))[:, 2]
         lowest = float(heights.min())
         require(
@@ -155,9 +148,8 @@ class NailScene(GroundScene):
         return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[NDArray[np.float64], float]) -> Array:
-        """Fraction of each pixel of the window inside the hull of the nail's foot and of its tip's shadow.
-
-        The shadow of a cone on the plane on which it stands is that hull, and the shadow of its flat tip a circle.
+        """Fraction of each pixel of the window inside the cone's shadow: the hull of the nail's foot and of its tip's
+        shadow.
         """
         u, v = self._hit[0][window], self._hit[1][window]
         foot = np.asarray(self.position_mm, dtype=np.float64)
@@ -232,10 +224,6 @@ class SphereScene(GroundScene):
     chrome mirrors beside the LEDs and the base."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, value in (("reflectance", self._reflectance), ("ground", self.ground), ("surround", self.surround)):
-            require(0.0 <= value <= 1.0, f"the ball's {name} must lie in [0, 1], but it is {value}.")
-        require(self.radius_mm > 0.0, f"the ball's radius must be positive, but it is {self.radius_mm} mm.")
         room = float(_positions_of(self.leds, "a ball")[:, 2].min())
         room = min(room, self.camera.height_mm)
         require(
@@ -398,9 +386,6 @@ class SphereScene(GroundScene):
     def _led_in_mirror(self, led: Led, lines: SightLines, rays: Lines) -> Array:
         """Radiance (h, w) of an LED's face in the chrome, averaged over each pixel near its rim."""
 
-        def shine(finer: SightLines) -> tuple[Array, Array]:
-            return _led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
-
         inwards, radiance = _led_face(led, self.bench.led_radius_mm, rays)
         step = steps(inwards)
         # in the very middle of the face the distance from its rim has no slope: the neighbours' counts
@@ -408,9 +393,9 @@ class SphereScene(GroundScene):
         light = np.where(inwards > 0.0, radiance, 0.0)
         at = np.nonzero(np.abs(inwards) < 2.0 * pixel)
         if at[0].size:
-            light[at] = np.mean(
-                [np.where(hit > 0.0, value, 0.0) for hit, value in map(shine, _finer_lines(lines, at))], 0
-            )
+            finer = _finer_lines(lines, at)
+            hit, value = _led_face(led, self.bench.led_radius_mm, mirrored(finer, self._seen(finer)[0]))
+            light[at] = np.mean(np.where(hit > 0.0, value, 0.0), axis=0)
         return light
 
     @property
@@ -469,18 +454,16 @@ def _led_face(led: Led, radius_mm: float, rays: Lines) -> tuple[Array, Array]:
     return inwards, np.asarray(ahead * np.maximum(cosine, 1e-3) ** (led.lobe_exponent - 1.0))
 
 
-def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> Iterator[SightLines]:
-    """Lines of sight of a square grid of points within the pixels `at`, one point of all pixels after the other."""
-    values = (sight.x, sight.y, sight.slope_x, sight.slope_y)
-    slopes = [steps(value) for value in values]
+def _finer_lines(sight: SightLines, at: tuple[NDArray[Any], ...]) -> SightLines:
+    """Lines of sight (FINER^2, N) of a square grid of points within the N pixels `at`."""
     places = (np.arange(FINER) + 0.5) / FINER - 0.5
-    for row in places:
-        for column in places:
-            moved = (
-                value[at] + row * step.row[at] + column * step.column[at]
-                for value, step in zip(values, slopes, strict=True)
-            )
-            yield SightLines(*moved)
+    row, column = np.repeat(places, FINER)[:, None], np.tile(places, FINER)[:, None]
+
+    def finer(value: Array) -> Array:
+        step = steps(value)
+        return np.asarray(value[at] + row * step.row[at] + column * step.column[at])
+
+    return SightLines(finer(sight.x), finer(sight.y), finer(sight.slope_x), finer(sight.slope_y))
 
 
 def _axes(points: Array) -> FloatArray:
