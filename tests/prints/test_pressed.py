@@ -31,6 +31,15 @@ def test_ridges_come_out_of_noise(angle_deg: float, period_px: float) -> None:
     assert after > 0.9
 
 
+def test_a_print_on_its_side_is_the_same() -> None:
+    noise = np.random.default_rng(1).normal(0, 60, (160, 160))
+    image = np.clip(130 + 60 * waves(0, 9.0, (160, 160)) + noise, 0, 255).astype(np.uint8)
+    upright, lying = pressed_ridges(image), pressed_ridges(np.ascontiguousarray(np.rot90(image)))
+    core = np.s_[30:130, 40:130]
+    there = np.rot90(lying.confidence, -1)[core]
+    assert upright.confidence[core].mean() == pytest.approx(there.mean(), rel=0.01)
+
+
 def test_gaps_close() -> None:
     wave = waves(20, 9.0)
     image = np.where(wave != 0, 140 + 90 * wave, 250)

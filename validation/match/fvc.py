@@ -76,26 +76,11 @@ class System:
     """NaN is a failure to acquire; what comes after the score is its evidence."""
 
 
-def afis_template(image: Image) -> Any:
-    """Of the package ``afis`` (pip install afis), where it is installed."""
-    from afis import MindtctExtractor  # type: ignore[import-not-found]
-
-    return MindtctExtractor().extract(image)
-
-
-def afis_score(a: Any, b: Any) -> float:
-    """Its default comparison."""
-    from afis import match_templates
-
-    return float(match_templates(a, b).score)
-
-
 FEATURES: dict[str, Callable[[Image], Any]] = {
     "template": print_template,
     "phase": print_minutiae,
     "enhanced": lambda image: extract(image, enhance=True),
     "raw": lambda image: extract(image, edge_mm=0.0),
-    "afis": afis_template,
 }
 
 
@@ -129,7 +114,6 @@ SYSTEMS = {
     "nbis-py": System("raw", lambda one: one, bozorth),
     "mcc": System("phase", cylinders, mcc),
     "mcc-raw": System("raw", cylinders, mcc),
-    "afis": System("afis", lambda one: one, afis_score),
 }
 
 
@@ -357,7 +341,7 @@ def workers(count: int) -> Iterator[Callable[..., Any]]:
 def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--systems", nargs="+", choices=list(SYSTEMS), default=list(SYSTEMS)[:-1])
+    parser.add_argument("--systems", nargs="+", choices=list(SYSTEMS), default=list(SYSTEMS))
     parser.add_argument("--sets", nargs="+", choices=(*REAL, KNOWN, *SIMULATED), default=(*REAL, KNOWN, "simulated"))
     parser.add_argument("--cache", type=Path, default=Path("/tmp/splitknit_fvc"))
     parser.add_argument("--version", default="1", help="of what is made of a print")

@@ -109,6 +109,7 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
     spectra = _spectra(even)
     rows, columns = spectra.shape[:2]
     power = np.square(spectra.real) + np.square(spectra.imag)
+    power[..., 0] *= np.float32(0.5)  # the only column of the half spectrum that holds each of its waves twice
     inner, bank, _, _ = _bank()
     power = power.reshape(rows * columns, -1)[:, inner]
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
