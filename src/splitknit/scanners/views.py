@@ -1,0 +1,134 @@
+"""Calibrated pinhole views, of cameras and of projectors alike, and where their rays meet planes of light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import rq
+
+from splitknit.errors import require
+from splitknit.io.clouds import Cloud
+from splitknit.model import FloatArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A pinhole as OpenCV has it: x right, y down, z away from it; pixel = matrix @ (rotation @ X + shift_mm)."""
+
+    matrix: Array
+    """(3, 3) of the camera, pixels."""
+    rotation: Array
+    """(3, 3) from the scene's frame to the view's."""
+    shift_mm: Array
+    """(3,)."""
+
+    @property
+    def centre_mm(self) -> Array:
+        """(3,) centre of projection in the scene's frame."""
+        return np.asarray(-self.rotation.T @ self.shift_mm)
+
+    def pixels(self, points_mm: NDArray[np.floating]) -> tuple[Array, Array]:
+        """Columns and rows (...) of points (..., 3)."""
+        seen = (points_mm @ self.rotation.T + self.shift_mm) @ self.matrix.T
+        return np.asarray(seen[..., 0] / seen[..., 2]), np.asarray(seen[..., 1] / seen[..., 2])
+
+    def directions(self, shape: tuple[int, int]) -> Array:
+        """(H, W, 3) of the rays of all pixels, in the scene's frame; one long along the view's axis."""
+        rows, columns = np.mgrid[: shape[0], : shape[1]]
+        pixels = np.stack([columns, rows, np.ones(shape)], axis=-1)
+        return np.asarray(pixels @ (self.rotation.T @ np.linalg.inv(self.matrix)).T)
+
+
+def resection(points_mm: Array, pixels: Array) -> View:
+    """Calibrate a camera or a projector from known points and the pixels that they have in it.
+
+    A projector's pixels are decoded from fringes in both directions on a board that stands at several heights.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) of six points at least, not all in one plane
+    pixels : (N, 2) column and row of each
+
+    Raises
+    ------
+    BadInput
+        If there are fewer than six points, or they lie in one plane.
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, 2004, algorithm 7.1 (direct linear transformation; the last row is
+    then the weight of a second round, which makes the residual that of the picture); S. Zhang and P. Huang, "Novel
+    method for structured light system calibration", Optical Engineering 45(8), 2006.
+    """
+    require(points_mm.shape == (len(pixels), 3) and len(pixels) >= 6, "calibration needs six points and their pixels.")
+    scale, middle = float(points_mm.std()), points_mm.mean(axis=0)
+    size, centre = float(pixels.std()), pixels.mean(axis=0)
+    world = np.column_stack([(points_mm - middle) / scale, np.ones(len(pixels))])
+    require(float(np.linalg.svd(world[:, :3])[1][-1]) > 1e-6, "the points lie in one plane; move the board.")
+    image = (pixels - centre) / size
+    depth = np.ones((len(pixels), 1))
+    whole = np.zeros((3, 4))
+    for _ in range(3):
+        empty = np.zeros_like(world)
+        rows = np.concatenate(
+            [
+                np.hstack([world, empty, -image[:, :1] * world]) / depth,
+                np.hstack([empty, world, -image[:, 1:] * world]) / depth,
+            ]
+        )
+        whole = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 4)
+        depth = world @ whole[2][:, None]
+    back = np.eye(4)
+    back[:3] = np.column_stack([np.eye(3), -middle]) / scale
+    projection = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1]]) @ whole @ back
+    projection *= np.sign(np.linalg.det(projection[:, :3]))
+    matrix, rotation = rq(projection[:, :3])
+    signs = np.diag(np.sign(np.diag(matrix)))
+    matrix, rotation = matrix @ signs, signs @ rotation
+    turn: Array = np.asarray(rotation, dtype=np.float64)
+    return View(matrix / matrix[2, 2], turn, np.linalg.solve(matrix, projection[:, 3]))
+
+
+def on_planes(camera: View, projector: View, row: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Where a camera's rays meet the planes of light of a projector's rows.
+
+    Parameters
+    ----------
+    row : (H, W) the projector's row, in its pixels, that lights each pixel of the camera; NaN where unknown
+
+    Returns
+    -------
+    points_mm : (H, W, 3), NaN where unknown
+    slope : (H, W) mm along the ray a row: times the uncertainty of `row` it is that of the point
+
+    References
+    ----------
+    Hartley and Zisserman, Multiple View Geometry, 2004, result 8.2 (a line's plane is P^T l).
+    """
+    rays, centre = camera.directions((row.shape[0], row.shape[1])), camera.centre_mm
+    _, second, third = projector.matrix @ np.column_stack([projector.rotation, projector.shift_mm])
+    plane = second - row[..., None].astype(np.float64) * third
+    across = np.sum(plane[..., :3] * rays, axis=-1)
+    across = np.where(np.abs(across) < 1e-12, np.nan, across)
+    offset = plane[..., :3] @ centre + plane[..., 3]
+    far = -offset / across
+    turn = (third[:3] @ centre + third[3]) / across + far * (rays @ third[:3]) / across
+    return centre + far[..., None] * rays, np.abs(turn) * np.linalg.norm(rays, axis=-1)
+
+
+def cloud_of(points_mm: NDArray[np.floating], kind: str, notes: tuple[str, ...] = ()) -> Cloud:
+    """The known ones of points (..., 3) as a cloud, which :func:`splitknit.scanners.cloud.result_of_cloud` takes.
+
+    Raises
+    ------
+    BadInput
+        If none is known.
+    """
+    flat: FloatArray = np.asarray(points_mm, dtype=np.float32).reshape(-1, 3)
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    require(len(flat) > 0, "nothing of the finger was measured; check light, exposure and calibration.")
+    return Cloud(flat, kind, notes=notes)

@@ -1,0 +1,313 @@
+"""The same simulated fingers by every scanner: `python validation/scanners/run.py [--fingers 6] [--system NAME]`.
+
+Every finger and system is written to --out and not measured twice. `--fringes` measures fringes on skin, and
+`--tables` prints the tables of docs/experiments/scanners.md from what is there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import simulated as sim
+from scipy.stats import beta
+
+import splitknit
+from splitknit.io.clouds import Cloud
+from splitknit.scanners import focus, laser, stereo, structured_light
+from splitknit.scanners.cloud import CloudView, result_of_cloud
+from splitknit.simulator.light.skin import diffusion_profile
+
+SCALE = 0.4
+PX_PER_MM = 75.7 * SCALE
+PERIODS = (1300.0, 200.0, 36.0)
+FINE = 12.0
+"""Period in projector rows, finer than ridges."""
+STEPS = 6
+FRAME_S = 1 / 30
+Scan = tuple[Cloud, float, float]
+"""Cloud, light on the skin (1: one evenly lit exposure), seconds of computing."""
+
+
+class Fingers:
+    """A finger in its cameras, each made once."""
+
+    def __init__(self, seed: int) -> None:
+        self.who, self._sights = sim.person(seed, SCALE), {}
+
+    def at(self, deg: float) -> sim.Sight:
+        if deg not in self._sights:
+            self._sights[deg] = sim.Sight(self.who, PX_PER_MM, deg)
+        return self._sights[deg]
+
+
+def even(sight: sim.Sight, channel: str, lamp) -> tuple[np.ndarray, float, float]:
+    """Evenly lit: radiance, its brightest, and the light on the skin over it."""
+    radiance, on_skin = next(sight.light(channel, lamp))
+    brightest = float(np.percentile(radiance[sight.surface.mask], 99.5))
+    return radiance, brightest, on_skin
+
+
+def stripes(finger: Fingers, channel: str = "blue", periods: tuple[float, ...] = PERIODS) -> Scan:
+    sight, lamp = finger.at(0), sim.projector()
+    _, brightest, unit = even(sight, channel, lamp)
+    plan = [sim.stripe(period, k, STEPS) for period in periods for k in range(STEPS)]
+    shots = list(sight.light(channel, lamp, plan))
+    images = np.stack([sight.record(one, brightest) for one, _ in shots])
+    images[:, (images >= 1.0).any(axis=0)] = np.nan
+    begun = time.process_time()
+    decoded = structured_light.decode(images.reshape(len(periods), STEPS, *images.shape[1:]), periods)
+    cloud, _ = structured_light.scan(sight.view, lamp, decoded)
+    return cloud, sum(one for _, one in shots) / unit, time.process_time() - begun
+
+
+def colour_stripes(finger: Fingers) -> Scan:
+    """One exposure a period, the three steps in its three colours, and an evenly lit one."""
+    sight, lamp = finger.at(0), sim.projector()
+    series, light = [], 0.0
+    for k, channel in enumerate(("red", "green", "blue")):
+        radiance, brightest, unit = even(sight, channel, lamp)
+        flat = np.maximum(sight.record(radiance, brightest), 0.01)
+        shots = list(sight.light(channel, lamp, [sim.stripe(period, k, 3) for period in PERIODS]))
+        series.append([sight.record(one, brightest) / flat for one, _ in shots])
+        light += (1 + sum(one for _, one in shots) / unit) / 3
+    images = np.swapaxes(np.array(series), 0, 1) * sight.surface.mask
+    begun = time.process_time()
+    cloud, _ = structured_light.scan(sight.view, lamp, structured_light.decode(images, PERIODS))
+    return cloud, light, time.process_time() - begun
+
+
+def laser_line(finger: Fingers) -> Scan:
+    sight, lamp = finger.at(0), sim.projector()
+    rows = sim.projector().pixels(sight.points[sight.patch.mask])[1]
+    first, step = float(rows.min()) - 10.0, 0.1 / sim.PROJECTOR_PX_MM
+    plan = [sim.line(first + k * step) for k in range(int((np.ptp(rows) + 20.0) / step))]
+    _, _, unit = even(sight, "red", lamp)
+    middle = next(sight.light("red", lamp, [plan[len(plan) // 2]]))[0]
+    brightest = float(np.percentile(middle[middle > 0.2 * middle.max()], 99.0))
+    light, busy, exposure = 0.0, 0.0, 0.0
+
+    def frames():
+        nonlocal light, busy, exposure
+        even_brightest = even(sight, "red", lamp)[1]
+        exposure = even_brightest / brightest
+        for one, on_skin in sight.light("red", lamp, plan):
+            light += on_skin
+            shot = sight.record(one, brightest)
+            begun = time.process_time()
+            yield shot
+            busy += time.process_time() - begun
+
+    when = laser.peaks(frames())
+    begun = time.process_time()
+    cloud = laser.scan(sight.view, lamp, when, (first, step))
+    return cloud, light / unit * exposure, busy + time.process_time() - begun
+
+
+def depth_from_focus(finger: Fingers) -> Scan:
+    sight = finger.at(0)
+    radiance, brightest, _ = even(sight, "green", sim.projector())
+    heights = np.linspace(1.0, -8.5, 20)
+    stack = np.stack([sight.record(one, brightest) for one in sim.focused(sight, radiance, heights)])
+    begun = time.process_time()
+    number, _ = focus.depth(stack, 0.4 * PX_PER_MM)
+    cloud = focus.scan(sight.view, number, (float(heights[0]), float(heights[1] - heights[0])))
+    return cloud, 20.0, time.process_time() - begun
+
+
+def cameras(finger: Fingers, angles: tuple[float, ...]) -> Scan:
+    pictures, lamp = [], sim.projector()
+    for deg in angles:
+        sight = finger.at(deg)
+        radiance, brightest, _ = even(sight, "green", lamp)
+        pictures.append(sight.record(radiance, brightest))
+    begun = time.process_time()
+    views = [finger.at(deg).view for deg in angles]
+    cloud = stereo.scan(pictures, views, np.array([0.0, 0.0, -3.0]), 6.0)
+    return cloud, 1.0, time.process_time() - begun
+
+
+def hull(finger: Fingers) -> Scan:
+    seen = [sim.silhouette(finger.who, 10.0, deg) for deg in (-75.0, -45.0, -15.0, 15.0, 45.0, 75.0)]
+    begun = time.process_time()
+    box = np.array([[-13.0, -14.4, -8.0], [13.0, 14.4, 1.5]])
+    cloud = stereo.hull([mask for mask, _ in seen], [view for _, view in seen], box, 0.045)
+    return cloud, 1.0, time.process_time() - begun
+
+
+SYSTEMS: dict[str, tuple[Callable[[Fingers], Scan], str, int, int, float]] = {
+    "stripes": (stripes, "Structured light, 3 periods x 6 steps, blue", 3, 650, 18 * FRAME_S),
+    "stripes-fine": (
+        lambda f: stripes(f, "blue", (*PERIODS, FINE)),
+        "Structured light, a fourth period of 0.36 mm, blue",
+        3,
+        650,
+        24 * FRAME_S,
+    ),
+    "colour-stripes": (colour_stripes, "Three-colour fringes, 3 periods, 4 exposures", 3, 650, 4 * FRAME_S),
+    "laser": (laser_line, "Laser line, red, 0.1 mm a step", 4, 450, 264 * FRAME_S),
+    "focus": (depth_from_focus, "Depth from focus, 20 pictures", 4, 400, 20 * FRAME_S),
+    "stereo2": (lambda f: cameras(f, (-9.0, 9.0)), "Stereo, two cameras", 4, 300, FRAME_S),
+    "stereo5": (lambda f: cameras(f, (-36.0, -18.0, 0.0, 18.0, 36.0)), "Stereo, five cameras", 7, 550, FRAME_S),
+    "hull": (hull, "Visual hull, six cameras", 8, 620, FRAME_S),
+}
+"""How, name, parts, price in EUR (both estimated), seconds of capture at 30 frames a second."""
+
+
+def on_grid(cloud: Cloud, shape: tuple[int, int], pitch: float) -> splitknit.Reconstruction:
+    """A result on the pixels of the thesis's camera: its corners, far below, fix the grid."""
+    x, y = (shape[1] - 1) / 2 * pitch, (shape[0] - 1) / 2 * pitch
+    points = cloud.points_mm
+    points = points[(np.abs(points[:, 0]) < x) & (np.abs(points[:, 1]) < y) & (np.abs(points[:, 2]) < 30)]
+    corners = np.array([[a, b, -40.0] for a in (-x, x) for b in (-y, y)], np.float32)
+    whole = Cloud(np.concatenate([points, corners]).astype(np.float32), cloud.kind)
+    return result_of_cloud(whole, CloudView("z", pitch, 0.0))
+
+
+def fused(coarse: splitknit.Reconstruction, ridges: splitknit.Reconstruction) -> splitknit.Reconstruction:
+    """Shape of one, relief of the other."""
+    from dataclasses import replace
+
+    mask = coarse.mask & ridges.mask
+    height = np.where(mask, coarse.shape_mm + ridges.ridge_mm, np.nan)
+    return replace(ridges, mask=mask, shape_mm=coarse.shape_mm, height_mm=height)
+
+
+KEEP = ("surface_rms_mm", "ridge_correlation", "ridge_gain", "ridge_rms_um", "ridge_truth_std_um", "ridge_area_mm2",
+        "ridge_good_area")  # fmt: skip
+
+
+def measure(seed: int, names: list[str], out: Path) -> None:
+    todo = [name for name in (*names, "metric") if not (out / f"{seed}-{name}.json").exists()]
+    if not todo:
+        return
+    settings = {"scale": SCALE}
+    capture, truth = splitknit.simulate_capture(seed, settings=settings)
+    own = out / f"{seed}-metric"
+    if "metric" in todo:
+        begun = time.process_time()
+        metric = splitknit.reconstruct(capture, "metric")
+        facts = {"compute_s": time.process_time() - begun, "capture_s": 14 * 0.17, "light": 14.0}
+        facts |= {k: float(v) for k, v in splitknit.compare(metric, truth).figures.items() if k in KEEP}
+        metric.save(own)
+        other, _ = splitknit.simulate_capture(seed, settings=settings, impression=1)
+        splitknit.reconstruct(other, "metric").save(out / f"{seed}-second")
+        (out / f"{seed}-metric.json").write_text(json.dumps(facts))
+    metric = splitknit.read_result(own)
+    finger = Fingers(seed)
+    for name in todo:
+        if name == "metric":
+            continue
+        how = SYSTEMS[name][0]
+        cloud, light, seconds = how(finger)
+        begun = time.process_time()
+        result = on_grid(cloud, metric.mask.shape, metric.pitch_mm)
+        facts = {"compute_s": seconds + time.process_time() - begun, "light": light}
+        facts |= {k: float(v) for k, v in splitknit.compare(result, truth).figures.items() if k in KEEP}
+        facts["fused_surface_rms_mm"] = splitknit.compare(fused(result, metric), truth).figures["surface_rms_mm"]
+        result.save(out / f"{seed}-{name}")
+        (out / f"{seed}-{name}.json").write_text(json.dumps(facts))
+        print(seed, name, {k: round(v, 3) for k, v in facts.items()}, flush=True)
+
+
+def fringe_table(out: Path) -> None:
+    """Modulation of fringes on skin by period and colour, and ridges by the colour of the stripes, on finger 1."""
+    path = out / "fringes.json"
+    if path.exists():
+        return
+    _, truth = splitknit.simulate_capture(1, settings={"scale": SCALE})
+    finger = Fingers(1)
+    sight, lamp, facts = finger.at(0), sim.projector(), {}
+    inner = sight.patch.mask & (sight.surface.shape_normals[sight.patch.window][..., 2] > 0.8)
+    for channel in ("opaque", "red", "green", "blue", "nir"):
+        rows = {}
+        for mm in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0):
+            period = mm / sim.PROJECTOR_PX_MM
+            shots = np.stack(
+                [one for one, _ in sight.light(channel, lamp, [sim.stripe(period, k, 4) for k in range(4)])]
+            )
+            found = structured_light.decode(shots[None], [period], 0.0).modulation[0][sight.patch.window]
+            rows[str(mm)] = float(np.median(found[inner]))
+        cloud, _, _ = stripes(finger, channel)
+        result = on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"]))
+        figures = splitknit.compare(result, truth).figures
+        facts[channel] = rows | {k: float(figures[k]) for k in KEEP if k in figures}
+        cloud, _, _ = stripes(finger, channel, (*PERIODS, FINE))
+        figures = splitknit.compare(on_grid(cloud, truth["mask"].shape, float(truth["pitch_mm"])), truth).figures
+        facts[channel] |= {f"fine_{k}": float(figures[k]) for k in KEEP if k in figures}
+        if channel != "opaque":
+            optics = finger.who.optics.channel(channel)
+            profile = diffusion_profile(optics.scattering_per_mm, optics.absorption_per_mm)
+            facts[channel]["half_radius_mm"] = profile.radius_mm(0.5)
+    path.write_text(json.dumps(facts, indent=1))
+
+
+def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool]]:
+    """Scans against second captures by `metric`, every pair: the matcher `ridge`, its similarity and its decision."""
+    path = out / f"rates-{name}.json"
+    kept = json.loads(path.read_text()) if path.exists() else {}
+    for a, b in itertools.product(seeds, seeds):
+        if f"{a}-{b}" not in kept:
+            try:
+                found = splitknit.match(out / f"{a}-{name}", out / f"{b}-second", "ridge", fmr=1e-3)
+                kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision["match"])
+            except splitknit.BadInput:  # too little of it to compare
+                kept[f"{a}-{b}"] = 0.0, False
+            path.write_text(json.dumps(kept))
+    return kept
+
+
+def interval(hits: int, tried: int) -> str:
+    """Fraction with the 95 % interval of Clopper and Pearson, per cent."""
+    low = beta.ppf(0.025, hits, tried - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, tried - hits) if hits < tried else 1.0
+    return f"{hits} of {tried} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def tables(out: Path, seeds: list[int]) -> None:
+    """Print the tables, means over the fingers."""
+    print(f"{len(seeds)} fingers")
+    names = {"metric": ("", "`metric`", 17, 306, 2.4)} | SYSTEMS
+    for name, (_, title, parts, price, capture) in names.items():
+        rows = [json.loads((out / f"{seed}-{name}.json").read_text()) for seed in seeds]
+        mean = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+        spread = float(np.std([1e3 * row["surface_rms_mm"] for row in rows], ddof=1))
+        fusion = f"{1e3 * mean['fused_surface_rms_mm']:.0f}" if "fused_surface_rms_mm" in mean else "-"
+        cells = [
+            title, f"{1e3 * mean['surface_rms_mm']:.0f} +- {spread:.0f}", f"{mean['ridge_correlation']:.2f}",
+            f"{mean['ridge_gain']:.2f}", f"{mean['ridge_rms_um']:.0f}", f"{mean['ridge_area_mm2']:.0f}",
+            f"{100 * mean['ridge_good_area']:.0f}", fusion, f"{capture:.2g}", f"{mean['compute_s']:.1f}",
+            f"{mean['light']:.1f}", str(parts), str(price),
+        ]  # fmt: skip
+        scores = rates(out, seeds, name)
+        genuine = [scores[f"{k}-{k}"][1] for k in seeds]
+        others = [scores[f"{a}-{b}"][1] for a, b in itertools.permutations(seeds, 2)]
+        cells += [interval(sum(genuine), len(genuine)), interval(sum(others), len(others))]
+        print("| " + " | ".join(cells) + " |", flush=True)
+    for channel, facts in json.loads((out / "fringes.json").read_text()).items():
+        cells = [f"{facts[mm]:.2f}" for mm in ("0.25", "0.5", "1.0", "2.0", "4.0", "8.0")]
+        for key in ("ridge_", "fine_ridge_"):
+            cells += [f"{facts[f'{key}correlation']:.2f}", f"{facts[f'{key}gain']:.2f}", f"{facts[f'{key}rms_um']:.0f}"]
+        print(f"| {channel} | {facts.get('half_radius_mm', 0):.2f} | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--fingers", type=int, default=6)
+    parser.add_argument("--system", choices=[*SYSTEMS], action="append")
+    parser.add_argument("--out", type=Path, default=Path("build/scanners"))
+    parser.add_argument("--fringes", action="store_true", help="the table of fringes on skin only")
+    parser.add_argument("--tables", action="store_true", help="match what was measured, and print the tables only")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    if given.fringes:
+        fringe_table(given.out)
+    if given.tables:
+        tables(given.out, list(range(1, given.fingers + 1)))
+    for seed in range(1, given.fingers + 1) if not (given.fringes or given.tables) else ():
+        measure(seed, given.system or [*SYSTEMS], given.out)
