@@ -52,8 +52,8 @@ def main() -> None:
     print(machine("opencv-python-headless", "scipy"))
     flat = shading(SIZE)
     # as a calibration by many balls has it: every term also varies over the field
-    sensor = replace(flat, weights=np.concatenate([flat.weights, 0.0 * flat.weights, 0.0 * flat.weights]),
-                     covariance=np.zeros((60, 60)))  # fmt: skip
+    sensor = replace(flat, weights=np.concatenate([flat.weights, *[0.0 * flat.weights] * 9]),
+                     covariance=np.zeros((200, 200)))  # fmt: skip
     print("\n| stage, ms of the clock (median of 20) | no markers | markers |\n| --- | --- | --- |")
     columns = [stages(sensor, marks) for marks in (False, True)]
     for name in columns[0]:

@@ -63,17 +63,19 @@ def shading(size: tuple[int, int] = SIZE):
     light, slopes = shaded(cap(60, 60, 60, 48, (121, 121)))
     x, y = places((121, 121))
     inside = np.hypot(x - 60, y - 60) < 46
-    v = light[:, inside] - 1.0
+    light += np.random.default_rng(0).normal(0.0, 0.01, light.shape)  # else three images of two slopes leave one free
+    v = np.sqrt(np.maximum(light[:, inside], 0.0)) - 1.0
+    v, slopes = (np.concatenate([one, np.zeros((len(one), 6000))], axis=1) for one in (v, slopes[:, inside]))  # a plane
     terms = [np.ones_like(v[0]), *v, *(v[i] * v[j] for i in range(3) for j in range(i, 3))]
     terms += [v[i] * v[j] * v[k] for i in range(3) for j in range(i, 3) for k in range(j, 3)]
-    weights = np.linalg.lstsq(np.array(terms).T, slopes[:, inside].T, rcond=None)[0]
+    weights = np.linalg.lstsq(np.array(terms).T, slopes.T, rcond=None)[0]
     return Shading(
         pitch_mm=PITCH_MM * SIZE[1] / size[1],
         image_size=size,
         direction=_LIGHTS,
         nearness=np.zeros(3),
         ambient=np.zeros(3),
-        fall_off=np.zeros((3, 6)),
+        fall_off=np.zeros((3, 15)),
         relative=False,
         degree=3,
         weights=weights,

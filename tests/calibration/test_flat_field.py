@@ -185,14 +185,8 @@ def test_gloss_shows_where_a_mirror_would(rig):
 def test_what_is_no_stack_of_cards_is_refused(rig):
     placed, pixels = as_placed(rig), grid(rig.camera)
     light = shown(rig)
-    with pytest.raises(BadInput, match=r"\(14, "):
-        fit_flat_field(placed.camera, placed.leds, pixels, light[:13])
     with pytest.raises(BadInput, match="black"):
         fit_flat_field(placed.camera, placed.leds, pixels, 0 * light)
-    with pytest.raises(BadInput, match="NaN"):
-        fit_flat_field(placed.camera, placed.leds, pixels, light * np.nan)
-    with pytest.raises(BadInput, match="shape"):
-        fit_flat_field(placed.camera, placed.leds, pixels[:10], light[:, :10])
     with pytest.raises(BadInput, match="position_mm"):
         distant = [Led(band="white", direction=(0, 0, 1))] * 14
         fit_flat_field(placed.camera, distant, pixels, light)

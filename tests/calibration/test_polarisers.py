@@ -22,10 +22,9 @@ from splitknit.io.capture import ReadSettings, read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 from splitknit.model import Band, Capture, Films
-from splitknit.simulator.bench_photos import behind_films
+from splitknit.simulator.bench_photos import behind_films, drawn_films
 from splitknit.simulator.calibration_set import solids
 from splitknit.simulator.calibration_set.bench import BenchSettings
-from splitknit.simulator.calibration_set.films import drawn_films
 from splitknit.simulator.rigs import built_rig
 
 SCALE = 0.2

@@ -34,8 +34,7 @@ def photos(tmp_path_factory):
     rig = built_rig(SEED, scale=SCALE)
     common = {"camera": rig.camera, "leds": rig.leds}
     for k, pose in enumerate(flat.board_poses(SEED, COUNT, rig.camera, PRINTED)):
-        held = {"rotation_vector": pose.rotation_vector, "translation_mm": pose.translation_mm}
-        write_image(place / f"boards/{k}.png", photograph(flat.BoardScene(**common, board=PRINTED, **held), k))
+        write_image(place / f"boards/{k}.png", photograph(flat.BoardScene(**common, board=PRINTED, **pose), k))
     tilt = rig.provenance["base_tilt_deg"]
     turn = (*np.deg2rad(tilt), 0.0)
     write_image(place / "plane.png", photograph(flat.BoardScene(**common, board=PRINTED, rotation_vector=turn), 100))

@@ -13,7 +13,7 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results
+from splitknit.evaluation.pair import BANDS_MM, PROTOCOLS, compare_results, roll_between
 from splitknit.io.provenance import provenance
 from splitknit.io.results import write_arrays
 from splitknit.model import Reconstruction
@@ -73,6 +73,16 @@ def test_another_pose_is_found_to_the_micrometre_and_gains_are_reported() -> Non
     back = compare_results(b, a)
     np.testing.assert_allclose(back.rotation @ found.rotation, np.eye(3), atol=1e-3)
     assert back.figures["relief"][MAIN]["gain"]["value"] == pytest.approx(1 / 1.2, abs=0.02)
+
+
+def test_the_roll_between_two_captures_is_found_and_changes_sign_with_their_order() -> None:
+    a, b = laid_down(), laid_down(**POSE)
+    roll, deviation = roll_between(b, a)
+    assert roll == pytest.approx(np.rad2deg(POSE["roll"]), abs=0.3)
+    assert 0.9 <= deviation < 1.5
+    assert roll_between(a, b)[0] == pytest.approx(-roll, abs=0.1)
+    with pytest.raises(BadInput, match="ridges of A and B"):
+        roll_between(a, laid_down(whorl=-1.5))
 
 
 def test_a_perspective_camera_sees_the_same_surface() -> None:

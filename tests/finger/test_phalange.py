@@ -9,9 +9,9 @@ from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease, phalange_mask
 
 
-def search(scene):
+def search(scene, **way):
     upright = find_upright(scene.mask)
-    return upright, find_crease(scene.grey, scene.mask, upright, scene.px_per_mm)
+    return upright, find_crease(scene.grey, scene.mask, upright, scene.px_per_mm, **way)
 
 
 @pytest.mark.parametrize("tone", ["very dark", "dark", "medium", "very light"])
@@ -21,6 +21,13 @@ def test_found_for_every_tone_and_in_shadow(draw_finger, tone, shadow):
     assert crease.found
     assert crease.distance_mm == pytest.approx(25.0, abs=0.5)
     assert "cut at" in crease.verdict
+
+
+@pytest.mark.parametrize("tone", ["very dark", "very light"])
+def test_found_as_the_thesis_does_but_for_a_shadow_at_the_side(draw_finger, tone):
+    _, crease = search(draw_finger(tone, shadow="step"), equalised=True)
+    assert crease.distance_mm == pytest.approx(25.0, abs=0.5)
+    assert not search(draw_finger(tone, shadow="side"), equalised=True)[1].found
 
 
 @pytest.mark.parametrize("shadow", ["", "step", "gradient", "side"])

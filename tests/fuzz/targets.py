@@ -402,7 +402,7 @@ def _flat_images() -> list[Files]:
 def _shadings() -> list[Files]:
     shading = Shading(
         pitch_mm=0.01, image_size=(16, 17), direction=np.eye(3), nearness=np.zeros(3), ambient=np.zeros(3),
-        fall_off=np.zeros((3, 6)), relative=False, degree=1, weights=np.ones((4, 2)), covariance=np.eye(4),
+        fall_off=np.zeros((3, 15)), relative=False, degree=1, weights=np.ones((4, 2)), covariance=np.eye(4),
         deviation=np.full(9, 0.01), max_slope=1.0, height_mm_per_slope=0.1,
     )  # fmt: skip
     return _written("shading.npz", lambda path: write_shading(path, shading))

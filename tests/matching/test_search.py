@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.matching.code import code_of, code_size, probe_codes
+from splitknit.matching.code import ProbeSettings, code_of, code_size, probe_codes
+from splitknit.matching.minutiae_record import no_minutiae
 from splitknit.matching.ridge import Prepared, ridge_match
-from splitknit.matching.search import CodeIndex, SearchSettings, identify
-from splitknit.matching.template import _failed_template
+from splitknit.matching.search import PRESSED_MM, CodeIndex, SearchSettings, identify
+from splitknit.matching.template import _failed_template, with_minutiae
 
 
 def noise_codes(count: int, seed: int = 0) -> np.ndarray:
@@ -128,3 +129,12 @@ def test_nobody_is_found_by_nothing_or_in_nothing(templates) -> None:
         identify(templates[0], {}, CodeIndex(["a"], noise_codes(1)), 0)
     with pytest.raises(BadInput, match="at least 1"):
         SearchSettings(finalists=0)
+
+
+def test_prints_are_searched_with_wider_shifts(templates) -> None:
+    settings, surface = SearchSettings(), templates[0]
+    pressed = with_minutiae(surface, surface.valid, no_minutiae(surface.valid.shape))
+    assert settings.variants_of(surface) is settings.probe
+    assert settings.variants_of(pressed).right_mm == settings.variants_of(pressed).down_mm == PRESSED_MM
+    wider = SearchSettings(probe=ProbeSettings(down_mm=3.0))
+    assert wider.variants_of(pressed).down_mm == 3.0

@@ -48,10 +48,10 @@ def test_a_hole_much_larger_than_the_reach_is_closed() -> None:
     assert np.allclose(bridge(np.where(hole, np.nan, 2.0)[None], hole, 1.5), 2.0, atol=1e-4)
 
 
-@pytest.mark.parametrize(("diameter", "contrast"), [(1, 0.25), (40, 0.25), (float("nan"), 0.25), (6, 0.0), (6, 1.0)])
-def test_impossible_markers_are_refused(diameter: float, contrast: float) -> None:
+@pytest.mark.parametrize("diameter", [1, 40, float("nan")])
+def test_impossible_markers_are_refused(diameter: float) -> None:
     with pytest.raises(BadInput, match="marker's"):
-        find_markers(np.ones((3, 60, 80), np.float32), diameter, contrast)
+        find_markers(np.ones((3, 60, 80), np.float32), diameter)
 
 
 def test_nothing_left_is_refused() -> None:

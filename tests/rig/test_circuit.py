@@ -19,8 +19,9 @@ from splitknit.model import Led, default_rig
 from splitknit.rig.circuit import (
     BC337,
     E24,
+    GPIO_HIGH_V,
+    GPIO_LIMIT_A,
     NIR_LED,
-    RASPBERRY_PI,
     RATINGS_W,
     WHITE_LED,
     Circuit,
@@ -101,7 +102,7 @@ def test_currents_are_those_of_the_solved_circuit(band: str, topology: str) -> N
         t = settings.transistor
         current, into_base = solved(
             stage,
-            high_v=rng.uniform(*RASPBERRY_PI.high_v),
+            high_v=rng.uniform(*GPIO_HIGH_V),
             supply_v=9.0 * rng.uniform(0.95, 1.05),
             forward_v=forward + rng.uniform(-1, 1) * stage.led.spread_v,
             base_v=rng.uniform(*t.base_v),
@@ -131,7 +132,7 @@ def test_margins_are_kept() -> None:
             assert stage.current_a[0] >= 0.7 * stage.led.current_a
             assert stage.current_a[2] <= stage.led.limit_a
             assert stage.transistor_w <= 0.6 * settings.transistor.limit_w
-            assert max(stage.gpio_a, stage.gpio_fault_a) <= RASPBERRY_PI.limit_a
+            assert max(stage.gpio_a, stage.gpio_fault_a) <= GPIO_LIMIT_A
             for r in stage.resistors:
                 assert r.heat_w <= 0.6 * r.rating_w
                 assert r.rating_w in RATINGS_W

@@ -14,10 +14,8 @@ from splitknit.cli.train import _curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import relief as app
-from splitknit.training.fields import network_metrics, train_fields, write_fields
-from splitknit.training.networks import fields_network
+from splitknit.training.fields import _network_metrics, train_fields
 from splitknit.training.relief import (
-    NETWORK,
     TASK,
     ReliefSettings,
 )
@@ -174,18 +172,6 @@ def test_fingers_that_all_are_refused_are_told_with_the_reason(tmp_path, numbers
         train(tmp_path / "run", replace(DATA, fingers=1, first=31), SETTINGS)
 
 
-def test_weights_of_another_training_become_a_network_with_a_card(tmp_path) -> None:
-    torch.manual_seed(0)
-    state = fields_network((4, 5, 6), 32, 9).state_dict()
-    facts = write_fields(tmp_path, NETWORK, state, {"command": "by hand", "metrics": {"correlation": 0.5}})
-    assert facts["stride"] == 4 and facts["metrics"] == {"correlation": 0.5}
-    assert load_network(tmp_path / "relief.onnx").card.facts["command"] == "by hand"
-    assert (tmp_path / "relief.onnx").stat().st_size == facts["bytes"]
-    # half precision: two bytes a weight and little beside
-    count = sum(part.numel() for part in state.values())
-    assert 2 * count < facts["bytes"] < 2 * count + 16000
-
-
 def test_the_verb_turns_options_into_settings_and_a_command(tmp_path, numbers, capsys) -> None:
     words = "--fingers 1 --whole-fingers 2 --held-out 1 --iterations 1 --batch 1 --patch 32 --seed 4 --first 30"
     words += " --first-whole 10 --precision float32"
@@ -218,14 +204,14 @@ def test_the_verb_and_the_settings_agree_on_the_defaults() -> None:
 
 
 def test_the_cards_figures_are_of_what_the_network_draws() -> None:
-    state = fields_network((4, 5), 32, 9).state_dict()
-    for part in state.values():
-        part.zero_()
-    state["out.bias"][:8] = torch.tensor([0.5, 1, 2, 3, 4, 5, 6, 7])
+    def drawn(fields: np.ndarray) -> np.ndarray:
+        values = np.array([0.5, 1, 2, 3, 4, 5, 6, 7, 0], dtype=np.float32)
+        return np.broadcast_to(values[:, None, None], (9, *fields.shape[1:]))
+
     sample = made_up(3, DATA)[0].astype(np.float32)
     sample[GLARE] = np.arange(1.0, 8.0)[:, None, None]
     sample[RELIEF] = 1.5
-    found = network_metrics(TASK, state, {3: sample, 4: sample})
+    found = _network_metrics(TASK, drawn, 2, {3: sample, 4: sample})
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["rms_um"] == 20.0  # one unit too low
     assert found["mean"]["gain"] == pytest.approx(1 / 3, abs=1e-4)

@@ -6,7 +6,7 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.networks.unet import network_of, run_network
 from splitknit.networks.weights import read_network
-from splitknit.training.fields import FieldsTrainer, _packed_fields, field_scale
+from splitknit.training.fields import FieldsTrainer, field_scale
 from splitknit.training.networks import fields_network
 from splitknit.training.shape import (
     CHANNELS,
@@ -125,7 +125,7 @@ def test_an_interrupted_training_gives_the_same_weights(precision) -> None:
 def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> None:
     trainer = FieldsTrainer(TASK, SETTINGS, SAMPLES)
     trainer.train(20)
-    weights, card = _packed_fields(NETWORK, trainer.network.state_dict(), {"command": "splitknit train shape"})
+    weights, card = trainer.packed({"command": "splitknit train shape"})
     (tmp_path / f"{NETWORK.name}.onnx").write_bytes(weights)
     (tmp_path / f"{NETWORK.name}.json").write_bytes(card)
     network = network_of(*read_network(tmp_path / f"{NETWORK.name}.onnx"))

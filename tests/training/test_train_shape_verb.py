@@ -14,11 +14,9 @@ from splitknit.cli.train import _curve_svg
 from splitknit.errors import BadInput
 from splitknit.networks.unet import load_network, run_network
 from splitknit.training import shape as app
-from splitknit.training.fields import network_metrics, train_fields, write_fields
-from splitknit.training.networks import fields_network
+from splitknit.training.fields import _network_metrics, train_fields
 from splitknit.training.shape import (
     CHANNELS,
-    NETWORK,
     SLOPES,
     TASK,
     WEIGHT,
@@ -187,16 +185,13 @@ def test_a_folder_with_something_else_in_it_is_left_alone(tmp_path, capsys) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_the_cards_figures_are_of_what_the_network_draws(tmp_path) -> None:
-    state = fields_network((4, 5), 32, 2).state_dict()
-    for part in state.values():
-        part.zero_()
-    state["out.bias"][:] = torch.tensor([1.0, -2.0])
+def test_the_cards_figures_are_of_what_the_network_draws() -> None:
+    def drawn(fields: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(np.float32([[[1.0]], [[-2.0]]]), (2, *fields.shape[1:]))
+
     sample = made_up(3, DATA)[0].astype(np.float32)
     sample[SLOPES] = np.array([2.0, -1.0])[:, None, None]
-    found = network_metrics(TASK, state, {3: sample, 4: sample})
+    found = _network_metrics(TASK, drawn, 2, {3: sample, 4: sample})
     assert [entry["finger"] for entry in found["fingers"]] == [3, 4]
     assert found["mean"]["before"] == pytest.approx(0.1 * np.sqrt(2.5), abs=1e-4)
     assert found["mean"]["after"] == pytest.approx(0.1, abs=1e-4) == found["mean"]["wide_after"]
-    facts = write_fields(tmp_path, NETWORK, state, {"command": "by hand", "metrics": found})
-    assert facts["stride"] == 2 and load_network(tmp_path / "shape.onnx").card.facts["command"] == "by hand"

@@ -60,9 +60,7 @@ def photographs(seed: int, scale: float, *, count: int = 15, f_number: float | N
 
     corners = []
     for k, pose in enumerate(flat.board_poses(seed, count, rig.camera, PRINTED)):
-        held = flat.BoardScene(
-            **common, board=PRINTED, rotation_vector=pose.rotation_vector, translation_mm=pose.translation_mm
-        )
+        held = flat.BoardScene(**common, board=PRINTED, **pose)
         corners.append(find_board(photo(held, k), BOARD))
     tilt = rig.provenance["base_tilt_deg"]
     planes = []

@@ -26,9 +26,9 @@ NOISES = (0.0, 0.002, 0.01)
 
 def on_itself(seed: int, scale: float) -> list[dict[str, Any]]:
     """One row a skin and noise: errors of both models, and what the noise allows."""
-    laid = lay_down(seed, settings=TwinSettings(scale=scale))
-    lights = laid.rig.select(tuple((k,) for k in range(7))).light_vectors()
-    mask, normals = laid.surface.mask, laid.surface.normals.astype(np.float64)
+    surface, drawn = lay_down(seed, settings=TwinSettings(scale=scale))
+    lights = drawn.rig.select(tuple((k,) for k in range(7))).light_vectors()
+    mask, normals = surface.mask, surface.normals.astype(np.float64)
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     window = slice(rows[0], rows[-1] + 1, 2), slice(columns[0], columns[-1] + 1, 2)
     mask, normals = mask[window], normals[window]
@@ -36,7 +36,7 @@ def on_itself(seed: int, scale: float) -> list[dict[str, Any]]:
     found = []
     for name, skin in SKINS.items():
         rng = np.random.default_rng([seed, 0x42])
-        fraction, depth = layers(skin, mask.shape, laid.rig.camera.px_per_mm / 2, rng)
+        fraction, depth = layers(skin, mask.shape, drawn.rig.camera.px_per_mm / 2, rng)
         clean = paint(normals, lights, skin, fraction, depth)
         level = float(np.median(clean[:, mask]))
         for noise in NOISES:

@@ -151,10 +151,10 @@ def make(case: Case, folder: Path, scale: float, walks: float, threads: int) -> 
         if sys.stderr.isatty():
             print(f"\r{case.name}: {step} {100 * fraction:3.0f} %   ", end="", file=sys.stderr, flush=True)
 
-    laid = lay_down(case.seed, case.pattern, TwinSettings(scale=scale))
-    surface = laid.surface if case.ridges else without_ridges(laid.surface)
+    surface, drawn = lay_down(case.seed, case.pattern, TwinSettings(scale=scale))
+    surface = surface if case.ridges else without_ridges(surface)
     capture, truth, info = photograph_finger(
-        surface, laid.rig, case.optics, walks=walks, rays=max(round(0.8 * walks), 2), threads=threads, seed=case.seed,
+        surface, drawn.rig, case.optics, walks=walks, rays=max(round(0.8 * walks), 2), threads=threads, seed=case.seed,
         progress=progress,
     )  # fmt: skip
     info |= {"name": case.name, "pattern": case.pattern, "ridges": case.ridges, "scale": scale}
@@ -179,7 +179,7 @@ def make_polarised(case: PolarisedCase, out: Path, scale: float, walks: float, t
         finger, shape=replace(finger.shape, width_mm=width), skin=replace(finger.skin, ridge_depth_um=case.ridge_um)
     )
     settings = TwinSettings(rig=rig, pose=FingerPose(insertion_mm=round(size[0] * camera.pitch_mm - 1.1, 1)))
-    surface = lay_down(case.seed, None, settings, finger=finger).surface
+    surface = lay_down(case.seed, None, settings, finger=finger)[0]
     surface = surface if case.ridges else without_ridges(surface)
 
     def walk() -> FingerLight:

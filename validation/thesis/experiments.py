@@ -27,6 +27,7 @@ COMPARED = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
 """How differences between cases are judged."""
 FAMILY_CASES = ("kumar", "zheng", "lin", "xie")
 FAMILY_MATCHERS = ("ridge", "minutiae", "voted", "minutiae3d", "surface-code", "tetrahedra")
+ROLL_VARIANTS = (Variant("none", "single", "pairs"), Variant("gate", "averaged", "fingers"))
 FUSION_VARIANTS = (*COMPARED, Variant("none", "averaged", "all"))
 
 
@@ -164,6 +165,29 @@ def run_sensitivity(options: argparse.Namespace, store: Any, truth: Mapping[str,
     return facts
 
 
+def run_rolls(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Section 5.1: roll between captures by their surfaces, and what the rules of roll keep by it and by the truth."""
+    from rolls import CASES, agreement, beside_truth, estimated  # the others need no surfaces
+
+    case = next(name for name in CASES if name in options.cases)
+    captures = read_captures(store, options.cases)
+    scratch = _scratch(options, "rolls", [store.document()["cases"][case], __version__])
+    rows = estimated(store.files("features", case), captures.names.tolist(), scratch, options.jobs)
+    rows = beside_truth(rows, truth)
+    write_csv(options.out / "rolls.csv", rows)
+    table = read_table(store, captures, options.cases, ("thesis",))
+    by_truth = _work(options, table, truth)
+    found = {(row["a"], row["b"]): row["roll_deg"] for row in rows if row["roll_deg"] is not None}
+    by_surface = replace(by_truth, known=known_of(table.pairs, truth, found))
+    judged_rows = [
+        {"roll by": words, **row}
+        for words, work in (("truth", by_truth), ("surfaces", by_surface))
+        for row in rate_rows(work, _of(table, "thesis", "relief"), options.jobs, ROLL_VARIANTS)
+    ]
+    write_csv(options.out / "rolls_gate.csv", judged_rows)
+    return {"case": case, **agreement(rows, options.seed)}
+
+
 def run_failures(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """Failures to acquire of each case, and how many fingers and comparisons each rule of roll discards."""
     rows = []
@@ -253,11 +277,11 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
 
 
 def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
-    """Figures 3.1, 3.20, 3.22 and 5.9, measured."""
-    from figures import CAPTURES, choose, run
+    """Figures 3.1, 3.20, 3.22, 5.6 and 5.9, measured."""
+    from figures import choose, run
 
     whole = sorted(name for name, facts in truth.items() if not facts.get("partial") and not facts.get("print"))
-    chosen = choose(whole, options.seed)[: 2 if options.small else CAPTURES]
+    chosen = choose(whole, options.seed)[: 2 if options.small else options.captures]
     return run(options.population, chosen, options.out, _scratch(options, "figures"), options.seed, options.jobs)
 
 
@@ -267,7 +291,7 @@ def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[
 
 
 PARTS = (
-    "fusion", "cases", "matchers", "sensitivity", "failures", "descriptors", "figures", "scales", "neighbours",
+    "fusion", "cases", "matchers", "sensitivity", "failures", "rolls", "descriptors", "figures", "scales", "neighbours",
 )  # fmt: skip
 """What ``all`` makes; ``family`` has cases of its own, and a store of its own, of fewer people."""
 WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "figures": run_figures}

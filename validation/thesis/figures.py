@@ -1,39 +1,44 @@
-"""Figures 3.1, 3.20, 3.22 and 5.9 as figures that can be measured, on whole views of the population.
+"""Figures 3.1, 3.20, 3.22, 5.6 and 5.9 as figures that can be measured, on whole views of the population.
 
 - 3.1: power by spatial frequency, in all directions together, of the true shape and relief, and of white and NIR images
 - 3.20: what n = 2 to 7 scales of shapelets leave of the shape in the relief
 - 3.22: error of the shape by photometric stereo under NIR and under white light
-- 5.9: error of SnK, PR and EA in bands of spatial frequency
+- 5.6: bars of SnK and EA, of the rates in ``cases.csv``, beside the thesis's
+- 5.9: error of SnK, PR and EA in bands of spatial frequency; and as a picture, with patches, of one finger
 
-The thesis shows the last three as pictures of one finger. Each capture's figures are kept as a file.
+The thesis shows 3.20, 3.22 and 5.9 as pictures of one finger. Each capture's figures are kept as a file.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import scipy.fft
 from compared import each, keep
 from numpy.typing import NDArray
-from plots import save
+from plots import bars_figure, save
 from scales import SCALES
 from tables import Row, write_csv
 
 from splitknit.evaluation.accuracy import Comparison, compare, high_passed, read_truth
 from splitknit.imaging.band import linear_stack
 from splitknit.io.capture import read_capture
+from splitknit.io.images import write_image
+from splitknit.io.pictures import upright_frame
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import reconstruct
 from splitknit.report.charts import Axis, Curve, line_chart
+from splitknit.report.figures import oblique_view, small_fields
 from splitknit.steps import Memory
 
-CAPTURES = 24
-"""Of different fingers, so many as there are."""
 CASES = ("snk", "pr", "ea")
 BANDS = {"shape": (0.0, 2.0), "between": (2.0, 10.0), "ridges": (10.0, 1000.0)}
 """Cycles per cm: the shape has 0.7, ridges have 23."""
@@ -54,6 +59,11 @@ def run(population: Path, chosen: Sequence[str], out: Path, scratch: Path, seed:
     write_csv(out / "figures.csv", summary(known, seed))
     if known:
         _draw(known, out)
+        shown = next(name for name, row in zip(chosen, found, strict=True) if row)
+        write_image(out / "figure-5-9-surfaces.png", surfaces(read_capture(population / shown)))
+    if (out / "cases.csv").is_file():
+        with (out / "cases.csv").open(encoding="utf-8", newline="") as stream:
+            save(bars_figure(accuracies(list(csv.DictReader(stream)))), out / "figure-5-6.svg")
     return {"captures": len(known), "failures": len(found) - len(known)}
 
 
@@ -247,6 +257,81 @@ def _draw(found: Sequence[Row], out: Path) -> None:
         title="Side view along the middle of one finger",
     )
     save(chart, out / "figure-5-9.svg")
+
+
+OF_5_6 = (
+    ("ridges, FAR 0.1 %", "relief", "0.001", (78.8, 90.5)),
+    ("ridges, FAR 1 %", "relief", "0.01", (93.0, 95.0)),
+    ("normals, FAR 1 %", "normals", "0.01", (86.0, 92.0)),
+)
+"""Label, attribute, FAR, and the thesis's EA and SnK."""
+
+
+def accuracies(rows: Sequence[Mapping[str, str]]) -> list[Any]:
+    """Bars of figure 5.6: rates of ``cases.csv`` in percent, judged as the thesis with whole views."""
+    judged = ("gate", "averaged", "whole")
+    groups = []
+    for label, attribute, far, theirs in OF_5_6:
+        bars: list[Any] = []
+        for case in ("ea", "snk"):
+            wanted = (case, "thesis", attribute, *judged)
+            keys = ("case", "matcher", "attribute", "gate", "sessions", "kept")
+            row = next((row for row in rows if tuple(row[key] for key in keys) == wanted), {})
+            if value := row.get(f"gar@{far}"):
+                ends = tuple(100.0 * float(row[f"gar@{far}_{end}_finger"]) for end in ("low", "high"))
+                bars.append((case, 100.0 * float(value), ends))
+        bars += [(f"{case}, thesis", value, None) for case, value in zip(("ea", "snk"), theirs, strict=True)]
+        groups.append((label, bars))
+    return groups
+
+
+PATCH_MM, PATCH_PX = 5.0, 220
+
+
+def surfaces(capture: Capture) -> NDArray[np.uint8]:
+    """Figure 5.9 of one finger: truth, SnK, PR and EA from the front and the side, and below zoomed ridges of each."""
+    truth = read_truth(capture)
+    memory = Memory(capture)
+    results = {case: reconstruct(capture, case, memory=memory) for case in CASES}
+    first = results["snk"]
+    heights = {"truth": np.asarray(truth["height_mm"]), **{case: result.height_mm for case, result in results.items()}}
+    columns = []
+    for name, height in heights.items():
+        whole = np.where(first.mask & np.isfinite(height), height, np.float32(np.nan)).astype(np.float32)
+        shown = replace(first, height_mm=whole, mask=first.mask & np.isfinite(whole))
+        small = small_fields(shown, upright_frame(shown, 700))
+        views = [oblique_view(small, tilt_deg=0.0), oblique_view(small, turn_deg=90.0, tilt_deg=80.0)]
+        ridges = results[name].ridge_mm if name == "snk" else whole
+        column = [_fitted(view, size) for view, size in zip(views, ((320, 220), (150, 220)), strict=True)]
+        columns.append(_labelled(np.vstack([*column, _patch(ridges, first)]), name))
+    return np.asarray(np.hstack(columns) & 0xF8)  # 32 shades: a quarter of the bytes
+
+
+def _patch(height_mm: NDArray[Any], result: Reconstruction) -> NDArray[np.uint8]:
+    """A square in the finger's middle, lit from the upper left."""
+    rows, columns = np.nonzero(result.mask)
+    half = round(0.5 * PATCH_MM / result.pitch_mm)
+    row, column = (int(np.median(part)) for part in (rows, columns))
+    part = np.asarray(height_mm[row - half : row + half, column - half : column + half], dtype=np.float64)
+    down, right = np.gradient(part - np.nanmean(part), result.pitch_mm)
+    light = (1.0 + 0.8 * (down + right)) / np.sqrt(1.0 + down**2 + right**2)
+    low, high = np.nanpercentile(light, (1.0, 99.0))
+    shade = np.clip(255.0 * (np.nan_to_num(light) - low) / max(high - low, 1e-6), 0, 255).astype(np.uint8)
+    return np.repeat(cv2.resize(shade, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_CUBIC)[..., None], 3, axis=2)
+
+
+def _fitted(view: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """A picture in a white box of rows and columns."""
+    scale = min(size[0] / view.shape[0], size[1] / view.shape[1])
+    small = cv2.resize(view, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    rows, columns = size[0] - small.shape[0], size[1] - small.shape[1]
+    sides = ((rows // 2, rows - rows // 2), (columns // 2, columns - columns // 2), (0, 0))
+    return np.pad(small, sides, constant_values=247)
+
+
+def _labelled(column: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
+    framed = np.pad(column, ((34, 4), (4, 4), (0, 0)), constant_values=255)
+    return cv2.putText(framed, name, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (0, 0, 0), 2, cv2.LINE_AA)
 
 
 def _keep(population: Path, scratch: Path, name: str) -> None:

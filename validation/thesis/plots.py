@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,9 @@ from splitknit.evaluation.rates import roc
 from splitknit.evaluation.scores import Scores
 from splitknit.report.charts import Axis, Curve, line_chart, percent_marks, standalone
 from splitknit.report.evaluation import roc_chart
+
+PAINTS = ("#D55E00", "#0072B2", "#F0B895", "#99C7E0")
+"""EA and SnK here, EA and SnK in the thesis."""
 
 
 def save(chart: str, file: Path) -> None:
@@ -57,3 +61,41 @@ def bins_figure(series: Sequence[tuple[str, Sequence[Row]]], figure: str, x_labe
         Axis(y_label, floor, 1.0, percent_marks(map(float, y_marks))),
     )
     return str(line_chart(curves, *axes, title=f"{y_label} over {x_label}"))
+
+
+def bars_figure(groups: Sequence[tuple[str, Sequence[tuple[str, float, tuple[float, float] | None]]]]) -> str:
+    """Upright bars in groups: of each a label and bars of a name, a percentage and the ends of its interval."""
+    names = dict.fromkeys(name for _, bars in groups for name, *_ in bars)
+    colours = dict(zip(names, PAINTS, strict=False))
+    wide, high, left, top, foot = 34, 220, 46, 34, 26
+    step = (len(colours) + 1) * wide
+    width, floor = left + step * len(groups) + 10, top + high
+    parts = [
+        f'<svg viewBox="0 0 {width} {floor + foot}" width="{width}" height="{floor + foot}" role="img" '
+        'aria-label="bars" font-family="sans-serif" font-size="11" fill="#222222">'
+    ]
+    for k, (name, paint) in enumerate(colours.items()):
+        parts += [_bar(left + 118 * k, 8, 11, 11, paint), _words(left + 118 * k + 16, 18, name, "start")]
+    for mark in range(0, 101, 20):
+        parts += [_bar(left, floor - high * mark / 100, width - left - 10, 0.5, "#bbbbbb")]
+        parts += [_words(left - 5, floor - high * mark / 100 + 4, f"{mark} %", "end")]
+    for k, (label, bars) in enumerate(groups):
+        for n, (name, value, ends) in enumerate(bars):
+            x, y = left + k * step + wide * (n + 0.5), floor - high * value / 100
+            parts += [
+                _bar(x, y, wide - 4, floor - y, colours[name]),
+                _words(x + 15, floor - 5, f"{value:.1f}", "middle"),
+            ]
+            if ends is not None:
+                below, above = (floor - high * end / 100 for end in ends)
+                parts.append(_bar(x + 14, above, 1.5, below - above, "#000000"))
+        parts.append(_words(left + (k + 0.5) * step, floor + 17, label, "middle"))
+    return "".join(parts) + "</svg>"
+
+
+def _bar(x: float, y: float, width: float, height: float, paint: str) -> str:
+    return f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{paint}"/>'
+
+
+def _words(x: float, y: float, words: str, anchor: str) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'

@@ -1,7 +1,7 @@
 """The thesis's matching experiments on a simulated population: one command each, tables and plots beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
-    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|descriptors --store STORE \\
+    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|descriptors --store STORE \\
         --population POPULATION
     python validation/thesis/run.py scales|neighbours|figures --population POPULATION
     python validation/thesis/run.py family --store STORE --population POPULATION
@@ -149,6 +149,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
     )
+    parser.add_argument("--captures", type=int, default=24, help="of the part figures, each of another finger")
     parser.add_argument("--replicates", type=int, default=300)
     parser.add_argument("--seed", type=int, default=680)
     parser.add_argument("--jobs", type=int, default=2)

@@ -32,8 +32,7 @@ def things(seed: int, scale: float) -> dict[str, Any]:
 def board_scene(seed: int, scale: float, **changes: Any) -> BoardScene:
     """A board held in one way."""
     camera = built_rig(seed, scale=scale).camera
-    pose = board_poses(seed, 1, camera)[0]
-    places = {"rotation_vector": pose.rotation_vector, "translation_mm": pose.translation_mm}
+    places = board_poses(seed, 1, camera)[0]
     return BoardScene(**things(seed, scale), **places, **changes)
 
 

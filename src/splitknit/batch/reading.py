@@ -16,6 +16,7 @@ from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.matching.surface import surface_images
 from splitknit.matching.thesis import FingerImages
+from splitknit.model import Surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +32,8 @@ def small_column(place: Place, column: str) -> Any:
     return _column(place.file, column, _version(place.file))[place.row]
 
 
-def images_of(place: Place) -> FingerImages | None:
-    """Channels for the thesis's matcher, exactly those of the reconstruction; None where there is no surface."""
+def surface_of(place: Place) -> Surface | None:
+    """The surface, to the last bit; None where the capture could not be acquired."""
     payload = _surfaces(place.file, _version(place.file))[place.row]
     if payload is None:
         require(
@@ -41,9 +42,15 @@ def images_of(place: Place) -> FingerImages | None:
         )
         return None
     try:
-        return surface_images(unpack_surface(payload))
+        return unpack_surface(payload)
     except BadInput as error:
         raise BadInput(f"'{place.file}': {error}") from error
+
+
+def images_of(place: Place) -> FingerImages | None:
+    """Channels for the thesis's matcher, exactly those of the reconstruction; None where there is no surface."""
+    surface = surface_of(place)
+    return None if surface is None else surface_images(surface)
 
 
 def stored_places(files: list[Location]) -> Mapping[str, Place]:

@@ -64,27 +64,15 @@ class _Views:
 
 
 def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
-    """Fit matrix and distortion; each term only where the views determine it.
+    """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the corners `board_mm` (N, 2);
+    each term only where the views determine it.
 
     Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
-    its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself
-    gives; then the ratio of the focal lengths likewise. The principal point is held at the image's middle where it
-    is undetermined. The standard deviation of the focal length is checked by fits with other focal lengths, held: where
-    the Jacobian promises more than those show, theirs is taken.
+    its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself gives; then
+    the ratio of the focal lengths likewise. The principal point is held at the image's middle where it is undetermined.
+    The standard deviation of the focal length is checked by fits with other focal lengths, held: where the Jacobian
+    promises more than those show, theirs is taken. Raises BadInput if the views determine no camera.
 
-    Parameters
-    ----------
-    board_mm : (N, 2) the board's corners in its plane
-    corner_sets : V arrays (N, 2), column and row of the corners in each view
-    image_size : rows, columns
-
-    Raises
-    ------
-    BadInput
-        If the views do not determine a camera at all.
-
-    References
-    ----------
     Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms of the distortion as in
     OpenCV's ``calibrateCameraExtended``, whose standard deviations come from the Jacobian at the solution.
     """
@@ -141,7 +129,8 @@ def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, i
 
 def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) -> _LensFit:
     """One fit with the terms `kept` free."""
-    flags = _flags(kept)
+    flags = sum(flag for term, flag in _HOLDING.items() if term not in kept)
+    flags |= cv2.CALIB_FIX_FOCAL_LENGTH if "no focal" in kept else 0
     columns, rows = views.size
     matrix = np.eye(3)
     if start is not None or "cx" not in kept:
@@ -206,16 +195,14 @@ def _called(step: tuple[str, ...]) -> str:
     return "fx / fy" if step == ("aspect",) else " and ".join(step)
 
 
-def _flags(kept: tuple[str, ...]) -> int:
-    flags = 0
-    flags |= 0 if "k1" in kept else cv2.CALIB_FIX_K1
-    flags |= 0 if "k2" in kept else cv2.CALIB_FIX_K2
-    flags |= 0 if "k3" in kept else cv2.CALIB_FIX_K3
-    flags |= 0 if "p1" in kept else cv2.CALIB_ZERO_TANGENT_DIST
-    flags |= 0 if "cx" in kept else cv2.CALIB_FIX_PRINCIPAL_POINT
-    flags |= 0 if "aspect" in kept else cv2.CALIB_FIX_ASPECT_RATIO
-    flags |= cv2.CALIB_FIX_FOCAL_LENGTH if "no focal" in kept else 0
-    return flags
+_HOLDING = {
+    "k1": cv2.CALIB_FIX_K1,
+    "k2": cv2.CALIB_FIX_K2,
+    "k3": cv2.CALIB_FIX_K3,
+    "p1": cv2.CALIB_ZERO_TANGENT_DIST,
+    "cx": cv2.CALIB_FIX_PRINCIPAL_POINT,
+    "aspect": cv2.CALIB_FIX_ASPECT_RATIO,
+}
 
 
 def _guess(views: _Views) -> Points:
@@ -278,37 +265,16 @@ class CameraCalibration:
 def fit_camera(
     corner_sets: Sequence[Any], board: Board, image_size: tuple[int, int], names: Sequence[str] | None = None
 ) -> CameraCalibration:
-    """Calibrate a camera by Zhang's method, with rejection of bad views.
+    """Calibrate a camera by Zhang's method, with rejection of bad views, from `corner_sets`: V arrays (N, 2), column
+    and row of the board's corners in the order of `board.points_mm`. `names` are for messages.
 
     Views with an error far above the others' are taken out, the worst first, and the rest is fitted again: far is more
     than 5 robust standard deviations (1.4826 times the median absolute deviation) above the median, and 1.6 times the
-    median.
-
-    Parameters
-    ----------
-    corner_sets : V arrays (N, 2), column and row of the board's corners, in the order of `board.points_mm`
-    board : Board
-    image_size : rows, columns
-    names : V names for messages
-
-    Returns
-    -------
-    CameraCalibration
-
-    Raises
-    ------
-    BadInput
-        If too few views remain, or the views do not determine the focal length: boards that all lie parallel to the
-        sensor look the same to a long lens far away as to a short one near by.
-
-    References
-    ----------
-    Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; section 4 names the degenerate
-    configurations.
+    median. Raises BadInput if too few views remain, or the views do not determine the focal length: boards that all lie
+    parallel to the sensor look the same to a long lens far away as to a short one near by (Zhang, section 4).
     """
-    views = [_checked(one, board) for one in corner_sets]
+    views = [np.asarray(one, dtype=np.float64) for one in corner_sets]
     names = list(names) if names is not None else [f"view {k}" for k in range(len(views))]
-    require(len(names) == len(views), f"{len(names)} names for {len(views)} views.")
     kept, repeated = _without_repeats(views, names, _SAME_PX)
     _require_enough(len(kept), len(views), f" ({len(repeated)} of them twice)" if repeated else "")
     rejected: dict[str, float] = {}
@@ -329,33 +295,20 @@ def fit_camera(
     return CameraCalibration(lens, image_size, used, rejected, repeated, tilts, variety, coverage, warnings)
 
 
-def _checked(corners: Any, board: Board) -> Points:
-    array = np.asarray(corners, dtype=np.float64)
-    count = board.columns * board.rows
-    require(
-        array.shape == (count, 2) and bool(np.isfinite(array).all()),
-        f"the corners of a view must be finite and of the shape ({count}, 2), but the shape is {array.shape}.",
-    )
-    return array
-
-
 def _without_repeats(views: list[Points], names: list[str], same_px: float) -> tuple[list[int], dict[str, str]]:
     kept: list[int] = []
     repeated: dict[str, str] = {}
     for k, view in enumerate(views):
         for other in kept:
             # a board that is named from its other end is the same one
-            apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in _orders(views[other]))
+            both = (views[other], views[other][::-1])
+            apart = min(float(np.sqrt(((view - there) ** 2).sum(axis=1).mean())) for there in both)
             if apart < same_px:
                 repeated[names[k]] = names[other]
                 break
         else:
             kept.append(k)
     return kept, repeated
-
-
-def _orders(view: Points) -> tuple[Points, Points]:
-    return view, view[::-1]
 
 
 def _require_enough(count: int, given: int, why: str) -> None:

@@ -88,13 +88,7 @@ class MeasuredCamera:
 
 
 def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> MeasuredCamera:
-    """Calibrate, and write the rig file.
-
-    Raises
-    ------
-    BadInput
-        Naming the file or the option at fault; nothing is written.
-    """
+    """Calibrate, and write the rig file; BadInput names the file or option at fault, and nothing is written then."""
     require(
         job.folder is not None or len(job.plane) > 0 or job.disc is not None,
         "give a FOLDER of photographs of a checkerboard, `plane` or `disc`: there is nothing to calibrate from.",
@@ -118,29 +112,28 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> Measur
     fit: CameraCalibration | None = None
     boardless: tuple[str, ...] = ()
     hashes: dict[str, str] = {}
-    expected = None if base is None else _ExpectedSize(base.camera.image_size, str(job.rig))
+    expected: _Expected | None
+    expected = None if base is None else (base.camera.image_size, str(job.rig))
     if job.folder is not None:
         files = _image_files(job.folder, job.pattern)
-        photos = _board_photos(
+        size, corners, boardless, hashes = _board_photos(
             job.folder, files, board, expected, lambda fraction: progress("finding corners", 0.85 * fraction)
         )
-        expected, hashes = _ExpectedSize(photos.image_size, files[0].name), dict(photos.hashes)
+        expected = size, files[0].name
         progress("fitting", 0.86)
-        names, corners = list(photos.corners), list(photos.corners.values())
-        fit = naming(job.folder, partial(fit_camera, corners, board, photos.image_size, names))
-        boardless = photos.without
+        fit = naming(job.folder, partial(fit_camera, list(corners.values()), board, size, list(corners)))
     marks = {}
     for file in job.plane:
         *marks[file.name], size = _plane_marks(file, board, expected)
-        expected = expected or _ExpectedSize(size, file.name)
+        expected = expected or (size, file.name)
     if job.disc is not None:
         *marks[job.disc.name], size = _disc_marks(job.disc, job.dot_mm, expected)
-        expected = expected or _ExpectedSize(size, job.disc.name)
+        expected = expected or (size, job.disc.name)
     for file in (*job.plane, *([job.disc] if job.disc is not None else [])):
         hashes[file.name] = file_hash(file)
     assert expected is not None
     progress("measuring the plane", 0.95)
-    found = _assembled(job, base, expected.size, fit, marks)
+    found = _assembled(job, base, expected[0], fit, marks)
     return replace(found, boardless=boardless, hashes=hashes)
 
 
@@ -205,22 +198,12 @@ def _binning(job: CameraJob, columns: int) -> float:
 # Photographs of checkerboard and disc: reading them, and finding what they show.
 
 Points = NDArray[np.float64]
+_Expected = tuple[tuple[int, int], str]
+"""Rows and columns that all images must have, and what has them."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 LEAST = 5
 _LOOKED_AT = 6
 """Photographs in which a board of another size is sought."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _BoardPhotos:
-    """Corners in photographs of one size."""
-
-    image_size: tuple[int, int]
-    corners: Mapping[str, Points]
-    """By the file's name."""
-    without: tuple[str, ...]
-    """Files in which no board of the size is in full view."""
-    hashes: Mapping[str, str]
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
@@ -249,23 +232,15 @@ def _label(file: Path, folder: Path) -> str:
     return file.relative_to(folder).as_posix()
 
 
-@dataclass(frozen=True, slots=True)
-class _ExpectedSize:
-    """Rows and columns that all images must have, and what has them."""
-
-    size: tuple[int, int]
-    by: str
-
-
-def _read_photo(path: Path, expected: _ExpectedSize | None) -> tuple[PixelArray, str]:
+def _read_photo(path: Path, expected: _Expected | None) -> tuple[PixelArray, str]:
     """Pixels and SHA-256 of an image."""
     data = read_bytes(path, DEFAULTS.max_bytes)
     pixels = decode_image(data, str(path))
     if expected is not None:
         require(
-            pixels.shape[:2] == expected.size,
-            f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but {expected.by} has "
-            f"{expected.size[0]} x {expected.size[1]}; photograph everything with the camera's one setting.",
+            pixels.shape[:2] == expected[0],
+            f"{path} has {pixels.shape[0]} x {pixels.shape[1]} pixels (rows x columns), but {expected[1]} has "
+            f"{expected[0][0]} x {expected[0][1]}; photograph everything with the camera's one setting.",
         )
     return pixels, hashlib.sha256(data).hexdigest()
 
@@ -274,11 +249,11 @@ def _board_photos(
     folder: Path,
     files: Sequence[Path],
     board: Board,
-    expected: _ExpectedSize | None,
+    expected: _Expected | None,
     progress: Callable[[float], None],
-) -> _BoardPhotos:
-    """Find the board in every photograph. Raises BadInput if a file is no image, sizes differ, or too few photographs
-    show the board: then with the size of the board that they do show, where one is found.
+) -> tuple[tuple[int, int], dict[str, Points], tuple[str, ...], dict[str, str]]:
+    """Find the board in every photograph: their size, corners by name, files in which no board of the size is in full
+    view, and hashes. Where too few show it, BadInput names the size of the board that they do show.
     """
     corners: dict[str, Points] = {}
     hashes: dict[str, str] = {}
@@ -286,7 +261,7 @@ def _board_photos(
     for k, file in enumerate(files):
         progress(k / len(files))
         pixels, hashes[_label(file, folder)] = _read_photo(file, expected)
-        expected = expected or _ExpectedSize((pixels.shape[0], pixels.shape[1]), _label(file, folder))
+        expected = expected or ((pixels.shape[0], pixels.shape[1]), _label(file, folder))
         found = naming(file, partial(find_board, pixels, board))
         if found is None:
             without.append(file)
@@ -304,10 +279,10 @@ def _board_photos(
             f"{len(corners)} of {len(files)} photographs{missing}, but {LEAST} are needed and 15 are advised; "
             "take more, the board tilted differently in each."
         )
-    return _BoardPhotos(expected.size, corners, tuple(_label(file, folder) for file in without), hashes)
+    return expected[0], corners, tuple(_label(file, folder) for file in without), hashes
 
 
-def _plane_marks(file: Path, board: Board, expected: _ExpectedSize | None) -> tuple[Points, Points, tuple[int, int]]:
+def _plane_marks(file: Path, board: Board, expected: _Expected | None) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the board's corners in mm and in the image, and the image's size."""
     pixels, _ = _read_photo(file, expected)
     corners = naming(file, partial(find_board, pixels, board))
@@ -320,9 +295,7 @@ def _plane_marks(file: Path, board: Board, expected: _ExpectedSize | None) -> tu
     return board.points_mm, corners, (pixels.shape[0], pixels.shape[1])
 
 
-def _disc_marks(
-    file: Path, spacing_mm: float, expected: _ExpectedSize | None
-) -> tuple[Points, Points, tuple[int, int]]:
+def _disc_marks(file: Path, spacing_mm: float, expected: _Expected | None) -> tuple[Points, Points, tuple[int, int]]:
     """Places of the disc's dots in mm and in the image, and the image's size."""
     pixels, _ = _read_photo(file, expected)
     places_mm, places_px = naming(file, partial(find_disc, pixels, spacing_mm))
@@ -441,27 +414,18 @@ def _plane(found: MeasuredCamera) -> dict[str, Any] | None:
     }
 
 
+_SHARPNESS = (
+    "focal_length_mm", "f_number", "focus_mm", "confusion_um", "binning", "near_mm", "far_mm", "depth_mm",
+    "finger_depth_mm", "fits", "blur_px", "needed_f_number", "diffraction_px", "best_f_number",
+)  # fmt: skip
+
+
 def _sharpness(found: MeasuredCamera) -> dict[str, Any] | None:
     field = found.sharpness
     if field is None:
         return None
-    far = field.far_mm if math.isfinite(field.far_mm) else None
-    return {
-        "focal_length_mm": field.focal_length_mm,
-        "f_number": field.f_number,
-        "focus_mm": field.focus_mm,
-        "confusion_um": field.confusion_um,
-        "binning": found.binning,
-        "near_mm": field.near_mm,
-        "far_mm": far,
-        "depth_mm": None if far is None else field.depth_mm,
-        "finger_depth_mm": field.finger_depth_mm,
-        "fits": field.fits,
-        "blur_px": field.blur_px,
-        "needed_f_number": field.needed_f_number,
-        "diffraction_px": field.diffraction_px,
-        "best_f_number": field.best_f_number,
-    }
+    endless = {} if math.isfinite(field.far_mm) else {"far_mm": None, "depth_mm": None}
+    return {name: getattr(field, name, found.binning) for name in _SHARPNESS} | endless
 
 
 def _tilt_deviation(found: MeasuredCamera, pose: PlanePose) -> float:

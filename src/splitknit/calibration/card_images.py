@@ -21,37 +21,22 @@ _INNER = 5
 """A cell's brightness is the median of the means of this many blocks a side."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cells:
-    """The images of a band in cells."""
-
-    pixels: Array
-    """(N, 2) column and row of the cells' middles."""
-    light: Array
-    """(L, N) linear light."""
-    shape: tuple[int, int]
-    """Rows and columns of cells; N is their product."""
-
-
-def _cells_of(band: Band, encoding: str, across: int = _ACROSS) -> _Cells:
-    """Linear grey light of a band in cells: black level and ambient light removed, the lens's fall-off left in.
-
-    `encoding`: ``linear`` or ``srgb``; `across`: cells along the image's longer side. Raises BadInput if the images are
-    too small for the cells.
+def _cells_of(band: Band, encoding: str) -> tuple[Array, Array]:
+    """Middles of the cells, (rows, columns, 2) columns and rows, and a band's linear grey light (L, rows, columns) in
+    them: black level and ambient light removed, the lens's fall-off left in.
     """
     size = band.pixels.shape[1:3]
     require(
-        min(size) >= 16 and max(size) >= across,
-        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least {across}.",
+        min(size) >= 16 and max(size) >= _ACROSS,
+        f"the images have {size[0]} x {size[1]} pixels, too few for a calibration; use at least {_ACROSS}.",
     )
-    binning = max(1, round(max(size) / (across * _INNER)))
+    binning = max(1, round(max(size) / (_ACROSS * _INNER)))
     stack = linear_stack(band, encoding, "grey", binning=binning)
-    inner = min(_INNER, max(1, max(size) // (binning * across)))
+    inner = min(_INNER, max(1, max(size) // (binning * _ACROSS)))
     light = _median_blocks(stack, inner)
-    rows, columns = light.shape[1:]
     side = binning * inner
-    row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
-    return _Cells(np.stack([column.ravel(), row.ravel()], axis=1), light.reshape(len(light), -1), (rows, columns))
+    row, column = np.mgrid[: light.shape[1], : light.shape[2]] * side + (side - 1) / 2
+    return np.stack([column, row], axis=-1), light
 
 
 def _median_blocks(stack: FloatArray, side: int) -> Array:
@@ -98,22 +83,10 @@ def led_name(leds: Sequence[Led], index: int) -> str:
 
 
 def card_images(capture: Capture, rig: Rig, black_level: float | None = None) -> CardImages:
-    """Condense a capture of a white card.
+    """Condense a capture of a white card, each LED of the rig alone in one image.
 
-    Parameters
-    ----------
-    capture : of the card, each LED of the rig alone in one image
-    rig : whose LEDs the capture names
-    black_level : stored value of no light, for images where the capture does not state it
-
-    Returns
-    -------
-    CardImages
-
-    Raises
-    ------
-    BadInput
-        If capture and rig do not fit, an LED has no image or several, or an image is black or clipped.
+    `black_level`: stored value of no light, for images where the capture does not state it. Raises BadInput if capture
+    and rig do not fit, an LED has no image or several, or an image is black or clipped.
     """
     _check_fit(capture, rig)
     bands = [_with_black(band, black_level) for band in capture.bands.values()]
@@ -122,17 +95,18 @@ def card_images(capture: Capture, rig: Rig, black_level: float | None = None) ->
         for k in range(len(band.pixels)):
             _check_image(band, k, rig)
     cells = [_cells_of(replace(band, shading=()), capture.encoding) for band in bands]
+    places = cells[0][0]
     stored = [
         [float(np.percentile(image[::4, ::4].max(axis=2), 99)) / np.iinfo(image.dtype).max for image in band.pixels]
         for band in bands
     ]
     return CardImages(
-        pixels=cells[0].pixels,
-        light=np.stack([cells[b].light[k] for b, k in order]),
-        shape=cells[0].shape,
+        pixels=places.reshape(-1, 2),
+        light=np.stack([cells[b][1][k].ravel() for b, k in order]),
+        shape=(places.shape[0], places.shape[1]),
         ambient_percent={
-            band.name: _ambient_percent(band, capture.encoding, cell.light)
-            for band, cell in zip(bands, cells, strict=True)
+            band.name: _ambient_percent(band, capture.encoding, light)
+            for band, (_, light) in zip(bands, cells, strict=True)
         },
         exposures_given=any(bool((band.exposure != 1.0).any()) for band in bands),
         brightest=np.array([stored[b][k] for b, k in order]),

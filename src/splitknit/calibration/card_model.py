@@ -58,12 +58,8 @@ class CardPlane:
         return np.array([fraction * b, -fraction * a, np.cos(angle)])
 
     def points(self, camera: Camera, pixels: Any) -> Array:
-        """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card.
-
-        Raises
-        ------
-        BadInput
-            If the card does not lie below the camera.
+        """Points (N, 3) in mm that `pixels` (N, 2; column, row) see on the card; BadInput if it is not below the
+        camera.
         """
         require(
             self.height_mm < camera.height_mm, f"the card's height, {self.height_mm:g} mm, is not below the camera."
@@ -90,45 +86,25 @@ def _lens_fall_off(camera: Camera, pixels: Any) -> Array:
 
 
 def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
-    """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm.
-
-    Raises
-    ------
-    BadInput
-        If the LED is distant: it has no place, and so no flat field of its own.
-    """
+    """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm; BadInput if the LED is distant."""
     require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
     away = np.asarray(led.position_mm, dtype=np.float64) - np.asarray(points_mm, dtype=np.float64)
     distance = np.linalg.norm(away, axis=1)
     return away / distance[:, None], distance
 
 
-def _facing_light(led: Led, points_mm: Any) -> Array:
-    """(N,) irradiance of a surface at points (N, 3) that faces the LED."""
-    towards, distance = rays_to_led(led, points_mm)
-    along = np.maximum(-(towards @ led.axis), 1e-12)
-    return np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
-
-
 def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = None) -> Array:
-    """(N,) brightness at `pixels` of an ideal white card, lens included: the flat field.
+    """(N,) brightness at `pixels` (N, 2) of an ideal white card under a near LED, lens included: the flat field.
 
-    Parameters
-    ----------
-    camera : Camera
-    led : Led
-        Near.
-    pixels : (N, 2) columns and rows
-    card : where the card lies; on the finger plane by default
-
-    Returns
-    -------
-    (N,) in the units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi
+    In the units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi. `card`: on the finger plane
+    by default.
     """
     plane = card or CardPlane()
     points = plane.points(camera, pixels)
-    towards, _ = rays_to_led(led, points)
-    return np.asarray(_facing_light(led, points) * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
+    towards, distance = rays_to_led(led, points)
+    along = np.maximum(-(towards @ led.axis), 1e-12)
+    facing = np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
+    return np.asarray(facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
 _MIN_EXPONENT = 0.02

@@ -41,10 +41,8 @@ class _CardFit:
 
 
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
-    """Fit `order` to ln of the images.
-
-    `start`: first guess; `order`: which parameters are free; `logarithm`: (L, N) ln of the images; `scale`: residual
-    (relative, common to all LEDs) beyond which a place counts less and less (Cauchy's weights).
+    """Fit `order` to ln (L, N) of the images; `scale`: relative residual beyond which a place counts less (Cauchy's
+    weights).
     """
     vector = model.project(model.vector(start, order), order)
     weight = np.ones(logarithm.shape[1])
@@ -131,10 +129,9 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
 def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array) -> tuple[float, float]:
     """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error.
 
-    `half_angles_deg`: (L, N) of :func:`_half_angles`; `fit`: the best parameters and their order; `rest`: (L, N)
-    residuals of the fit, NaN where dust was found. Least squares of the residuals on the spot and on all slopes of the
-    model: what beams and aims could explain as well is not counted. The greatest of a narrow and a wide spot, in its
-    errors, is returned.
+    Least squares of the residuals (L, N), NaN where dust was found, on the spot and on all slopes of the model: what
+    beams and aims could explain as well is not counted. The greatest of a narrow and a wide spot, in its errors, is
+    returned.
     """
     answer, order = fit.answer, fit.order
     used = np.isfinite(rest)
@@ -226,36 +223,19 @@ def fit_flat_field(
 ) -> FlatField:
     """Fit lens, brightnesses, beams and aims to images of a white card, all images of all bands together.
 
-    Parameters
-    ----------
-    camera : Camera
-        Calibrated; its `shading` is replaced.
-    leds : (L,) LEDs at known places
-        Intensities, exponents and aims are replaced.
-    pixels : (N, 2) column and row
-    light : (L, N) linear light at `pixels` with LED k alone, the lens's fall-off in it
-    card : where the card lies; on the finger plane by default
+    `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's fall-off in it; `card` lies
+    on the finger plane by default. The camera's `shading` and the LEDs' intensities, exponents and aims are replaced.
 
-    Returns
-    -------
-    FlatField
-
-    Raises
-    ------
-    BadInput
-        If an LED did not light, the card does not fill the field or is not uniform.
-
-    Notes
-    -----
     Models of :data:`splitknit.calibration.card_model.LADDER` are fitted one after the other, each from the one before,
     and the simplest is taken that explains the images about as well as the richest. Two weak priors (exponents 5 +- 20,
-    slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a
-    beam that is wide.
+    slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a beam
+    that is wide. Raises BadInput if an LED did not light, the card does not fill the field or is not uniform.
 
     A tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against
     the base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
     """
-    places, images = _checked(pixels, light, len(leds))
+    places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
+    require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")
     plane = card or CardPlane()
     model = CardModel(camera, leds, places, plane)
     floor = 1e-4 * float(np.median(images))
@@ -279,6 +259,8 @@ def fit_flat_field(
     rest = np.where(dust, np.nan, residuals[-1])
     angles = np.stack([_half_angles(camera, led, places, plane) for led in leds])
     gloss, gloss_error = _card_gloss(model, angles, fits[-1], rest)
+    # the residuals taken as independent between cells
+    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms[best] / scale)
     lens, lit = _result(camera, leds, model, fit.answer, fit.order)
     return FlatField(
         camera=lens,
@@ -288,27 +270,12 @@ def fit_flat_field(
         orders=tuple((one.order.name, model.size(one.order), value) for one, value in zip(fits, rms, strict=True)),
         residual=residuals[best],
         dust=dust,
-        exponent_error=_exponent_errors(model, fit, scale, rms[best]),
-        common_percent=_common(residuals[best], dust),
+        exponent_error=model.exponents(errors, fit.order),
+        common_percent=100 * float(np.sqrt(np.mean(residuals[best][:, ~dust].mean(axis=0) ** 2))),
         gloss_percent=100 * gloss,
         gloss_error=100 * gloss_error,
         card=plane,
     )
-
-
-def _checked(pixels: Any, light: Any, count: int) -> tuple[Array, Array]:
-    places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
-    require(
-        places.ndim == 2 and places.shape[1] == 2 and len(places) >= 50,
-        f"pixels must have the shape (N, 2) with N of 50 at least, but the shape is {places.shape}.",
-    )
-    require(
-        images.shape == (count, len(places)),
-        f"light must have the shape ({count}, {len(places)}), one image for each LED, but it has {images.shape}.",
-    )
-    require(bool(np.isfinite(images).all()), "light contains NaN or infinite values.")
-    require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")
-    return places, images
 
 
 def _start(model: CardModel, logarithm: Array) -> Answer:
@@ -360,13 +327,3 @@ def _result(
             )
         )
     return replace(camera, shading=shading), tuple(lit)
-
-
-def _exponent_errors(model: CardModel, fit: _CardFit, scale: float, rms_percent: float) -> Array:
-    """Standard errors (L,) of the exponents, the residuals taken as independent between cells."""
-    errors = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)), 0.0)) * (0.01 * rms_percent / scale)
-    return model.exponents(errors, fit.order)
-
-
-def _common(residual: Array, dust: NDArray[np.bool_]) -> float:
-    return 100 * float(np.sqrt(np.mean(residual[:, ~dust].mean(axis=0) ** 2)))

@@ -67,14 +67,7 @@ class LedEstimate:
 
 
 def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Points:
-    """Where the rays from shadow tips through nails meet the LED circle, beyond the nail.
-
-    `nails_mm`, `tips_mm`: (N, 2) x and y on the finger plane, in the rig's frame; nails inside the circle. Returns (N,
-    3) positions in mm, at the circle's height.
-
-    >>> _circle_positions(np.array([[10.0, 0.0]]), np.array([[4.0, 0.0]]), Circle(50.0, 140.0)).tolist()
-    [[50.0, 0.0, 140.0]]
-    """
+    """Where the rays (N, 3) from shadow tips through nails, inside the LED circle, meet it beyond the nail, mm."""
     along = nails_mm - tips_mm
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
     out = nails_mm - np.asarray(circle.centre_mm)
@@ -109,24 +102,11 @@ def nail_points(camera: Camera, nail_px: Points, height_mm: float, seen: str = "
 def by_circle(
     tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None, seen: str = "tip"
 ) -> tuple[tuple[LedEstimate, ...], float]:
-    """Find every LED by the thesis's construction.
+    """Find every LED by the thesis's construction; return them in the order of the rows, and the nail's height in mm.
 
-    Parameters
-    ----------
-    tips : rows of the table
-    camera : that took the photographs
-    circle : on which the LEDs sit
-    known_height_mm : height of the nail; found from the lengths of the shadows where it is None
-    seen : ``tip`` or ``base``, what of the nail the table gives (of no matter to an orthographic camera)
-
-    Returns
-    -------
-    LEDs in the order of the rows, and the nail's height in mm
-
-    Raises
-    ------
-    BadInput
-        Naming the LED and the nail position: there is no shadow, or the nail stands outside the circle.
+    `known_height_mm` of the nail: found from the lengths of the shadows where it is None; `seen`: ``tip`` or ``base``,
+    what of the nail the table gives (of no matter to an orthographic camera). Raises BadInput naming LED and nail
+    position: there is no shadow, or the nail stands outside the circle.
     """
     nail_px, tip_px = pixels(tips)
     ends = plane_points(camera, tip_px)

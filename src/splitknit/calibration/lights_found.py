@@ -124,18 +124,6 @@ class CalibratedLights:
     """What ``splitknit calibrate lights --json`` prints: also each step, plain."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class NailLights:
-    """The LEDs of a table of nail and shadow tips."""
-
-    method: str
-    chosen: Mapping[LedName, LedEstimate]
-    facts: dict[str, Any]
-    """For ``--json``."""
-    sentence: str | None
-    """Why it is refused, None where it is not."""
-
-
 def find_leds(
     tips: Sequence[Tip],
     camera: Camera,
@@ -143,15 +131,11 @@ def find_leds(
     settings: LightSettings,
     *,
     how: LightsAsked,
-) -> NailLights:
-    """Find and judge every LED of a table.
+) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
+    """Find and judge every LED of a table; BadInput if it is incomplete or impossible. The LEDs, facts for ``--json``,
+    and why they are refused, None where they are not.
 
     The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
-
-    Raises
-    ------
-    BadInput
-        If the table is incomplete or impossible.
     """
     name, method, keep = how.name, how.method, how.keep
     _check_tips(tips, camera.image_size, name)
@@ -188,7 +172,7 @@ def find_leds(
         + ([f"kept although {sentence}"] if keep and sentence else []),
         "refused": None if keep else sentence,
     }
-    return NailLights(method, chosen, facts, None if keep else sentence)
+    return chosen, facts, None if keep else sentence
 
 
 def rig_of(
@@ -313,21 +297,8 @@ def _order(item: tuple[LedName, Any]) -> tuple[int, int]:
 
 
 def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
-    """Check that the table is complete and that its pixels lie in the image.
-
-    Of every band that occurs all seven LEDs must be there, each at two nail positions at least (one, where the nail
-    stood in one place only).
-
-    Parameters
-    ----------
-    tips : rows of the table
-    image_size : rows, columns
-    name : of the table, for messages
-
-    Raises
-    ------
-    BadInput
-        Naming the LED and the nail.
+    """Check that every band that occurs has all seven LEDs, each at two nail positions at least (one, where the nail
+    stood in one place only), and that all pixels lie in the image.
     """
     rows, columns = image_size
     for tip in tips:
@@ -374,13 +345,7 @@ def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> se
 
 
 def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> None:
-    """Check that a nail number is one place, and two numbers two places.
-
-    Raises
-    ------
-    BadInput
-        Naming the nail numbers.
-    """
+    """Check that a nail number is one place, and two numbers two places."""
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Points] = {}
     for band, nail in dict.fromkeys((tip.band, tip.nail) for tip in tips):

@@ -75,12 +75,8 @@ class _RigInputs:
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
     """Find the LEDs, and write the rig file where one is named.
 
-    Raises
-    ------
-    BadInput
-        Naming the option or file at fault.
-    Refused
-        If the LEDs that were found are not good enough; its facts hold what was found.
+    Raises BadInput naming the option or file at fault, and Refused, whose facts hold what was found, if that is not
+    good enough.
     """
     source = _checked_source(job)
     if source == "sphere":
@@ -93,9 +89,7 @@ def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> Calibrate
 
 
 def _checked_source(job: LightsJob) -> str:
-    """Return ``table``, ``images``, ``sphere`` or ``geometry``. Raises BadInput if none or several of them are asked
-    for.
-    """
+    """Return ``table``, ``images``, ``sphere`` or ``geometry``."""
     images = job.images is not None and job.sphere is None
     asked = {
         "table": job.table is not None,
@@ -290,22 +284,15 @@ def _of_tips(
     """Find the LEDs, refuse or write."""
     name = str(job.table or job.images)
     asked = LightsAsked(name, job.method, job.keep, calibrated=inputs.base is not None)
-    found = find_leds(tips, inputs.camera, circle, job.settings, how=asked)
-    facts = {**found.facts, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
-    if found.sentence is not None:
-        raise Refused(f"{name}: {found.sentence}", _plain({**facts, "written": False, "out": None}))
-    origin = provenance({"method": found.method, "circle": circle, "lights": job.settings}, hashes)
+    chosen, found, sentence = find_leds(tips, inputs.camera, circle, job.settings, how=asked)
+    facts = {**found, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
+    if sentence is not None:
+        raise Refused(f"{name}: {sentence}", _plain({**facts, "written": False, "out": None}))
+    origin = provenance({"method": found["method"], "circle": circle, "lights": job.settings}, hashes)
     kept = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
-    words = [{key: one[key] for key in kept} for one in found.facts["leds"]]
-    rig = rig_of(found.chosen, inputs.camera, inputs.base, _plain({"leds": words, "provenance": origin}))
+    words = [{key: one[key] for key in kept} for one in found["leds"]]
+    rig = rig_of(chosen, inputs.camera, inputs.base, _plain({"leds": words, "provenance": origin}))
     return _written(rig, job.out, facts)
-
-
-@dataclass(frozen=True, slots=True)
-class _Photograph:
-    band: str
-    led: int
-    path: Path
 
 
 def _of_sphere(job: LightsJob) -> CalibratedLights:
@@ -316,7 +303,8 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
     """
     assert job.images is not None
     photographs = _photographs(job.images)
-    rows, columns = read_photo(photographs[0].path).pixels.shape[:2]
+    paths = [path for _, _, path in photographs]
+    rows, columns = read_photo(paths[0]).pixels.shape[:2]
     size = (rows, columns)
     known = job.rig is not None or job.px_per_cm is not None
     near = job.led_height_cm is not None
@@ -328,7 +316,6 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
     dummy = Camera(1.0, size) if near else camera_without_scale(size)
     inputs = _rig_inputs(job) if known else _RigInputs(dummy, None)
     hashes: dict[str, str] = {}
-    paths = [one.path for one in photographs]
     camera_size = inputs.camera.image_size
     stack, digests = read_stack(paths, camera_size, job.encoding or "linear", upright=True)
     hashes |= {path.relative_to(job.images).as_posix(): digest for path, digest in digests.items()}
@@ -343,22 +330,22 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
         directions = chrome_directions(stack, ball)
     else:
         directions, strengths = grey_directions(stack, ball)
-    low = [str(one.path) for one, unit in zip(photographs, directions, strict=True) if unit[2] <= 0.05]
+    low = [str(path) for path, unit in zip(paths, directions, strict=True) if unit[2] <= 0.05]
     require(not low, f"{' and '.join(low)}: the light stands beside or behind the ball; correct the mask or the image.")
     height = None if job.led_height_cm is None else 10.0 * job.led_height_cm
     facts, leds = [], []
-    for k, (one, direction) in enumerate(zip(photographs, directions, strict=True)):
+    for k, ((band, led, path), direction) in enumerate(zip(photographs, directions, strict=True)):
         unit = (float(direction[0]), float(direction[1]), float(direction[2]))
         place = None if height is None else (height * unit[0] / unit[2], height * unit[1] / unit[2], height)
         strength = 1.0 if strengths is None else float(strengths[k] / strengths.mean())
         # a near light's strength falls with the square of its distance
         intensity = strength if place is None else strength * (float(np.linalg.norm(place)) / 100.0) ** 2
-        leds.append(Led(one.band, position_mm=place, direction=unit if place is None else None, intensity=intensity))
+        leds.append(Led(band, position_mm=place, direction=unit if place is None else None, intensity=intensity))
         facts.append(
             {
-                "band": one.band,
-                "led": one.led,
-                "image": one.path.name,
+                "band": band,
+                "led": led,
+                "image": path.name,
                 "direction": list(unit),
                 "position_mm": None if place is None else list(place),
                 "strength": None if strengths is None else strength,
@@ -385,8 +372,8 @@ def _ball_is_srgb(codes: NDArray[np.float32], ball: Ball) -> bool:
     return shading_is_srgb(codes[:, rows, columns].T, normals[rows, columns])
 
 
-def _photographs(folder: Path) -> list[_Photograph]:
-    """Images by name: ``white_3.png`` names the LED; others count as white in the order of the numbers in them."""
+def _photographs(folder: Path) -> list[tuple[str, int, Path]]:
+    """Band, LED, file of images: ``white_3.png`` names them; others are white ones in the order of their numbers."""
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the ball.")
     files = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
     files = [path for path in files if not path.name.startswith(".")]
@@ -394,10 +381,10 @@ def _photographs(folder: Path) -> list[_Photograph]:
     require(bool(files), f"{folder} holds no photographs ({FORMATS}).")
     named = {path: re.fullmatch(r"(white|nir)[_.-]?(\d+)", path.stem.lower()) for path in files}
     if all(match is not None for match in named.values()):
-        found = [_Photograph(match.group(1), int(match.group(2)), path) for path, match in named.items() if match]
-        return sorted(found, key=lambda one: (BANDS.index(one.band), one.led))
+        found = [(match.group(1), int(match.group(2)), path) for path, match in named.items() if match]
+        return sorted(found, key=lambda one: (BANDS.index(one[0]), one[1]))
     files.sort(key=lambda path: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)])
-    return [_Photograph("white", k, path) for k, path in enumerate(files)]
+    return [("white", k, path) for k, path in enumerate(files)]
 
 
 def _ball(mask: Path | None, stack: NDArray[np.float32], size: tuple[int, int], hashes: dict[str, str]) -> Ball:

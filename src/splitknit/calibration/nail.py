@@ -240,23 +240,9 @@ class JointFit:
 
 
 def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:
-    """Find every LED from all rows together.
+    """Find every LED from all rows together, in their order.
 
-    Parameters
-    ----------
-    tips : rows of the table, two positions of the nail at least
-    camera : orthographic or perspective
-    circle : on which the LEDs sit, as measured
-    settings : NailSettings
-
-    Returns
-    -------
-    JointFit, LEDs in the order of the rows
-
-    Raises
-    ------
-    BadInput
-        If there is one nail position only, a row shows no shadow, or a nail stands outside the circle.
+    Raises BadInput if there is one nail position only, a row shows no shadow, or a nail stands outside the circle.
     """
     model = _NailModel(tips, camera, circle, settings or NailSettings())
     require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
@@ -368,14 +354,11 @@ def _covariance(model: _NailModel, x: Points, weights: Points) -> Points:
 
 
 def _radius_95(covariance: NDArray[np.float64]) -> float:
-    """Radius about the estimate within which the truth lies with 95 % probability.
+    """Radius about the estimate within which the truth lies with 95 % probability, of a normal error's covariance (D,
+    D).
 
-    `covariance`: (D, D) of a normal error, singular ones too. The squared length of the error is a sum of squared
-    normal numbers of unequal variance. Its quantile is that of a scaled chi-squared number of the same mean and
-    variance (Satterthwaite 1946, Patnaik 1949), right within 4 % of the radius.
-
-    >>> round(_radius_95(np.eye(2)), 3)
-    2.448
+    The squared length of the error is a sum of squared normal numbers of unequal variance. Its quantile is that of a
+    scaled chi-squared number of the same mean and variance (Satterthwaite 1946, Patnaik 1949), right within 4 %.
     """
     values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
     total = float(values.sum())

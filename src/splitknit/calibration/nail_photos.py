@@ -42,11 +42,8 @@ def tips_of_photos(
 ) -> tuple[list[Tip], dict[str, str], list[str]]:
     """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them.
 
-    Returns
-    -------
-    tips : in the order of the LEDs and the nail's places
-    hashes : SHA-256 of the photographs by name
-    lost : names of the photographs in which the shadow leaves the picture
+    Returns the tips in the order of the LEDs and the nail's places, SHA-256 of the photographs by name, and the names
+    of those in which the shadow leaves the picture.
     """
     check_picture(show, folder)
     check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
@@ -191,11 +188,7 @@ Points = NDArray[np.float64]
 def _nail_overview(
     tiles: Sequence[tuple[str, FloatArray, NailView, int]], image_size: tuple[int, int], width: int = 400
 ) -> ColourArray:
-    """All photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray towards the LED (line).
-
-    `tiles`: name, image (h, w) of any size, what was found in its stack, and the image's number in it; `image_size`:
-    rows, columns of the photographs; `width`: of each tile in pixels.
-    """
+    """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
     drawn = [
         _nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width)
         for name, image, view, led in tiles

@@ -62,24 +62,11 @@ class PlaneScale:
 
 
 def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) -> PlanePose:
-    """Pose of a plane with known marks.
+    """Pose of a plane with five known `marks_mm` (N, 2) or more that appear at `pixels` (N, 2; column, row).
 
-    Parameters
-    ----------
-    marks_mm : (N, 2) marks in the plane, five at least
-    pixels : (N, 2) column and row at which they appear
-    matrix : (3, 3) camera matrix in pixels
-    distortion : coefficients in OpenCV's order, or None
-
-    Raises
-    ------
-    BadInput
-        If there are too few marks, they lie on one line, or no pose explains them.
-
-    References
-    ----------
-    T. Collins, A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109, 2014 (``SOLVEPNP_IPPE``), then
-    refined by Levenberg and Marquardt's least squares on the reprojection.
+    Infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, IJCV 109, 2014; ``SOLVEPNP_IPPE``), then refined
+    by Levenberg and Marquardt's least squares on the reprojection. Raises BadInput if there are too few marks, they lie
+    on one line, or no pose explains them.
     """
     marks, places = _marks(marks_mm, pixels, least=5)
     camera = np.asarray(matrix, dtype=np.float64)
@@ -107,14 +94,7 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
 
 
 def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
-    """Mean of several photographs' poses of one plane, each by the inverse of its variance.
-
-    Raises
-    ------
-    BadInput
-        If there is none.
-    """
-    require(len(poses) > 0, "there is no pose to take the mean of.")
+    """Mean of several photographs' poses of one plane, each by the inverse of its variance."""
     by_height, by_tilt = (
         np.array([1 / max(pose.deviations[name], 1e-9) ** 2 for pose in poses]) for name in ("height_mm", "tilt_deg")
     )
@@ -130,17 +110,10 @@ def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
 
 
 def plane_scale(marks_mm: Any, pixels: Any) -> PlaneScale:
-    """Scale of a plane with known marks under an orthographic camera: the best similarity.
+    """Scale of a plane with four known `marks_mm` (N, 2) or more under an orthographic camera: the best similarity.
 
-    Parameters
-    ----------
-    marks_mm : (N, 2) marks in the plane, four at least
-    pixels : (N, 2) column and row at which they appear
-
-    Raises
-    ------
-    BadInput
-        If there are too few marks, or they lie on one line.
+    `pixels` (N, 2): column and row at which they appear. Raises BadInput if there are too few marks, or they lie on one
+    line.
     """
     marks, places = _marks(marks_mm, pixels, least=4)
     a = marks - marks.mean(axis=0)
@@ -164,11 +137,6 @@ def plane_scale(marks_mm: Any, pixels: Any) -> PlaneScale:
 def _marks(marks_mm: Any, pixels: Any, least: int) -> tuple[Points, Points]:
     marks = np.asarray(marks_mm, dtype=np.float64)
     places = np.asarray(pixels, dtype=np.float64)
-    require(
-        marks.ndim == 2 and marks.shape[1] == 2 and marks.shape == places.shape,
-        f"marks and pixels must both be (N, 2), but they are {marks.shape} and {places.shape}.",
-    )
-    require(bool(np.isfinite(marks).all() and np.isfinite(places).all()), "marks and pixels must be finite.")
     require(len(marks) >= least, f"at least {least} marks of the plane are needed, but {len(marks)} are given.")
     spread = np.linalg.svd(marks - marks.mean(axis=0), compute_uv=False)
     require(bool(spread[1] > 0.02 * spread[0]), "the marks of the plane lie on one line; show more of them.")
@@ -242,15 +210,12 @@ def depth_of_field(
     focus_mm: float,
     *,
     finger_depth_mm: float = 8.0,
-    confusion_px: float = 1.0,
 ) -> DepthOfField:
     """Limits of sharpness of a thin lens.
 
     A camera matrix holds the distance v from lens to sensor. With the distance u of the plane in focus the focal length
-    is F = u v / (u + v), and the lens's opening A = F / N. A point at the distance s becomes a disc of the diameter
-    b = A v |1/u - 1/s|. With b = c, the circle of confusion, 1/near = 1/u + c / (A v) and 1/far = 1/u - c / (A v). This
-    is the same as near = u (H - F) / (H + u - 2 F) and far = u (H - F) / (H - u) with the hyperfocal distance
-    H = F^2 / (N c) + F.
+    is F = u v / (u + v), and the lens's opening A = F / N. A point at the distance s becomes a disc of the diameter b =
+    A v |1/u - 1/s|. With b = c, one pixel of the image, 1/near = 1/u + c / (A v) and 1/far = 1/u - c / (A v).
 
     Parameters
     ----------
@@ -259,16 +224,6 @@ def depth_of_field(
     f_number : N
     focus_mm : u, distance of the plane in focus from the camera's centre: its height over the finger plane
     finger_depth_mm : depth of the finger that the camera sees
-    confusion_px : c in pixels of the image; one pixel by default
-
-    Returns
-    -------
-    DepthOfField
-
-    Raises
-    ------
-    BadInput
-        If a value cannot be.
 
     References
     ----------
@@ -281,31 +236,21 @@ def depth_of_field(
     >>> round(field.focal_length_mm, 2), round(field.depth_mm, 2), field.fits
     (10.94, 0.68, False)
     """
-    for name, value in (
-        ("focal_px", focal_px),
-        ("pixel_um", pixel_um),
-        ("f_number", f_number),
-        ("focus_mm", focus_mm),
-        ("finger_depth_mm", finger_depth_mm),
-        ("confusion_px", confusion_px),
-    ):
-        require(bool(np.isfinite(value)) and value > 0, f"{name} must be a positive number, but it is {value}.")
     pixel_mm = pixel_um / 1000
     behind = focal_px * pixel_mm
     focal = focus_mm * behind / (focus_mm + behind)
-    confusion = confusion_px * pixel_mm
-    reach = confusion * f_number / (focal * behind)  # c / (A v)
+    reach = pixel_mm * f_number / (focal * behind)  # c / (A v)
     near, beyond = 1 / (1 / focus_mm + reach), 1 / focus_mm - reach
     side = finger_depth_mm / 2
     side_reach = side / (focus_mm * max(focus_mm - side, 1e-9))
     # near to far of the finger about its middle: reach that its two ends need, the nearer one more
-    needed = side_reach * focal * behind / confusion
+    needed = side_reach * focal * behind / pixel_mm
     airy_mm = 2.44 * 550e-6 * needed * (1 + behind / focus_mm)
     return DepthOfField(
         focal_length_mm=focal,
         f_number=f_number,
         focus_mm=focus_mm,
-        confusion_um=1000 * confusion,
+        confusion_um=1000 * pixel_mm,
         near_mm=near,
         far_mm=1 / beyond if beyond > 0 else float("inf"),
         finger_depth_mm=finger_depth_mm,

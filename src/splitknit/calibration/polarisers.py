@@ -54,17 +54,9 @@ def films_to_file(
 ) -> dict[str, Any]:
     """Measure the films and write them into a rig file; return the facts.
 
-    Parameters
-    ----------
-    folder : holds the capture folders ``card`` and ``ball``, and ``ball_DEG`` for further angles of the analyser
-    out : rig file to write
-    rig_file : rig whose films these are; the card's own by default
-    residuals : picture to write: what is left of the card under every light
-
-    Raises
-    ------
-    BadInput
-        Naming the folder at fault; nothing is written then.
+    `folder` holds the capture folders ``card`` and ``ball``, and ``ball_DEG`` for further angles of the analyser;
+    `rig_file`: the card's own by default; `residuals`: picture of what is left of the card under every light. Raises
+    BadInput naming the folder at fault; nothing is written then.
     """
     check_rig_file(out)
     check_picture(residuals, folder)
@@ -99,7 +91,7 @@ def films_to_file(
     facts = {**facts, **more, "warnings": facts["warnings"] + more["warnings"]}
     facts |= provenance({"angles_deg": angles.tolist()}, hashes)
     if residuals is not None:
-        tiles = [residual_tile(100 * one, np.isnan(one), one.shape, 240) for one in rest]
+        tiles = [residual_tile(100 * one, np.isnan(one), one.shape) for one in rest]
         write_image(residuals, np.concatenate(tiles, axis=1))
     write_rig(replace(card.rig, films=films, provenance={**card.rig.provenance, "polarisers": plain_json(facts)}), out)
     progress("done", 1.0)
@@ -138,18 +130,10 @@ def _clipped(band: Band, k: int) -> BoolArray:
 
 
 def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
-    """Image shift and brightness behind films, of a printed matt card.
+    """Image shift and brightness behind films, of a printed matt card: the films, their leak not yet known; errors and
+    residuals; and L arrays (h, w) of what the brightness leaves of crossed over parallel, NaN where the card is dark.
 
-    Returns
-    -------
-    films : Films, their leak not yet known
-    facts : errors and residuals
-    residual : L arrays (h, w) of cells: what the brightness leaves of crossed over parallel; NaN where the card is dark
-
-    Raises
-    ------
-    BadInput
-        If the card has no print, is clipped, or moved.
+    Raises BadInput if the card has no print, is clipped, or moved.
     """
     near, far = card.bands["white"], card.bands["white_crossed"]
     some = (0, len(near.leds) // 2)
@@ -272,23 +256,11 @@ class Spot:
 
 
 def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tuple[list[Spot], Array]:
-    """Highlights on a glossy black ball, parallel and crossed.
+    """Highlights on a glossy black ball: where the L lights are mirrored in the parallel images, and (L, 2, 2) the
+    light of parallel and crossed highlights and its deviation.
 
-    Parameters
-    ----------
-    ball : its capture
-    films : their shift and brightness
-    electrons : at full scale of a pixel, for the errors; unknown by default
-
-    Returns
-    -------
-    spots : where the L lights are mirrored in the parallel images
-    light : (L, 2, 2) of parallel and crossed highlights, and its deviation
-
-    Raises
-    ------
-    BadInput
-        If an image (numbered) shows no highlight, or a clipped one, or the series are swapped.
+    `electrons`: at full scale of a pixel, for the errors. Raises BadInput if an image (numbered) shows no highlight, or
+    a clipped one, or the series are swapped.
     """
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)

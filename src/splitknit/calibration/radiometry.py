@@ -64,24 +64,12 @@ def fit_radiometry(
     black_level: float | None = None,
     settings: RadiometrySettings | None = None,
 ) -> RadiometricCalibration:
-    """Calibrate a rig's light from a white card under each of its LEDs.
+    """Calibrate the light of a rig, whose camera and LEDs' places are calibrated, from a white card under each of its
+    LEDs.
 
-    Parameters
-    ----------
-    capture : of the card; an ambient image a band takes ambient light and black level off
-    rig : camera and LEDs' places, calibrated
-    card : where the card lies; on the finger plane by default
-    black_level : stored value of no light, for images where the capture does not state it
-    settings : RadiometrySettings, optional
-
-    Returns
-    -------
-    RadiometricCalibration
-
-    Raises
-    ------
-    BadInput
-        If the images do not show an even, matt card under each LED alone; naming what and where.
+    An ambient image a band takes ambient light and black level off; `card` lies on the finger plane by default;
+    `black_level`: stored value of no light, for images where the capture does not state it. Raises BadInput, naming
+    what and where, if the images do not show an even, matt card under each LED alone.
     """
     chosen, plane = settings or RadiometrySettings(), card or CardPlane()
     images = card_images(capture, rig, black_level)
@@ -221,23 +209,9 @@ class _CardCheck:
 def check_card(
     capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
 ) -> _CardCheck:
-    """Compare a card with the calibration that a rig carries.
+    """Compare a card with the calibration that a rig carries; arguments as of :func:`fit_radiometry`.
 
-    Parameters
-    ----------
-    capture : of the white card, as for :func:`splitknit.calibration.radiometry.fit_radiometry`
-    rig : calibrated by it
-    black_level : stored value of no light, for images where the capture does not state it
-    settings : RadiometrySettings, optional
-
-    Returns
-    -------
-    _CardCheck
-
-    Raises
-    ------
-    BadInput
-        If the rig carries no such calibration, or the capture cannot be used.
+    Raises BadInput if the rig carries no such calibration, or the capture cannot be used.
     """
     chosen = settings or RadiometrySettings()
     levels, plane, given = _stored(rig)

@@ -44,6 +44,7 @@ from splitknit.model import Capture, FloatArray, PixelArray, Progress, Rig, no_p
 _MAX_TILT_DEG = 5.0
 _SCALE_PERCENT = 2.0
 """Ends of the colours in the picture of residuals."""
+_TILE_PX = 240
 
 
 def calibrate_to_file(
@@ -58,19 +59,9 @@ def calibrate_to_file(
 ) -> RadiometricCalibration:
     """Calibrate the rig with the card in `folder` and write it to `out`.
 
-    Parameters
-    ----------
-    folder : capture folder of the card, see :mod:`splitknit.calibration.radiometry_folder`
-    out : rig file to write
-    rig_file : rig to calibrate; the folder's own by default
-    card : height in mm and tilt in deg of the card; None for the tilt of the base in the rig file
-    limit_percent : largest rms of an LED's residuals
-    residuals : picture to write
-
-    Raises
-    ------
-    BadInput
-        Naming the folder or file at fault; nothing is written then.
+    `rig_file`: the folder's own by default; `card`: its height in mm and tilt in deg, None for the tilt of the base in
+    the rig file; `limit_percent`: largest rms of an LED's residuals; `residuals`: picture to write. Raises BadInput
+    naming the folder or file at fault; nothing is written then.
     """
     check_rig_file(out)
     check_picture(residuals, folder)
@@ -124,13 +115,7 @@ def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
 def check_folder(
     folder: Path, rig_file: Path, *, limit_percent: float | None = None, progress: Progress = no_progress
 ) -> dict[str, Any]:
-    """Compare the card in `folder` with the calibration in `rig_file`; return the facts.
-
-    Raises
-    ------
-    BadInput
-        If the rig carries no calibration, or the folder cannot be used.
-    """
+    """Compare the card in `folder` with the calibration in `rig_file`; return the facts."""
     progress("reading", 0.0)
     rig = read_rig(rig_file)
     plan = _read_radiometry_plan(folder)
@@ -147,7 +132,7 @@ def check_folder(
     return facts
 
 
-def _residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourArray:
+def _residual_picture(found: RadiometricCalibration) -> ColourArray:
     """Residuals of every LED side by side, a band a row: blue 2 % darker than the model, orange 2 % brighter.
 
     Cells that were left out as dust are black.
@@ -157,20 +142,18 @@ def _residual_picture(found: RadiometricCalibration, side: int = 240) -> ColourA
     rows = []
     widest = max(bands.count(band) for band in bands)
     for band in dict.fromkeys(bands):
-        tiles = [
-            residual_tile(100 * flat.residual[k], flat.dust, shape, side) for k, b in enumerate(bands) if b == band
-        ]
+        tiles = [residual_tile(100 * flat.residual[k], flat.dust, shape) for k, b in enumerate(bands) if b == band]
         tiles += [np.full_like(tiles[0], 255)] * (widest - len(tiles))
         rows.append(np.concatenate(tiles, axis=1))
     return np.concatenate(rows, axis=0)
 
 
-def residual_tile(residual: Any, dust: Any, shape: tuple[int, int], side: int) -> ColourArray:
+def residual_tile(residual: Any, dust: Any, shape: tuple[int, int]) -> ColourArray:
     """Residuals of one light in per cent, as a picture: blue too dark, orange too bright by 2 %, black where unused."""
     values: FloatArray = np.asarray(residual, dtype=np.float32).reshape(shape)
     small = colour(values, -_SCALE_PERCENT, _SCALE_PERCENT, diverging=True)
     small[np.asarray(dust).reshape(shape)] = 0
-    size = (side, round(side * shape[0] / shape[1]))
+    size = (_TILE_PX, round(_TILE_PX * shape[0] / shape[1]))
     tile = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
     return np.asarray(cv2.copyMakeBorder(tile, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=(255, 255, 255)), dtype=np.uint8)
 
@@ -193,12 +176,8 @@ class _CameraFacts:
     hashes: dict[str, str]
 
 
-def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: float = 1.0) -> _CameraFacts:
-    """Measure dark frames and exposures, and compare the response with what the capture states of its images.
-
-    Raises BadInput naming the file, if an image is missing or of another kind than the card's, light fell on a dark
-    frame, or the response is not the one that the capture names.
-    """
+def _measure_camera(plan: _RadiometryPlan, capture: Capture) -> _CameraFacts:
+    """Measure dark frames and exposures, and compare the response with what the capture states of its images."""
     hashes: dict[str, str] = {}
     dark = None
     if plan.dark:
@@ -207,31 +186,25 @@ def _measure_camera(plan: _RadiometryPlan, capture: Capture, limit_percent: floa
     response, samples = None, []
     if plan.exposures:
         rows = []
-        for one in plan.exposures:
-            frame = _image(one.file, capture, hashes)
+        for path, _ in plan.exposures:
+            frame = _image(path, capture, hashes)
             rows.append(_patches(frame))
             samples += _noise(frame, dark)
-        values, even = (np.stack([row[part] for row in rows]) for part in (0, 1))
-        response = fit_response(
-            _even_patches(values, even),
-            [one.exposure for one in plan.exposures],
-            limit_percent,
-            name=str(plan.document),
-        )
+        values, spread = (np.stack([row[part] for row in rows]) for part in (0, 1))
+        even = spread.max(axis=0) <= _MAX_TEXTURE
+        values = values[:, even] if int(even.sum()) >= 100 else values  # all, if few are even in all images
+        response = fit_response(values, [time for _, time in plan.exposures], name=str(plan.document))
         require(
             response.encoding == capture.encoding,
-            f"the exposures in {plan.document} are {_WORDS[response.encoding]}, but capture.json states "
-            f'"encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all captures '
-            f"of this camera.",
+            f"the exposures in {plan.document} are {response.encoding.replace('srgb', 'sRGB')}, but capture.json "
+            f'states "encoding": "{capture.encoding}"; write "encoding": "{response.encoding}" there and in all '
+            f"captures of this camera.",
         )
     if not samples:
         samples = [item for band in capture.bands.values() for frame in band.pixels for item in _noise(frame, dark)]
     if plan.document is not None:
         hashes[plan.document.name] = file_hash(plan.document)
     return _CameraFacts(dark, response, _noise_models(samples) if capture.encoding == "linear" else {}, hashes)
-
-
-_WORDS = {"linear": "linear", "srgb": "sRGB"}
 
 
 def _image(path: Path, capture: Capture, hashes: dict[str, str]) -> PixelArray:
@@ -258,12 +231,6 @@ def _patches(frame: PixelArray) -> tuple[NDArray[np.float64], NDArray[np.float64
     mean = squares.mean(axis=1).astype(np.float64)
     clipped = (squares.max(axis=1) >= 0.985) | ((squares == 0).mean(axis=1) > 0.02)
     return np.where(clipped, np.nan, mean), squares.std(axis=1).astype(np.float64)
-
-
-def _even_patches(values: NDArray[np.float64], spread: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Patches (J, n) that are even in all images, or all if these are few."""
-    even = spread.max(axis=0) <= _MAX_TEXTURE
-    return values[:, even] if int(even.sum()) >= 100 else values
 
 
 def _noise(frame: PixelArray, dark: Dark | None) -> list[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
@@ -353,20 +320,12 @@ _KNOWN = {"format", "version", "dark", "exposures"}
 
 
 @dataclass(frozen=True, slots=True)
-class _Exposure:
-    """One image of the series."""
-
-    file: Path
-    exposure: float
-    """Time times gain."""
-
-
-@dataclass(frozen=True, slots=True)
 class _RadiometryPlan:
     """What ``radiometry.json`` names."""
 
     dark: tuple[Path, ...] = ()
-    exposures: tuple[_Exposure, ...] = ()
+    exposures: tuple[tuple[Path, float], ...] = ()
+    """Images of the series, and time times gain of each."""
     document: Path | None = None
 
 
@@ -391,12 +350,12 @@ def _read_radiometry_plan(folder: Path) -> _RadiometryPlan:
         for k, item in enumerate(fields.items("exposures")):
             entry = Fields(item, str(file), f"exposures[{k}]")
             time = entry.number("exposure_s", 1e-9, 1e6) * entry.number("gain", 1e-6, 1e6, 1.0)
-            exposures.append(_Exposure(inside(folder, entry.get("file"), str(file), entry.path("file")), time))
+            exposures.append((inside(folder, entry.get("file"), str(file), entry.path("file")), time))
         require(
             len(exposures) >= MIN_EXPOSURES,
             f"{file}: exposures names {len(exposures)} images, but at least {MIN_EXPOSURES} different ones are needed.",
         )
-    files = [*dark, *(one.file for one in exposures)]
+    files = [*dark, *(image for image, _ in exposures)]
     for k, path in enumerate(files):
         require(files.index(path) == k, f"{file} names {path.name} twice; every image serves once.")
     return _RadiometryPlan(tuple(dark), tuple(exposures), file)

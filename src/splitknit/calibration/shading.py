@@ -2,21 +2,21 @@
 
 Every point of a ball has a known slope, so images of balls are pairs of intensities and slopes. Two things are fitted
 to them: physics (where each light is, and how much light comes from everywhere), for people to judge a sensor by, and
-a polynomial from intensities and place to slopes, which carries what physics leaves out. How rich the polynomial is,
-balls that are left out in turns decide. The balls' centres are found with it, all at once, since a centre that is off
-is a constant slope. The plane between the balls holds the slope of zero.
+a polynomial from intensities to slopes, whose coefficients vary smoothly over the field, which carries what physics
+leaves out. How rich it is, and how much it may vary, balls that are left out decide. The balls' centres are found with
+it, all at once, since a centre that is off is a constant slope. The plane between the balls holds the slope of zero.
 
 References
 ----------
 M. K. Johnson, F. Cole, A. Raj and E. H. Adelson, "Microgeometry capture using an elastomeric sensor", SIGGRAPH 2011.
+C. E. Rasmussen and C. K. I. Williams, "Gaussian processes for machine learning", MIT Press 2006, section 2.1: Bayesian
+linear regression, whose prior is what holds the variation over the field.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import cv2
@@ -29,6 +29,7 @@ from splitknit.imaging.band import bin_mean, over_flat
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.shading import (
     BETWEEN,
+    FLAT_TERMS,
     Array,
     Shading,
     facing_level,
@@ -40,29 +41,35 @@ from splitknit.photometric.shading import (
 
 _BLOCK_PX = 24.0
 """Radius of a ball in the blocks of pixels that are fitted: noise of pixels would bend the polynomial."""
-_FITTED = 0.72
-"""Part of a ball's radius inside which it is fitted: slopes up to 1.04. Further out a gel leaves the ball."""
-_FITTED_BETWEEN = 0.62
-"""The same where the gel between the balls stands for a photograph of the flat gel, whose light is then known less
-well: slopes up to 0.79."""
 CAP = 0.6
 """Part of a ball's radius inside which heights are judged: slopes up to 0.75."""
+_FITTED = 0.72
+"""Part of a ball's radius inside which it is fitted: slopes up to 1.04. Further out a gel leaves the ball. Where the
+gel between the balls stands for a photograph of the flat gel, `CAP` is: the light is then known less well."""
 _APART = 1.6
 """Radii around a ball beyond which the gel lies flat."""
 _PLANE_SAMPLES = 8000
-_FOLDS = 8
+_PLANE = 0.3
+"""Weight of the plane between the balls, all of whose weight is 1."""
+_FOLDS, _SECTORS = 20, 8
+"""Parts that are left out in turns: balls, or of fewer than `_FEW` balls their sectors."""
+_FEW = 4
 _SPREAD, _COVERED = 5, 0.6
-"""Terms may vary over the field where more balls than this span this part of its width and height."""
-_SIMPLER = 1.05
+"""Coefficients may vary over the field where there are more balls; it is covered if they span this part of it."""
+_SIMPLER = 1.03
 """A simpler polynomial is taken where it errs at most so many times as much as the best one."""
 _BINS = 9
-_FEW = 4
-"""Balls from which one is left out at a time; of fewer, sectors of them are."""
 _CAP_DEGREE = 6
 """Of the polynomial whose gradient stands for the smooth part of a cap's slope errors."""
-_LADDER = tuple(itertools.product((False, True), (1, 2, 3), ("none", "linear", "full")))
-"""Polynomials that are tried: relative intensities or not, degree, which of its terms also vary over the field."""
-_LARGEST = 200
+_LADDER = tuple((degree, place) for degree in (1, 2, 3) for place in (1, 3, 6, 10))
+"""Polynomials that are tried: degree, and monomials of the place that its coefficients vary with."""
+_PRIOR = 0.5
+"""Strength of the prior that they do not: the variance of a ball's misfit over that of the slopes' variation."""
+_LINEAR = 0.02
+"""The same of linear variation, which near lights show, over that of higher degrees."""
+_CENTRE = 0.06
+"""Standard deviation of a centre as given, in radii, where no photograph of the flat gel holds the slopes."""
+_LARGEST = 300
 """Terms of a polynomial at most."""
 
 
@@ -83,8 +90,6 @@ class ShadingFit:
     """Of each used ball (n, 3): column, row, error of the height in um."""
     error_by_slope: Array
     """(B, 3) slope, mean error, rms error of a slope's part, of balls left out."""
-    tried: tuple[dict[str, Any], ...]
-    """Polynomials with their errors on balls left out."""
     notes: tuple[str, ...]
 
 
@@ -121,92 +126,112 @@ def calibrate_shading(
     >>> fit = calibrate_shading([balls], flat, radius_mm=0.2475, spacing_mm=1.0)  # doctest: +SKIP
     >>> write_shading("shading.npz", fit.shading)  # doctest: +SKIP
     """
-    require(len(balls) > 0, "give photographs of balls, or of one ball.")
     require(0 < radius_mm < 1e4, f"`radius_mm` must be a positive number, not {radius_mm}.")
     require(spacing_mm is None or 0 < spacing_mm < 1e4, f"`spacing_mm` must be a positive number, not {spacing_mm}.")
-    stacks = [check_stack(one, least=3, name="the photographs of balls") for one in balls]
-    between = flat is None and spacing_mm is not None
-    if between:
-        require(
-            centres is not None, "without photographs of the flat gel the balls are not found; give their `centres`."
-        )
-        light = fall_off_between(stacks, [_given(one, stacks[0].shape[1:]) for one in centres or ()])
-        flat = flat_of_fall_off(light, stacks[0].shape[1:])
-    if flat is not None:
-        stacks = [over_flat(one, flat) for one in stacks]
-        stacks = [one / np.float32(facing_level(one)) for one in stacks]
-    size = stacks[0].shape[1:]
-    require(all(one.shape == stacks[0].shape for one in stacks), "all photographs of balls must be of one size.")
-    found = [
-        find_balls(one, flat is None) if centres is None else _given(centres[k], size) for k, one in enumerate(stacks)
-    ]
-    outlines = np.concatenate([np.column_stack([np.full(len(some), k), some]) for k, some in enumerate(found)])
-    require(len(outlines) > 0, "no balls were found in the photographs; give their `centres`.")
-    notes = []
+    stacks, fall_off, kind = _over_flat(balls, flat, spacing_mm, centres)
+    outlines = _outlines(stacks, kind, centres)
     if spacing_mm is not None:
-        pitch_mm = spacing_mm / lattice_spacing(found[0][:, :2])
+        pitch_mm = spacing_mm / lattice_spacing(outlines[outlines[:, 0] == 0, 1:3])
     else:
         pitch_mm = radius_mm / float(np.median(outlines[:, 3]))
-        if flat is not None:
-            notes.append(
-                "the scale is that of the balls' outlines, as if they were pressed in to their equator; give the "
-                "distance of the balls (--pitch), or their centres with radii, where they are not."
-            )
-    data = _Data(stacks, radius_mm / pitch_mm, flat is not None, between)
-    if flat is not None and not data.covered(outlines):
-        notes.append(
-            "the balls do not lie all over the field: lights are taken to shade slopes alike everywhere, and errors "
-            "far from the balls are larger than stated; press balls all over it, if need be one after the other."
-        )
-    centre, used, first = _joint(data, outlines)
+    data = _Data(stacks, radius_mm / pitch_mm, kind, outlines)
+    centre, used, first = _joint(data, outlines[:, :3])
     if spacing_mm is not None:  # centres are better than outlines, on which lights from the side pull
         pitch_mm = spacing_mm / lattice_spacing(centre[(centre[:, 0] == 0) & used, 1:])
         data.radius_px = radius_mm / pitch_mm
-        centre, used, first = _joint(data, np.column_stack([centre, outlines[:, 3]]))
+        centre, used, first = _joint(data, outlines[:, :3])
     units = _units(data, centre, used, first)
-    plane = data.flat_samples(outlines) if data.plane else None
-    model, without, tried = _chosen(data, centre, used, units, plane)
-    um = 1000.0 * radius_mm
-    tried = tuple(one | ({"cap_um": um * one["cap_um"]} if "cap_um" in one else {}) for one in tried)
-    errors, by_slope, spent = _errors_left_out(data, centre, units, without)
-    caps = [(u.ball, *_cap_error(data, centre[u.ball], m)) for u, m in zip(units, without, strict=True)]
-    caps = list({ball: (ball, error, gain) for ball, error, gain in caps}.values())
-    rms, gains = np.full(len(centre), np.nan), np.full(len(centre), np.nan)
-    for ball, error, gain in caps:
-        rms[ball], gains[ball] = um * float(np.sqrt((error[:, 2] ** 2).mean())), gain
-    lights = len(data.stacks[0])
-    physics, left = _physics(data, centre, units, plane, pitch_mm)
+    model, without, tried = _chosen(data, centre, units, radius_mm)
+    by_slope, spent = _errors_left_out(data, centre, units, without)
+    model, covariance, own = _covariance(data, centre, model, units)
+    rms, gains, maps = np.full(len(centre), np.nan), np.full(len(centre), np.nan), {}
+    for unit, one in zip(units, without, strict=True):
+        error, gains[unit.ball] = _cap_error(data, centre[unit.ball], one)
+        maps[unit.ball] = error * [1.0, 1.0, 1000.0 * radius_mm]
+        rms[unit.ball] = float(np.sqrt((maps[unit.ball][:, 2] ** 2).mean()))
+    cap_rms_um = float(np.sqrt(np.nanmean(rms**2)))
+    physics, left = _physics(data, units, pitch_mm)
+    facts = {
+        "balls": len(centre),
+        "balls_used": int(used.sum()),
+        "left_out": "balls" if data.whole(used) else "sectors of balls",
+        "cap_rms_um": cap_rms_um,
+        "cap_rms_um_median": float(np.nanmedian(rms)),
+        "cap_gain": [float(value) for value in np.nanpercentile(gains, (5, 50, 95))],
+        "physics_residual": [float(value) for value in left],
+        "max_slope": float(by_slope[-1, 0]),
+        "radius_mm": radius_mm,
+        "flat": kind,
+        "tried": list(tried),
+    }
     shading = Shading(
         pitch_mm=pitch_mm,
         image_size=data.size,
         direction=physics[:, :3],
         nearness=physics[:, 3],
         ambient=physics[:, 4],
-        fall_off=light if between else np.zeros((lights, 6)) if flat is None else fall_off_terms(flat),
+        fall_off=fall_off,
         relative=model.relative,
         degree=model.degree,
         weights=model.weights,
-        covariance=_covariance(data, model, units, plane),
+        covariance=covariance,
         deviation=by_slope[:, 2],
         max_slope=float(by_slope[-1, 0]),
-        height_mm_per_slope=float(np.sqrt(np.nanmean(rms**2)) / 1000.0 / spent),
+        height_mm_per_slope=cap_rms_um / 1000.0 / float(np.hypot(spent, own)),
+        facts=facts,
     )
-    facts = {
-        "balls": len(centre),
-        "balls_used": int(used.sum()),
-        "left_out": "balls" if len(units) == int(used.sum()) else "sectors of balls",
-        "cap_rms_um": float(np.sqrt(np.nanmean(rms**2))),
-        "cap_rms_um_median": float(np.nanmedian(rms)),
-        "cap_gain": [float(value) for value in np.nanpercentile(gains, (5, 50, 95))],
-        "physics_residual": [float(value) for value in left],
-        "max_slope": shading.max_slope,
-        "radius_mm": radius_mm,
-        "flat": BETWEEN if between else "photographs" if data.plane else "none",
-        "tried": list(tried),
-    }
     outline = np.column_stack([centre, outlines[:, 3]])
-    maps = tuple(np.column_stack([error[:, :2], um * error[:, 2]]) for _, error, _ in caps)
-    return ShadingFit(replace(shading, facts=facts), outline, used, rms, gains, maps, errors, tried, tuple(notes))
+    notes = _notes(data, outlines, spacing_mm)
+    return ShadingFit(shading, outline, used, rms, gains, tuple(maps.values()), by_slope, notes)
+
+
+def _over_flat(
+    balls: Sequence[FloatArray], flat: FloatArray | None, spacing_mm: float | None, centres: Sequence[Array] | None
+) -> tuple[list[FloatArray], Array, str]:
+    """Images over those of the flat surface, its fall-off, and where that was measured."""
+    require(len(balls) > 0, "give photographs of balls, or of one ball.")
+    stacks = [check_stack(one, least=3, name="the photographs of balls") for one in balls]
+    size = stacks[0].shape[1:]
+    require(all(one.shape == stacks[0].shape for one in stacks), "all photographs of balls must be of one size.")
+    if flat is None and spacing_mm is None:
+        return stacks, np.zeros((len(stacks[0]), FLAT_TERMS)), "none"
+    if flat is None:
+        require(
+            centres is not None, "without photographs of the flat gel the balls are not found; give their `centres`."
+        )
+        fall_off = fall_off_between(stacks, [_given(one, size) for one in centres or ()])
+        flat = flat_of_fall_off(fall_off, size)
+        kind = BETWEEN
+    else:
+        fall_off, kind = fall_off_terms(flat), "photographs"
+    stacks = [over_flat(one, flat) for one in stacks]
+    return [one / np.float32(facing_level(one)) for one in stacks], fall_off, kind
+
+
+def _outlines(stacks: Sequence[FloatArray], kind: str, centres: Sequence[Array] | None) -> Array:
+    """(N, 4) balls: press, column, row, radius in pixels; as given, else found."""
+    found = [
+        find_balls(one, kind == "none") if centres is None else _given(centres[k], one.shape[1:])
+        for k, one in enumerate(stacks)
+    ]
+    outlines = np.concatenate([np.column_stack([np.full(len(some), k), some]) for k, some in enumerate(found)])
+    require(len(outlines) > 0, "no balls were found in the photographs; give their `centres`.")
+    return outlines
+
+
+def _notes(data: _Data, outlines: Array, spacing_mm: float | None) -> tuple[str, ...]:
+    notes = []
+    if data.plane and spacing_mm is None:
+        notes.append(
+            "the scale is that of the balls' outlines, as if they were pressed in to their equator; give the "
+            "distance of the balls (--pitch), or their centres with radii, where they are not."
+        )
+    if data.plane and not (len(outlines) > _SPREAD and data.covered(outlines)):
+        notes.append(
+            "the balls do not lie all over the field: how lights shade slopes far from the balls is extrapolated, and "
+            "errors there are larger; press balls all over it, if need be one after the other."
+        )
+    return tuple(notes)
 
 
 def find_balls(images: FloatArray, free: bool = False) -> Array:
@@ -296,22 +321,26 @@ def _alike(steps: Array, step: Array, nearest: float) -> Array:
 class _Data:
     """Photographs of balls in blocks of pixels, and samples of them."""
 
-    def __init__(self, stacks: Sequence[FloatArray], radius_px: float, plane: bool, between: bool) -> None:
-        self.stacks, self.radius_px, self.plane, self.between = stacks, radius_px, plane, between
-        self.fitted = _FITTED_BETWEEN if between else _FITTED
+    def __init__(self, stacks: Sequence[FloatArray], radius_px: float, kind: str, outlines: Array) -> None:
+        self.stacks, self.radius_px = stacks, radius_px
+        self.plane, self.between = kind != "none", kind == BETWEEN
+        self.fitted = CAP if self.between else _FITTED
         self.size = (stacks[0].shape[1], stacks[0].shape[2])
         self.block = max(1, round(radius_px / _BLOCK_PX))
         self.blocks = [bin_mean(one, self.block) for one in stacks]
-        self.x, self.y = place_terms(self.size)
-
-    def covered(self, balls: Array) -> bool:
-        """Whether balls (N, 3) lie all over the field; else what varies over it would be extrapolated."""
-        span = np.ptp(balls[:, 1:3], axis=0) / np.array(self.size[::-1])
-        return len(balls) > _SPREAD and bool((span > _COVERED).all())
+        self.flat = self.flat_samples(outlines) if self.plane else None
 
     def varies(self, balls: Array) -> bool:
         """Whether what varies over the field is fitted; without a flat frame it is, as light then varies most."""
-        return self.covered(balls) or (self.between and len(balls) > _SPREAD)
+        return self.plane and len(balls) > _SPREAD and (self.between or self.covered(balls))
+
+    def covered(self, balls: Array) -> bool:
+        """Whether balls (N, 3) lie all over the field; else what varies over it would be extrapolated."""
+        return bool((np.ptp(balls[:, 1:3], axis=0) > _COVERED * np.array(self.size[::-1])).all())
+
+    def whole(self, used: BoolArray) -> bool:
+        """Whether whole balls are left out, not sectors of them."""
+        return int(used.sum()) >= _FEW
 
     def within(self, ball: Array, reach: float, every: int = 1, fine: bool = False) -> tuple[FloatArray, Array, Array]:
         """Intensities (L, n) within so many radii of a centre (press, column, row), and columns and rows (n,)."""
@@ -362,26 +391,30 @@ class _Model:
 
     relative: bool
     degree: int
-    place: str
-    """``none``; ``linear``: its terms up to the first degree also vary over the field; ``full``: all do."""
+    place: int
+    """Number of monomials of the place with which its coefficients vary; 1: they do not."""
     weights: Array
-    """(T, 2) or (3 T, 2)."""
+    """(place T, 2), place slowest."""
 
     def rows(self, data: _Data, values: FloatArray, columns: Array, rows: Array) -> Array:
-        """(n, T or 3 T) terms."""
-        terms = shading_terms(values.astype(np.float64), self.relative, self.degree).T
-        if self.place == "none":
-            return np.asarray(terms)
-        x = np.interp(columns, np.arange(data.size[1]), data.x)[:, None]
-        y = np.interp(rows, np.arange(data.size[0]), data.y)[:, None]
-        varying = terms.copy()
-        if self.place == "linear":
-            varying[:, 1 + len(values) :] = 0.0
-        return np.concatenate([terms, varying * x, varying * y], axis=1)
+        """(n, place T) terms."""
+        terms = shading_terms(values.astype(np.float64), self.relative, self.degree)
+        place = place_terms(data.size, columns, rows, self.place)
+        return np.asarray((place[:, None] * terms).reshape(-1, len(columns)).T)
 
-    def solved(self, normal: Array, right: Array) -> _Model:
-        """The model with the weights that solve the normal equations, terms that are nowhere left at zero."""
-        return replace(self, weights=np.asarray(np.linalg.solve(_damped(normal), right), dtype=np.float64))
+    def prior(self, normal: Array, count: int) -> Array:
+        """Precision of the weights before a ball is seen, from the normal matrix of so many balls: what varies over the
+        field is expected to be small against what is measured there."""
+        size = len(normal) // self.place
+        strength = np.array([0.0, _LINEAR, _LINEAR, *[1.0] * 7])[: self.place] * _PRIOR / count
+        return np.asarray(np.kron(np.diag(strength), np.ones((size, size))) * normal)
+
+    def plane(self, data: _Data, count: int) -> Any:
+        """Normal matrix of the plane, whose slopes are zero, beside so many balls."""
+        if data.flat is None:
+            return 0.0
+        terms = self.rows(data, *data.flat)
+        return _PLANE * count / len(terms) * terms.T @ terms
 
 
 def _damped(normal: Any) -> Array:
@@ -402,56 +435,55 @@ def _sampled(data: _Data, ball: Array, model: _Model | None) -> tuple[FloatArray
     return values[:, keep], columns[keep], rows[keep], slopes[keep], off
 
 
-def _joint(data: _Data, outlines: Array) -> tuple[Array, BoolArray, _Model]:
+def _joint(data: _Data, given: Array) -> tuple[Array, BoolArray, _Model]:
     """Centres (N, 3: press, column, row), which balls are whole, and the polynomial that was fitted with the centres.
 
     Gauss-Newton on weights and centres together: of the centres' two unknowns each, the normal equations are reduced.
     """
-    balls, used = outlines[:, :3].copy(), np.ones(len(outlines), dtype=bool)
-    place = "full" if data.plane and data.varies(balls) else "none"  # else what varies with the place moves centres
-    start = _Model(not data.plane, 3 if data.between else 2, place, np.zeros((0, 2)))
-    count = term_count(len(data.stacks[0]), start.degree) * (1 if place == "none" else 3)
-    plane = np.zeros((count, count))
-    if data.plane:
-        terms = start.rows(data, *data.flat_samples(outlines))
-        plane = terms.T @ terms
-    model: _Model | None = None
+    balls, used, misfit = given.copy(), np.ones(len(given), dtype=bool), 0.0
+    free = data.plane or len(balls) > 3  # else the outline holds the centre
+    place = 10 if data.varies(balls) else 1
+    model = _Model(not data.plane, 3 if data.between else 2, place, np.zeros((0, 2)))
+    count = term_count(len(data.stacks[0]), model.degree) * place
+    plane = model.plane(data, len(balls)) + np.zeros((count, count))
     for turn in range(7):
-        normal, right = np.kron(np.eye(2), plane), np.zeros(2 * count)
+        whole, reduced, right = plane.copy(), np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
+        given_by = (misfit / (_CENTRE * data.radius_px)) ** 2 if data.between else 0.0
         steps, off = [], []
         for k, ball in enumerate(balls):
             values, columns, rows, slopes, error = _sampled(data, ball, model if turn > 1 else None)
             off.append(error)
-            terms = start.rows(data, values, columns, rows)
+            root = 1.0 / np.sqrt(max(len(columns), 1))  # every ball counts as much
+            terms = root * model.rows(data, values, columns, rows)
             change = np.stack(
                 [data.slopes(ball + step, columns, rows) - slopes for step in 0.25 * np.eye(3)[1:]], axis=-1
             )
-            change *= 4.0  # (n, 2, 2): of each part of the slope with the centre's column and row
-            inner = np.einsum("nci,ncj->ij", change, change) + 1e-9 * np.eye(2)
+            change *= 4.0 * root  # (n, 2, 2): of each part of the slope with the centre's column and row
+            inner = np.einsum("nci,ncj->ij", change, change) + (given_by + 1e-9) * np.eye(2)
             cross = -np.concatenate([terms.T @ change[:, 0], terms.T @ change[:, 1]])
-            rest = -np.einsum("nci,nc->i", change, slopes)
+            rest = given_by * (given[k, 1:] - ball[1:]) - np.einsum("nci,nc->i", change, root * slopes)
             steps.append((inner, cross, rest))
-            if not used[k]:
-                continue
-            normal += np.kron(np.eye(2), terms.T @ terms)
-            right += (terms.T @ slopes).T.ravel()
-            if data.plane or len(balls) > 3:  # else the outline holds the centre
-                solved = np.linalg.solve(inner, np.column_stack([cross.T, rest]))
-                normal -= cross @ solved[:, :-1]
-                right -= cross @ solved[:, -1]
-        vector = np.linalg.solve(_damped(normal), right)
-        model = replace(start, weights=np.asarray(vector.reshape(2, count).T, dtype=np.float64))
+            if used[k]:
+                whole += terms.T @ terms
+                right += (terms.T @ (root * slopes)).T.ravel()
+                if free:
+                    solved = np.linalg.solve(inner, np.column_stack([cross.T, rest]))
+                    reduced -= cross @ solved[:, :-1]
+                    right -= cross @ solved[:, -1]
+        whole += model.prior(whole, len(balls))
+        vector = np.linalg.solve(_damped(np.kron(np.eye(2), whole) + reduced), right)
+        model = replace(model, weights=np.asarray(vector.reshape(2, count).T, dtype=np.float64))
         if turn > 1:
-            used = np.array(off) < 2.5 * float(np.median(off))
-        if data.plane or len(balls) > 3:
+            misfit = float(np.median(off))
+            used = np.array(off) < 2.5 * misfit
+        if free:
             for k, (inner, cross, rest) in enumerate(steps):
                 limit = 0.05 * data.radius_px
                 balls[k, 1:] += np.clip(np.linalg.solve(inner, rest - cross.T @ vector), -limit, limit)
         if data.between:  # the lattice stays where it was given: terms that vary with the place could stretch it
-            affine = np.column_stack([np.ones(len(balls)), outlines[:, 1:3]])
-            moved = balls[:, 1:] - outlines[:, 1:3]
+            affine = np.column_stack([np.ones(len(balls)), given[:, 1:]])
+            moved = balls[:, 1:] - given[:, 1:]
             balls[:, 1:] -= affine @ np.linalg.lstsq(affine, moved, rcond=None)[0]
-    assert model is not None
     return balls, used, model
 
 
@@ -465,47 +497,40 @@ class _Unit:
     rows: Array
     slopes: Array
 
+    def equations(self, data: _Data, model: _Model) -> tuple[Array, Array]:
+        """Terms (n, T) and slopes (n, 2), whose squares are means."""
+        root = 1.0 / np.sqrt(max(len(self.columns), 1))
+        return root * model.rows(data, self.values, self.columns, self.rows), root * self.slopes
+
 
 def _units(data: _Data, balls: Array, used: BoolArray, model: _Model) -> list[_Unit]:
     units = []
     for k in np.flatnonzero(used):
         values, columns, rows, slopes, _ = _sampled(data, balls[k], model)
-        if int(used.sum()) >= _FEW:
-            units.append(_Unit(int(k), values, columns, rows, slopes))
-            continue
-        turn = np.arctan2(rows - balls[k, 2], columns - balls[k, 1])
-        sector = np.minimum((turn / (2 * np.pi) + 0.5) * _FOLDS, _FOLDS - 1).astype(int)
-        for one in range(_FOLDS):
-            part = sector == one
+        turn = np.arctan2(rows - balls[k, 2], columns - balls[k, 1]) / (2 * np.pi) + 0.5
+        parts = 1 if data.whole(used) else _SECTORS
+        sector = np.minimum(turn * parts, parts - 1).astype(int)
+        for part in (sector == one for one in range(parts)):
             units.append(_Unit(int(k), values[:, part], columns[part], rows[part], slopes[part]))
     return units
 
 
-def _flat_moments(data: _Data, model: _Model, plane: Any) -> Array:
-    """Normal matrix of the plane, whose slopes are zero."""
-    if plane is None:
-        return np.zeros(())
-    terms = model.rows(data, *plane)
-    return np.asarray(terms.T @ terms)
-
-
-def _left_out(model: _Model, units: Sequence[_Unit], data: _Data, plane: Any) -> tuple[_Model, list[_Model]]:
+def _left_out(model: _Model, units: Sequence[_Unit], data: _Data) -> tuple[_Model, list[_Model]]:
     """The model fitted to all units, and for each unit the one that was fitted without its fold."""
-    moments = []
-    for unit in units:
-        terms = model.rows(data, unit.values, unit.columns, unit.rows)
-        moments.append((terms.T @ terms, terms.T @ unit.slopes))
-    flat = _flat_moments(data, model, plane)
+    equations = [unit.equations(data, model) for unit in units]
+    moments = [(terms.T @ terms, terms.T @ slopes) for terms, slopes in equations]
+    whole = model.plane(data, len(units)) + np.sum([one[0] for one in moments], axis=0)
+    whole += model.prior(whole, len(units))
+    right = np.sum([one[1] for one in moments], axis=0)
     fold = np.random.default_rng(0).permutation(len(units)) % _FOLDS
-    whole, right = flat + np.sum([one[0] for one in moments], axis=0), np.sum([one[1] for one in moments], axis=0)
-    without = []
-    for part in range(_FOLDS):
-        left, target = whole.copy(), right.copy()
-        for k in np.flatnonzero(fold == part):
-            left -= moments[k][0]
-            target -= moments[k][1]
-        without.append(model.solved(left, target))
-    return model.solved(whole, right), [without[part] for part in fold]
+
+    def without(part: int) -> _Model:
+        out = [moments[k] for k in np.flatnonzero(fold == part)]
+        left, target = whole - sum(one[0] for one in out), right - sum(one[1] for one in out)
+        return replace(model, weights=np.linalg.solve(_damped(left), target))
+
+    found = {part: without(part) for part in (-1, *range(_FOLDS))}
+    return found[-1], [found[part] for part in fold]
 
 
 def _cap_error(data: _Data, ball: Array, model: _Model) -> tuple[Array, float]:
@@ -530,33 +555,29 @@ def _cap_error(data: _Data, ball: Array, model: _Model) -> tuple[Array, float]:
 
 
 def _chosen(
-    data: _Data, balls: Array, used: BoolArray, units: Sequence[_Unit], plane: Any
+    data: _Data, balls: Array, units: Sequence[_Unit], radius_mm: float
 ) -> tuple[_Model, list[_Model], tuple[dict[str, Any], ...]]:
     """The simplest polynomial that errs hardly more than the best on what was left out, and those without each unit."""
-    lights, whole = len(data.stacks[0]), len(units) == int(used.sum())
+    lights, whole = len(data.stacks[0]), len({unit.ball for unit in units}) == len(units)
+    varies = data.varies(balls[np.unique([unit.ball for unit in units])])
     found: list[tuple[float, int, _Model, list[_Model]]] = []
     tried: list[dict[str, Any]] = []
-    wide = data.varies(balls[used])
-    for relative, degree, place in _LADDER:
-        count = term_count(lights, degree)
-        terms = count + {"none": 0, "linear": 2 * (1 + lights), "full": 2 * count}[place]
-        if terms > _LARGEST or (place != "none" and not wide) or not (data.plane or relative):
+    for degree, place in _LADDER:
+        terms = place * term_count(lights, degree)
+        if terms > _LARGEST or (place > 1 and not varies):
             continue
-        model, without = _left_out(_Model(relative, degree, place, np.zeros((0, 2))), units, data, plane)
-        if whole:
-            errors = [
-                float(np.sqrt((_cap_error(data, balls[u.ball], m)[0][:, 2] ** 2).mean()))
-                for u, m in zip(units, without, strict=True)
-            ]
-        else:
-            errors = [
-                float(np.sqrt(((m.rows(data, u.values, u.columns, u.rows) @ m.weights - u.slopes) ** 2).mean()))
-                for u, m in zip(units, without, strict=True)
-            ]
+        model, without = _left_out(_Model(not data.plane, degree, place, np.zeros((0, 2))), units, data)
+        errors = []
+        for unit, one in zip(units, without, strict=True):
+            if whole:
+                error = 1000.0 * radius_mm * _cap_error(data, balls[unit.ball], one)[0][:, 2]
+            else:
+                error = one.rows(data, unit.values, unit.columns, unit.rows) @ one.weights - unit.slopes
+            errors.append(float(np.sqrt((error**2).mean())))
         score = float(np.mean(np.sort(errors)[: max(1, round(0.9 * len(errors)))]))
         found.append((score, terms, model, without))
         kind = "cap_um" if whole else "slope"
-        tried.append({"relative": relative, "degree": degree, "place": place, "terms": terms, kind: score})
+        tried.append({"degree": degree, "place": place, "terms": terms, kind: score})
     best = min(one[0] for one in found)
     chosen = min((one for one in found if one[0] <= _SIMPLER * best), key=lambda one: (one[1], one[0]))
     return chosen[2], chosen[3], tuple(tried)
@@ -564,9 +585,9 @@ def _chosen(
 
 def _errors_left_out(
     data: _Data, balls: Array, units: Sequence[_Unit], without: Sequence[_Model]
-) -> tuple[Array, Array, float]:
-    """Slope errors of single pixels by slope, where each unit was left out: (B, 3) for people; (B, 3) by the whole
-    slope; and their rms in the caps."""
+) -> tuple[Array, float]:
+    """Of slopes of single pixels of units that were left out: (B, 3) slope, mean error along it, rms error; and the rms
+    error in the caps."""
     parts = []
     for unit, model in zip(units, without, strict=True):
         ball = balls[unit.ball]
@@ -585,26 +606,43 @@ def _errors_left_out(
     rms = np.sqrt(np.bincount(index, error**2, _BINS) / count)
     table = np.column_stack([middle, np.bincount(index, radial, _BINS) / count, rms])
     inner = size < CAP / np.sqrt(1.0 - CAP**2)
-    return table, table, float(np.sqrt((error[inner] ** 2).mean()))
+    return table, float(np.sqrt((error[inner] ** 2).mean()))
 
 
-def _covariance(data: _Data, model: _Model, units: Sequence[_Unit], plane: Any) -> Array:
-    """Covariance of the weights, robust to errors that are alike all over a ball (White's sandwich, by units)."""
-    normal = _flat_moments(data, model, plane) + np.zeros((len(model.weights),) * 2)
-    spread = np.zeros_like(normal)
-    for unit in units:
-        terms = model.rows(data, unit.values, unit.columns, unit.rows)
-        score = terms.T @ (unit.slopes - terms @ model.weights)
-        normal, spread = normal + terms.T @ terms, spread + 0.5 * score @ score.T
-    some = np.diag(normal) > 0
-    result = np.zeros_like(normal)
-    inverse = np.linalg.inv(_damped(normal[np.ix_(some, some)]))
-    result[np.ix_(some, some)] = inverse @ spread[np.ix_(some, some)] @ inverse * len(units) / max(len(units) - 1, 1)
-    return np.asarray(result)
+def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]) -> tuple[_Model, Array, float]:
+    """Covariance of the weights, and the standard deviation that it gives slopes of the balls.
+
+    White's sandwich, by units: robust to errors that are alike all over a ball. Where balls cover a part of the field,
+    nothing varies with the place in the model, since that would be extrapolated: the linear variation that they show,
+    from their middle on, is then uncertainty, and the model gets terms for it whose weights are zero.
+    """
+    equations = [unit.equations(data, model) for unit in units]
+    normal = model.plane(data, len(units)) + np.sum([terms.T @ terms for terms, _ in equations], axis=0)
+    prior = model.prior(normal, len(units))
+    inverse = np.linalg.inv(_damped(normal + prior))
+    errors = [slopes - terms @ model.weights for terms, slopes in equations]
+    scores = [terms.T @ error for (terms, _), error in zip(equations, errors, strict=True)]
+    spread = 0.5 * np.sum([score @ score.T for score in scores], axis=0)
+    if not data.covered(balls):  # what varies is then extrapolated: it may be all that the prior allows
+        spread += 0.5 * float(np.mean([(error**2).sum() for error in errors])) * prior
+    covariance = inverse @ spread @ inverse
+    if model.place == 1 and data.plane and len(units) > _SPREAD and not data.varies(balls):
+        count = len(model.weights)
+        varying, _ = _left_out(replace(model, place=3), units, data)
+        column, row = balls[:, 1:].mean(axis=0)
+        middle = place_terms(data.size, [column], [row], 3)[:, 0]
+        covariance = np.pad(covariance, (0, 2 * count))
+        for k in (1, 2):
+            step = np.eye(3)[k] - middle[k] * np.eye(3)[0]
+            along = np.kron(step[:, None], varying.weights[k * count : (k + 1) * count])
+            covariance += 0.5 * along @ along.T
+        model = replace(model, place=3, weights=np.concatenate([model.weights, np.zeros((2 * count, 2))]))
+    of_balls = np.mean([((terms @ covariance) * terms).sum() for terms, _ in (u.equations(data, model) for u in units)])
+    return model, np.asarray(covariance), float(np.sqrt(of_balls))
 
 
 def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) -> Array:
-    """(L, 6) as :func:`fall_off_terms`, of the gel between pressed balls, where no photograph of the flat gel is.
+    """(L, 15) as :func:`fall_off_terms`, of the gel between pressed balls, where no photograph of the flat gel is.
 
     A least-absolute fit, within two radii of the field of balls: dust, dents and other balls stay out of it.
 
@@ -613,23 +651,22 @@ def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) ->
     stacks : images (L, H, W)
     outlines : of each (N, 3) balls: column, row, radius in pixels
     """
-    x, y = place_terms(stacks[0].shape[1:])
+    size = stacks[0].shape[1:]
     terms, light = [], []
     for images, balls in zip(stacks, outlines, strict=True):
         radius = float(np.median(balls[:, 2]))
         (left, top), (right, bottom) = balls[:, :2].min(axis=0) - 2 * radius, balls[:, :2].max(axis=0) + 2 * radius
         step = max(1, round(radius / 12))
         rows, columns = np.mgrid[
-            max(int(top), 0) : min(int(bottom), images.shape[1]) : step,
-            max(int(left), 0) : min(int(right), images.shape[2]) : step,
+            max(int(top), 0) : min(int(bottom), size[0]) : step,
+            max(int(left), 0) : min(int(right), size[1]) : step,
         ].reshape(2, -1)
         off = np.hypot(columns[:, None] - balls[:, 0], rows[:, None] - balls[:, 1]).min(axis=1)
         rows, columns = rows[off > _APART * radius], columns[off > _APART * radius]
         require(len(rows) > 50, "the balls leave no gel between them; photograph it without them (`flat`).")
-        u, v = x[columns], y[rows]
-        terms.append(np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v]))
+        terms.append(place_terms(size, columns, rows, FLAT_TERMS))
         light.append(np.log(np.maximum(np.stack([cv2.blur(one, (step, step))[rows, columns] for one in images]), 1e-6)))
-    basis, values = np.concatenate(terms).astype(np.float64), np.concatenate(light, axis=1)
+    basis, values = np.concatenate(terms, axis=1).T.astype(np.float64), np.concatenate(light, axis=1)
     found = []
     for one in values:
         trust = np.ones(len(one))
@@ -641,18 +678,14 @@ def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) ->
 
 
 def fall_off_terms(flat: FloatArray) -> Array:
-    """(L, 6) ln of the brightness of a flat surface's coarse images (L, h, w): terms 1, x, y, x^2, x y, y^2."""
-    x, y = (part.ravel() for part in np.meshgrid(*place_terms((flat.shape[1], flat.shape[2]))))
-    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    """(L, 15) ln of the brightness of a flat surface's coarse images (L, h, w): monomials of the place to degree 4."""
+    size = flat.shape[1:]
+    rows, columns = np.mgrid[: size[0], : size[1]].reshape(2, -1)
     light = np.log(np.maximum(flat.reshape(len(flat), -1), 1e-6))
-    return np.asarray(np.linalg.lstsq(terms, light.T, rcond=None)[0].T, dtype=np.float64)
+    return np.linalg.lstsq(place_terms(size, columns, rows, FLAT_TERMS).T, light.T, rcond=None)[0].T.astype(np.float64)
 
 
-def _minus(light: Callable[[Array], tuple[Array, Array]], image: Array, parameters: Array) -> Array:
-    return light(parameters)[1] - image
-
-
-def _physics(data: _Data, balls: Array, units: Sequence[_Unit], plane: Any, pitch_mm: float) -> tuple[Array, Array]:
+def _physics(data: _Data, units: Sequence[_Unit], pitch_mm: float) -> tuple[Array, Array]:
     """Of each light direction (3), nearness and ambient fraction (L, 5), and the rms residual (L,) of its images.
 
     Lambert's law with attached shadow, one near point light, ambient light: of an image over the flat one
@@ -661,9 +694,9 @@ def _physics(data: _Data, balls: Array, units: Sequence[_Unit], plane: Any, pitc
     values = np.concatenate([unit.values for unit in units], axis=1)
     columns, rows = (np.concatenate([getattr(unit, name) for unit in units]) for name in ("columns", "rows"))
     slopes = np.concatenate([unit.slopes for unit in units])
-    if plane is not None:
-        values, columns = np.concatenate([values, plane[0]], axis=1), np.concatenate([columns, plane[1]])
-        rows, slopes = np.concatenate([rows, plane[2]]), np.concatenate([slopes, np.zeros((len(plane[1]), 2))])
+    if data.flat is not None:
+        values, columns = np.concatenate([values, data.flat[0]], axis=1), np.concatenate([columns, data.flat[1]])
+        rows, slopes = np.concatenate([rows, data.flat[2]]), np.concatenate([slopes, np.zeros((len(data.flat[1]), 2))])
     some = slice(None, None, max(1, len(columns) // 6000))
     values, slopes = values[:, some].astype(np.float64), slopes[some]
     normals = np.column_stack([-slopes, np.ones(len(slopes))]) / np.sqrt(1.0 + (slopes**2).sum(axis=1))[:, None]
@@ -675,7 +708,7 @@ def _physics(data: _Data, balls: Array, units: Sequence[_Unit], plane: Any, pitc
         towards = np.array([np.cos(p[0]) * np.cos(p[1]), np.sin(p[0]) * np.cos(p[1]), np.sin(p[1])])
         rays = towards - p[2] / width * place
         rays /= np.linalg.norm(rays, axis=1)[:, None]
-        level = np.maximum(rays[:, 2], 0.05) if plane is not None else max(towards[2], 0.05)
+        level = np.maximum(rays[:, 2], 0.05) if data.plane else max(towards[2], 0.05)
         return towards, p[4] * (p[3] + (1.0 - p[3]) * np.maximum((normals * rays).sum(axis=1), 0.0) / level)
 
     found, left = [], []
@@ -684,8 +717,11 @@ def _physics(data: _Data, balls: Array, units: Sequence[_Unit], plane: Any, pitc
         scale = float(np.median(image))
         start = [np.arctan2(pull[1], pull[0]), 0.6, 0.01, 0.3, scale]
         bounds = ([-10.0, 0.05, 0.0, 0.0, 0.01 * scale], [10.0, 1.57, 0.9, 0.98, 100.0 * scale])
-        residual = partial(_minus, light, image)
-        fit = least_squares(residual, start, bounds=bounds, x_scale=[1, 0.3, 0.1, 0.3, scale])
+
+        def left_over(p: Array, image: Array = image) -> Array:
+            return light(p)[1] - image
+
+        fit = least_squares(left_over, start, bounds=bounds, x_scale=[1, 0.3, 0.1, 0.3, scale])
         found.append([*light(fit.x)[0], fit.x[2] / width, fit.x[3]])
         left.append(float(np.sqrt((fit.fun**2).mean())) / scale)
     return np.array(found), np.array(left)

@@ -173,4 +173,4 @@ def _of_card(flat: FloatArray, folder: Path) -> ShadingFit:
         facts=facts,
     )
     none = np.zeros(0)
-    return ShadingFit(shading, np.zeros((0, 4)), none > 0, none, none, (), np.zeros((0, 3)), (), ())
+    return ShadingFit(shading, np.zeros((0, 4)), none > 0, none, none, (), np.zeros((0, 3)), ())

@@ -29,15 +29,6 @@ _EDGE_PX = 0.5
 """Softness of an edge by pixels and lens, as a standard deviation."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """How large the picture is."""
-
-    px_per_mm: float
-    max_pixels: int
-    """So many pixels about one outline are looked at, evenly spread."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
     """Everything in pixels."""
@@ -81,21 +72,19 @@ def _hull_distance(places: Points, other: Points, radius: float, other_radius: f
 
 
 def _fit_shape(
-    darkness: FloatArray, usable: BoolArray, start: _Shape, scale: _Scale, common: tuple[float, float] | None = None
+    darkness: FloatArray, usable: BoolArray, start: _Shape, px_per_mm: float, common: tuple[float, float] | None = None
 ) -> _Shape:
     """Fit the shape to the darkness (H, W) about its outer part, by least squares.
 
-    `darkness`: (H, W) fraction of the light that is missing, about zero outside the shadow; `usable`: (H, W), false
-    on the
-    nail; `start`: near the truth; `scale`: of the picture; `common`: radius of the tip's shadow and of the penumbra,
-    where they are known.
+    `darkness`: fraction of the light that is missing, about zero outside the shadow; `usable`: (H, W), false on the
+    nail; `start`: near the truth; `common`: radius of the tip's shadow and of the penumbra, where they are known.
     """
     shape = start
     for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
-        places, values = _pixels_about(darkness, usable, shape, scale)
+        places, values = _pixels_about(darkness, usable, shape, px_per_mm)
         if len(places) < 20:
             return shape
-        shape = _fit((places, values), shape, start, scale.px_per_mm, common)
+        shape = _fit((places, values), shape, start, px_per_mm, common)
     return shape
 
 
@@ -123,9 +112,8 @@ def _fit(
     return shape_of(np.asarray(fit.x))
 
 
-def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: _Shape, scale: _Scale) -> tuple[Points, Points]:
+def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: _Shape, px_per_mm: float) -> tuple[Points, Points]:
     """Columns and rows (N, 2) of pixels near the outline of the outer shadow, and their darkness (N,)."""
-    px_per_mm, most = scale.px_per_mm, scale.max_pixels
     arm = shape.tip - shape.base
     length = float(np.linalg.norm(arm))
     margin = 0.7 * px_per_mm + shape.penumbra
@@ -143,7 +131,7 @@ def _pixels_about(darkness: FloatArray, usable: BoolArray, shape: _Shape, scale:
     index = np.flatnonzero(chosen)
     # near the tip all pixels count, along the sides as many as there is room for
     near = np.linalg.norm(places[index] - shape.tip, axis=1) < 1.5 * px_per_mm
-    index = np.concatenate([_thin(index[near], most), _thin(index[~near], most // 2)])
+    index = np.concatenate([_thin(index[near], _MAX_PIXELS), _thin(index[~near], _MAX_PIXELS // 2)])
     values = darkness[rows.ravel()[index], columns.ravel()[index]].astype(np.float64)
     return places[index], np.clip(values, -0.5, 1.2)
 
@@ -184,22 +172,11 @@ class NailView:
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
-    """Find the tips of the nail and of its shadows.
+    """Find the tips of the nail and of its shadows in `stack` (L, H, W), L >= 3, linear light: the nail in one place,
+    another LED lit in each image.
 
-    Parameters
-    ----------
-    stack : (L, H, W), L >= 3, linear light, the nail in one place, another LED lit in each image
-    px_per_mm : scale on the finger plane
-    names : of the images, for messages
-
-    Returns
-    -------
-    NailView
-
-    Raises
-    ------
-    BadInput
-        If there is no nail, or an image without its shadow (named).
+    `px_per_mm` is that of the finger plane. Raises BadInput if there is no nail, or an image without its shadow
+    (named).
     """
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)
@@ -222,7 +199,6 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
             f"{name} shows no shadow of the nail; check that its LED was lit, and alone, and that the nail stands in "
             f"the picture.",
         )
-    scale = _Scale(px_per_mm, _MAX_PIXELS)
     first: list[_Shape | None] = []
     for ratio, part, end in zip(ratios, parts, ends, strict=True):
         if end is None or _leaves(part, _BORDER_MM * px_per_mm):
@@ -231,8 +207,8 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
         start = _Shape(
             tip=end, tip_radius=0.1 * px_per_mm, penumbra=0.1 * px_per_mm, base=middle, base_radius=size, depth=0.95
         )
-        first.append(_fit_shape(1.0 - ratio, ~near, start, scale))
-    shapes = _second_fit(first, [1.0 - ratio for ratio in ratios], ~near, scale)
+        first.append(_fit_shape(1.0 - ratio, ~near, start, px_per_mm))
+    shapes = _second_fit(first, [1.0 - ratio for ratio in ratios], ~near, px_per_mm)
     tips = np.array([(np.nan, np.nan) if shape is None else shape.tip for shape in shapes])
     # the faces meet where a sharp tip would be; the blunt one lies lower, and so is seen nearer to the base
     blunt = float(np.median([shape.tip_radius for shape in shapes if shape is not None] or [0.0])) / _STRETCH
@@ -241,7 +217,7 @@ def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> Nail
 
 
 def _second_fit(
-    first: Sequence[_Shape | None], darkness: Sequence[FloatArray], usable: BoolArray, scale: _Scale
+    first: Sequence[_Shape | None], darkness: Sequence[FloatArray], usable: BoolArray, px_per_mm: float
 ) -> tuple[_Shape | None, ...]:
     """All shadows again with one bluntness of tip and one penumbra, for it is one nail."""
     found = [shape for shape in first if shape is not None]
@@ -252,7 +228,7 @@ def _second_fit(
         float(np.median([shape.penumbra for shape in found])),
     )
     return tuple(
-        None if shape is None else _fit_shape(dark, usable, shape, scale, common)
+        None if shape is None else _fit_shape(dark, usable, shape, px_per_mm, common)
         for shape, dark in zip(first, darkness, strict=True)
     )
 
@@ -342,16 +318,13 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 
 
 def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
-    """Find the image of a cone's tip.
+    """Find the image (2,) of a cone's tip in `stack` (L, H, W) of linear light.
 
     The straight lines on a cone from its tip to its base are each lit equally along their whole length, and all their
     images pass through that of the tip, whatever camera looks on. So brightness changes across them only: its gradient
-    g at the pixel p obeys g . (p - tip) = 0. Least squares over all pixels of the cone and all images, weighted anew by
-    how well each obeys. Brightness is taken against the mean over the LEDs, which stand evenly around. `stack`: (L, H,
-    W) linear light, under another LED each; `nail`: (H, W) where the nail is seen; `px_per_mm`: scale on the finger
-    plane. Returns (2,) column and row. Raises BadInput if the nail's faces do not show where its tip is. Source: R.
-    Parthasarathy, "Rapid, accurate particle tracking by calculation of radial symmetry centers", Nature Methods 9,
-    2012, for the same equation turned by 90 deg.
+    g at the pixel p obeys g . (p - tip) = 0 (as R. Parthasarathy, Nature Methods 9, 2012, has it turned by 90 deg).
+    Least squares over all pixels of the cone and all images, weighted anew by how well each obeys. Brightness is taken
+    against the mean over the LEDs, which stand evenly around.
     """
     sigma = max(0.08 * px_per_mm, 0.7)
     margin = round(3.0 * sigma) + 1

@@ -37,12 +37,8 @@ class Ball:
 
 
 def ball_of_mask(mask: Any) -> Ball:
-    """Return the ball whose image is the true part of `mask` (H, W): a circle through its border.
-
-    Raises
-    ------
-    BadInput
-        If the mask is empty or no disc.
+    """Return the ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if it is
+    none.
     """
     array = np.asarray(mask)
     require(array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}.")
@@ -56,13 +52,7 @@ def ball_of_mask(mask: Any) -> Ball:
 
 
 def find_ball(stack: Any) -> Ball:
-    """Find the ball's outline in photographs (L, H, W) against a dark background.
-
-    Raises
-    ------
-    BadInput
-        If nothing round stands out.
-    """
+    """Find the ball's outline in photographs (L, H, W) against a dark background, or raise BadInput."""
     images = check_stack(stack, least=1, name="the photographs of the ball")
     bright = images.max(axis=0)
     top = float(np.percentile(bright, 99.5))
@@ -95,20 +85,11 @@ def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Points]:
 
 
 def chrome_directions(stack: Any, ball: Ball) -> Points:
-    """Directions (L, 3) from the highlights on a chrome ball.
+    """Directions (L, 3) from the highlights on a chrome ball in `stack` (L, H, W), linear light.
 
     The mirror image of a light is seen where the normal n halves the angle between light and view v = (0, 0, 1), so
-    that l = 2 (n . v) n - v. The highlight is the centroid of the brightest spot.
-
-    Parameters
-    ----------
-    stack : (L, H, W) linear light
-    ball : its outline
-
-    Raises
-    ------
-    BadInput
-        If an image (numbered) has no highlight.
+    that l = 2 (n . v) n - v. The highlight is the centroid of the brightest spot; BadInput if an image (numbered) has
+    none.
     """
     images = check_stack(stack, name="the photographs of the ball")
     inside = np.isfinite(ball.normals(images.shape[1:])[..., 2])
@@ -125,22 +106,11 @@ def chrome_directions(stack: Any, ball: Ball) -> Points:
 def grey_directions(stack: Any, ball: Ball, clip_level: float = 0.98) -> tuple[Points, Points]:
     """Directions (L, 3) and strengths (L,) of lights from the shading of a matt ball, I = l . n by least squares.
 
-    The light is taken as distant: one that is near lights the ball's rim too little, and seems to stand further out (by
-    2.4 deg in the twin, a ball of 8 mm radius under LEDs 132 mm above its middle).
-
-    Only pixels take part that the light reaches, well away from the ball's edge and below `clip_level`; which these are
-    is evaluated again with every estimate.
-
-    Parameters
-    ----------
-    stack : (L, H, W) linear light, ambient light removed
-    ball : its outline
-    clip_level : values from here on are clipped
-
-    Raises
-    ------
-    BadInput
-        If too little of the ball is lit in an image (numbered).
+    `stack` (L, H, W): linear, ambient light removed. The light is taken as distant: one that is near lights the ball's
+    rim too little, and seems to stand further out (by 2.4 deg in the twin, a ball of 8 mm radius under LEDs 132 mm
+    above its middle). Only pixels take part that the light reaches, well away from the ball's edge and below
+    `clip_level`; which these are is evaluated again with every estimate. Raises BadInput if too little of the ball is
+    lit in an image (numbered).
     """
     images = check_stack(stack, name="the photographs of the ball")
     normals = ball.normals(images.shape[1:])

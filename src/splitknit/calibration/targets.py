@@ -42,13 +42,7 @@ class Board:
 
     @classmethod
     def named(cls, text: str, square_mm: float) -> Board:
-        """Read a size such as ``9x6``.
-
-        Examples
-        --------
-        >>> Board.named("9x6", 25.0).rows
-        6
-        """
+        """Read a size such as ``9x6``."""
         found = _WORDS.fullmatch(text)
         require(
             found is not None,
@@ -83,9 +77,7 @@ _CONTRAST = 0.4
 
 
 def _grey(pixels: Any) -> FloatArray:
-    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off. Raises
-    BadInput if the image has another shape, is not finite, or shows nothing.
-    """
+    """(H, W) float32 from 0 to 255 of an image (H, W) or (H, W, C): its darkest and brightest 0.5 % are cut off."""
     array = np.asarray(pixels)
     require(array.ndim in (2, 3) and array.size > 0, f"an image must be (H, W) or (H, W, C), but it is {array.shape}.")
     image = array.astype(np.float32) if array.ndim == 2 else array.mean(axis=2, dtype=np.float32)
@@ -96,21 +88,12 @@ def _grey(pixels: Any) -> FloatArray:
 
 
 def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Points | None:
-    """Find the inner corners of a checkerboard.
+    """Find the inner corners of a checkerboard in an image (H, W) or (H, W, C), any scale of brightness.
 
-    Parameters
-    ----------
-    pixels : (H, W) or (H, W, C) image, any scale of brightness
-    board : Board
-    search_px : longer side of the image in which the board is sought; corners are refined in the full image
+    Returns (columns * rows, 2) column and row of each corner in the order of `board.points_mm`, or None where no board
+    of just this size is in full view (c x r and r x c are the same board). The board is sought with the image's longer
+    side reduced to `search_px`; corners are refined in the full image.
 
-    Returns
-    -------
-    (columns * rows, 2) column and row of each corner in the order of `board.points_mm`, or None where no board of just
-    this size is in full view. (c x r and r x c are the same board.)
-
-    References
-    ----------
     A. Duda, U. Frese, "Accurate detection and localization of checkerboard corners for calibration", BMVC 2018
     (``findChessboardCornersSB``); W. Foerstner, E. Guelch, "A fast operator for detection and precise location of
     distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
@@ -247,9 +230,8 @@ def _find_dots(pixels: Any) -> Points:
     """Centres (N, 2), column and row, of black round dots on a bright ground, in no order.
 
     Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and of
-    one size. A centre is the dot's centre of darkness. Under a tilt that is not quite the picture of the dot's middle,
-    but the difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm. `pixels`: (H, W) or (H, W, C)
-    image.
+    one size. A centre is the dot's centre of darkness: under a tilt not quite the picture of the dot's middle, but the
+    difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm.
     """
     image = _grey(pixels)
     side = min(image.shape)
@@ -279,13 +261,12 @@ def _find_dots(pixels: Any) -> Points:
 
 
 def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
-    """Assign dots to the places of a square grid.
+    """Assign dots to the places of a square grid: (M, 2) whole steps, zero at a dot near the middle, and (M, 2)
+    centres.
 
     A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
     they are there, so that perspective and distortion do not accumulate. Several dots and steps are tried; the grid
-    that takes in most dots is it. `centres`: (N, 2) from :func:`_find_dots`. Returns `numbers`: (M, 2) whole steps
-    along both axes of the grid, zero at a dot near the middle; `places`: (M, 2) their centres. Raises BadInput if fewer
-    than six dots form a grid.
+    that takes in most dots is it.
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))
@@ -330,10 +311,7 @@ def _grown_dots(dots: Points, first: int, step: Points) -> dict[tuple[int, int],
 def find_disc(pixels: Any, spacing_mm: float) -> tuple[Points, Points]:
     """Dots of the calibration disc: (M, 2) places on it in mm, and (M, 2) columns and rows in the image.
 
-    Raises
-    ------
-    BadInput
-        If `spacing_mm` cannot be, or no grid of dots is in view.
+    Raises BadInput if `spacing_mm` cannot be, or no grid of dots is in view.
     """
     require(0.1 <= spacing_mm <= 1000, f"the dots' spacing must be from 0.1 to 1000 mm, but it is {spacing_mm:g}.")
     numbers, places = _number_dots(_find_dots(pixels))

@@ -101,13 +101,7 @@ class Enrolment:
     def waiting(
         self, *, subject: str | None = None, session: int | None = None, finger: str | None = None
     ) -> list[PlannedCapture]:
-        """What is not captured yet, in its order; of one subject, session or finger where named.
-
-        Raises
-        ------
-        BadInput
-            If the plan knows no such subject, session or finger.
-        """
+        """What is not captured yet, in its order; of one subject, session or finger of the plan where named."""
         plan = self.plan
         require(
             subject is None or subject in plan.subject_ids(),
@@ -143,12 +137,8 @@ def open_enrolment(
 ) -> Enrolment:
     """Open an enrolment, or start one; what is not given is as the plan has it, or as in the thesis.
 
-    A plan may grow. It never shrinks: what was planned may have been captured.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds something else, its plan is damaged, or the plan would shrink.
+    A plan may grow. It never shrinks: what was planned may have been captured. Raises BadInput if the folder holds
+    something else, its plan is damaged, or the plan would shrink.
     """
     planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
     file = folder / PLAN_FILE
@@ -186,12 +176,7 @@ def plan_enrolment(
 
 
 def check_subject_id(text: str) -> str:
-    """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths and files.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Return `text` if it can be a subject's id: letters, digits, - and _ only; it is safe in paths and files."""
     require(
         re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text) is not None,
         f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name.",

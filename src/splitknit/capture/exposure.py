@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from splitknit.devices import ExposureRange, Frame
 from splitknit.errors import BadInput, check_image, check_mask, require
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits, check_fields
+from splitknit.settings import Checked, Limits
 
 Look = Callable[[int, float, float], Frame]
 """Preview under an LED, with an exposure time and a gain."""
@@ -95,10 +95,7 @@ def _level_of(frame: Frame, region: BoolArray | None, percentile: float) -> floa
 def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings) -> Survey:
     """Look at a band under each of its LEDs, with one exposure at which none clips and the brightest is not dark.
 
-    Raises
-    ------
-    BadInput
-        If it is too bright or too dark at every exposure.
+    Raises BadInput if it is too bright or too dark at every exposure.
     """
     product = _START_S
     while True:
@@ -135,25 +132,10 @@ def find_exposure(
     camera: ExposureRange,
     settings: ExposureSettings,
 ) -> Exposure:
-    """Find the exposure of a band.
+    """Find the exposure of a band, without what it promises, see :meth:`Exposure.promising`.
 
-    Parameters
-    ----------
-    look : takes a preview
-    seen : of this band
-    region : (h, w) the finger in previews
-    camera : what can be set
-    settings : what is wanted
-
-    Returns
-    -------
-    Exposure
-        Without what it promises, see :meth:`Exposure.promising`.
-
-    Raises
-    ------
-    BadInput
-        If the finger stays too dark or too bright.
+    `look` takes a preview; `region` (h, w): the finger in previews; `camera`: what can be set. Raises BadInput if the
+    finger stays too dark or too bright.
     """
     levels = {led: _level_of(frame, region, _PERCENTILE) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
@@ -204,14 +186,10 @@ class FocusSettings(Checked):
 
     patience: Annotated[int, Limits(1)] = 8
     """A live measurement ends after so many in a row that do not rise above the best so far by `rise`."""
-    rise: Annotated[float, Limits(0, 1)] = 0.02
+    rise: Annotated[float, Limits(0, 1, below=True)] = 0.02
     """Relative."""
     most: Annotated[int, Limits(1)] = 400
     """Measurements at most."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(self.rise < 1, "focus.rise must be below 1.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,29 +203,12 @@ class Focus:
 
 
 def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: float) -> Focus:
-    """Measure the focus of one picture.
+    """Measure the focus of one picture (H, W) of linear light; `region` (H, W): the finger, without its outline.
 
     The variance of the Laplacian of Gaussian of the relative brightness inside the region, less what the noise
     contributes. The noise is found at the finest scale: the skin, whose light is blurred over tenths of a millimetre,
     has next to nothing there.
 
-    Parameters
-    ----------
-    image : (H, W) linear light
-    region : (H, W) the finger, without its outline
-    px_per_mm : of the image
-
-    Returns
-    -------
-    Focus
-
-    Raises
-    ------
-    BadInput
-        If shapes differ or the region is empty.
-
-    References
-    ----------
     Pech-Pacheco, J. L. et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000 (variance of the Laplacian).
     Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the
     noise).

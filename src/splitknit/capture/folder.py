@@ -69,10 +69,8 @@ def capture_to_folder(
 ) -> dict[str, Any]:
     """Capture a finger into the folder `out`; return the facts of ``session.json`` and more.
 
-    Raises
-    ------
-    BadInput
-        If the finger must be captured again, with the verdict: nothing is written then unless `options.keep`.
+    Raises BadInput if the finger must be captured again, with the verdict: nothing is written then unless
+    `options.keep`.
     """
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
@@ -135,22 +133,10 @@ def capture_enrolment(
     options: CaptureOptions,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Capture the fingers of an enrolment that are waiting, one after the other.
+    """Capture the waiting fingers `places` of an enrolment, one after the other, each with devices of its own.
 
-    Parameters
-    ----------
-    places : what to capture now, in this order
-    open_devices : gives the devices for a finger
-    options : CaptureOptions
-
-    Returns
-    -------
-    Facts: what was captured and skipped, how many of how many are finished, and what is next.
-
-    Raises
-    ------
-    BadInput
-        With the finger and the verdict; what was finished before is kept.
+    Returns what was captured and skipped, how many of how many are finished, and what is next. Raises BadInput with the
+    finger and the verdict; what was finished before is kept.
     """
     captured: list[str] = []
     skipped: list[str] = []

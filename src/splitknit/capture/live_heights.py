@@ -14,7 +14,7 @@ from splitknit.capture.live import linear_colours
 from splitknit.errors import require
 from splitknit.finger.orientation import as_it_lies
 from splitknit.imaging.geometry import normals_from_gradients, smoothed
-from splitknit.integration.poisson import poisson
+from splitknit.integration.poisson import trusted_height
 from splitknit.model import BoolArray, FloatArray, PixelArray, Reconstruction
 from splitknit.photometric.markers import bridge, find_markers
 
@@ -151,7 +151,8 @@ class HeightMeter:
         lap("slopes")
         if markers.any():
             gradient = bridge(gradient, markers, self._marker_px / 2)
-        height = poisson(gradient[0], gradient[1])
+        trust = ((deviation.min() + np.float32(1e-6)) / (deviation + np.float32(1e-6))) ** 2
+        height = trusted_height(gradient[0], gradient[1], trust)
         lap("integration")
         height *= np.float32(self._pitch_um)
         height -= np.float32(_edge_median(height))

@@ -109,14 +109,10 @@ class PiLightBank(GuardedLights):
         settle_s: float = SETTLE_S,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take the lines.
+        """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs.
 
-        Parameters
-        ----------
-        pins : BCM numbers in the order of the rig file's LEDs
-        make_line : ``gpiozero.DigitalOutputDevice``, or what behaves like it
-        settle_s : time from the switch to full brightness
-        sleep : lets time pass
+        `make_line`: ``gpiozero.DigitalOutputDevice``, or what behaves like it; `settle_s`: from the switch to full
+        brightness.
         """
         self._lines: list[Any] = []
         self._sleep = sleep
@@ -230,18 +226,9 @@ class PiCamera(Closing):
     def __init__(
         self, picamera2: Any, settings: PiCameraSettings | None = None, *, now_ns: Callable[[], int] | None = None
     ) -> None:
-        """Open and start the camera.
+        """Open and start a camera of the class ``picamera2.Picamera2``; BadInput if there is none, or it is in use.
 
-        Parameters
-        ----------
-        picamera2 : the class ``picamera2.Picamera2``
-        settings : of the camera
-        now_ns : the clock of the sensor's timestamps (CLOCK_BOOTTIME)
-
-        Raises
-        ------
-        BadInput
-            If there is no camera, or it is in use.
+        `now_ns`: the clock of the sensor's timestamps (CLOCK_BOOTTIME).
         """
         self._settings = settings or PiCameraSettings()
         self._sensor = self._settings.sensor
@@ -460,9 +447,7 @@ INSTALL += "with --system-site-packages"
 
 
 def _open_lights(rig: Rig) -> PiLightBank:
-    """Take the GPIO lines of the rig's LEDs, all off. Raises BadInput if gpiozero is missing, this is no Raspberry Pi,
-    or a line is in use.
-    """
+    """Take the GPIO lines of the rig's LEDs, all off."""
     pins = pins_of(rig)
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # only a Pi has it
@@ -497,13 +482,7 @@ def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
 
 
 def open_analyser(rig: Rig) -> PiAnalyser | None:
-    """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where it has no servo.
-
-    Raises
-    ------
-    BadInput
-        If the line is in use.
-    """
+    """Take the line of the servo that turns the rig's analyser, after its LEDs' lines; None where it has no servo."""
     films = rig_films(rig)
     if films is None or films.kind != "servo":
         return None
@@ -523,13 +502,7 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
 
 
 def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[Camera, PiLightBank]:
-    """Open LEDs, which go dark, and the camera of the settings; `stack` closes both, the LEDs last.
-
-    Raises
-    ------
-    BadInput
-        In one sentence, with all LEDs off.
-    """
+    """Open LEDs, which go dark, and the camera of the settings; `stack` closes both, the LEDs last."""
     lights = stack.enter_context(_open_lights(rig))
     settings = settings or PiCameraSettings()
     if settings.camera in SENSORS:

@@ -45,12 +45,8 @@ USABLE = range(2, 28)
 def pins_of(rig: Rig) -> tuple[int, ...]:
     """BCM lines of the rig's LEDs, in the order of the rig file.
 
-    LED number k of a band has the k-th line of that band, from the rig file or else by default.
-
-    Raises
-    ------
-    BadInput
-        If the map has too few lines, a line twice, or one that cannot be used.
+    LED number k of a band has the k-th line of that band, from the rig file or else by default. Raises BadInput if the
+    map has too few lines, a line twice, or one that cannot be used.
     """
     given = rig.provenance.get("pins", DEFAULT_PINS)
     require(
@@ -93,13 +89,7 @@ class RigFilms:
 
 
 def rig_films(rig: Rig) -> RigFilms | None:
-    """Films of a rig by its file's ``provenance.films``; None where it has none.
-
-    Raises
-    ------
-    BadInput
-        If they are none of the three kinds, or what belongs to their kind is wrong.
-    """
+    """Films of a rig by its file's ``provenance.films``; None where it has none; BadInput if their kind is unknown."""
     given = rig.provenance.get("films")
     if given is None:
         return None

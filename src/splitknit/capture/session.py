@@ -88,10 +88,8 @@ class Session:
 
 
 def _check_fit(camera: Camera, lights: LightBank, rig: Rig) -> dict[str, tuple[int, ...]]:
-    """Return band to LEDs, white first, and after it ``white_crossed`` of a rig with films; refuse a rig file of
-    another camera or another bank of LEDs.
-
-    Raises BadInput.
+    """Return band to LEDs, white first, then ``white_crossed`` of a rig with films; refuse a rig file that does not
+    fit.
     """
     rows, columns = camera.image_size
     require(
@@ -130,27 +128,11 @@ def run_session(
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs.
+    """Photograph one finger under all LEDs; look at the verdict before anything else.
 
-    Parameters
-    ----------
-    camera, lights : devices that fit the rig
-    rig : the rig file's
-    settings : of exposure, focus and checks
-    watch_focus : shown live measurements until it returns stop; None measures once
-    turn : of the analyser, where the rig has one that turns
-    progress : called with stage and fraction
-
-    Returns
-    -------
-    Session
-        Look at its verdict before anything else.
-
-    Raises
-    ------
-    BadInput
-        If nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the
-        analyser.
+    `camera`, `lights`: devices that fit the rig; `watch_focus`: shown live measurements until it returns stop, None
+    measures once; `turn`: of the analyser, where the rig has one that turns. Raises BadInput if nothing can be
+    captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)
@@ -166,19 +148,19 @@ def run_session(
         if turn is not None:
             turn("parallel")
         progress("finding the exposure", 0.0)
-        metering = _meter(devices, bands, settings, lambda fraction: progress("finding the exposure", 0.3 * fraction))
+        region, exposures = _meter(devices, bands, settings, lambda part: progress("finding the exposure", 0.3 * part))
         progress("focus", 0.3)
-        focus = _focus(devices, metering, settings, watch_focus)
+        focus = _focus(devices, region, exposures["white"], (settings.focus, watch_focus))
         shooting = Shooting(
             devices,
-            Examiner(metering.region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT),
+            Examiner(region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT),
             watch_motion=settings.find_finger,
             progress=lambda name, fraction: progress(name, 0.4 + 0.6 * fraction),
         )
         for band, leds in bands.items():
             if band == "white_crossed" and turn is not None:
                 turn("crossed")
-            shooting.band(band, leds, metering.exposures[band], total=sum(map(len, bands.values())) + len(bands))
+            shooting.band(band, leds, exposures[band], total=sum(map(len, bands.values())) + len(bands))
     finally:
         lights.off()
     shooting.check_drift()
@@ -190,7 +172,7 @@ def run_session(
     return Session(
         bands={band: replace(one, shading=rig.camera.shading) for band, one in shooting.bands.items()},
         shots=tuple(shooting.shots),
-        exposures=metering.exposures,
+        exposures=exposures,
         focus=focus,
         verdict=tuple(verdict),
         frames_taken=shooting.taken,
@@ -198,13 +180,15 @@ def run_session(
     )
 
 
-def _focus(devices: Devices, metering: _Metering, settings: SessionSettings, watch_focus: WatchFocus | None) -> Focus:
+def _focus(
+    devices: Devices, region: BoolArray, exposure: Exposure, how: tuple[FocusSettings, WatchFocus | None]
+) -> Focus:
     """Measure the focus under the brightest white LED, live if somebody watches."""
-    camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
-    exposure = metering.exposures["white"]
+    (settings, watch_focus), px_per_mm = how, devices.rig.camera.px_per_mm
+    camera, lights = devices.camera, devices.lights
     camera.lock(exposure.exposure_s, exposure.gain, "white")
     rows, columns = camera.image_size
-    inner = _shrink_region(metering.region, 1.0 * px_per_mm * metering.region.shape[1] / columns)
+    inner = _shrink_region(region, 1.0 * px_per_mm * region.shape[1] / columns)
     box = bounding_box(inner)
     part = []
     for one, small, full in zip(box, inner.shape, (rows, columns), strict=True):
@@ -213,13 +197,13 @@ def _focus(devices: Devices, metering: _Metering, settings: SessionSettings, wat
         part.append(slice(max(int(middle - half), 0), max(int(middle + half), int(middle - half) + 8)))
     y = np.minimum((np.arange(rows)[part[0]] * inner.shape[0] / rows).astype(np.intp), inner.shape[0] - 1)
     x = np.minimum((np.arange(columns)[part[1]] * inner.shape[1] / columns).astype(np.intp), inner.shape[1] - 1)
-    region = inner[np.ix_(y, x)]
-    watch = FocusWatch(settings.focus)
+    seen = inner[np.ix_(y, x)]
+    watch = FocusWatch(settings)
     while True:
         lights.on(exposure.brightest)
         frame = camera.capture()
         light = grey_light(frame.pixels[part[0], part[1]], frame.black_level)
-        focus = measure_focus(light, region, px_per_mm)
+        focus = measure_focus(light, seen, px_per_mm)
         enough = watch.add(focus)
         if watch_focus is None or watch_focus(focus, watch) or enough:
             lights.off()
@@ -229,27 +213,13 @@ def _focus(devices: Devices, metering: _Metering, settings: SessionSettings, wat
 # Before the shots: where the finger is, whether every LED lights, and which exposure each band gets. Previews only.
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Metering:
-    """What the previews show."""
-
-    region: BoolArray
-    """(h, w) the finger on the previews' grid; everything, where a target is photographed."""
-    exposures: Mapping[str, Exposure]
-    """By band."""
-
-
 def _meter(
     devices: Devices,
     bands: Mapping[str, Sequence[int]],
     settings: SessionSettings,
     progress: Callable[[float], None],
-) -> _Metering:
-    """Preview the finger under every LED and find the exposure of every band.
-
-    `bands`: band to its LEDs, white first; `progress`: called with the fraction that is done. Raises BadInput if there
-    is no finger, an LED does not light, the lid is open, or no exposure fits.
-    """
+) -> tuple[BoolArray, dict[str, Exposure]]:
+    """Preview the finger under every LED; find where it is on the previews' grid, and every band's exposure."""
     camera, lights = devices.camera, devices.lights
     typical = MEDIAN if settings.find_finger else BRIGHT
     region: BoolArray | None = None
@@ -270,7 +240,8 @@ def _meter(
         room = camera.preview()
         _check_light(band.replace("_", " "), seen, room)
         if region is None:
-            region = _region(seen, room, devices) if settings.find_finger else np.ones(_previews(seen), dtype=np.bool_)
+            everything = np.ones(room.pixels.shape[:2], dtype=np.bool_)
+            region = _region(seen, room, devices) if settings.find_finger else everything
         dark = typical_level(room, region, typical)
         lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
         _check_lit(lit, dark, devices.names)
@@ -280,13 +251,7 @@ def _meter(
         lights.off()
         progress((done + 1) / len(bands))
     assert region is not None
-    return _Metering(region, exposures)
-
-
-def _previews(seen: Survey) -> tuple[int, int]:
-    """Rows and columns of the previews."""
-    rows, columns = next(iter(seen.frames.values())).pixels.shape[:2]
-    return rows, columns
+    return region, exposures
 
 
 def _region(seen: Survey, room: Frame, devices: Devices) -> BoolArray:

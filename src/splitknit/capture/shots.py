@@ -68,14 +68,9 @@ class Examiner:
     """Looks at shots: knows where the finger is and how dark it is without LEDs."""
 
     def __init__(self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN) -> None:
-        """Prepare.
+        """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole picture.
 
-        Parameters
-        ----------
-        region : (h, w) the finger on a grid of any size that covers the whole picture
-        px_per_mm : of full-size shots
-        settings : limits
-        typical : percentile of the finger's pixels that is its level
+        `px_per_mm`: of full-size shots; `typical`: percentile of the finger's pixels that is its level.
         """
         self.settings, self._typical = settings, typical
         self.region = region
@@ -167,14 +162,6 @@ class Shot:
     retries: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Trouble:
-    """What is wrong with a shot."""
-
-    kind: str
-    words: str
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Devices:
     """Camera and lights that fit a rig."""
@@ -250,13 +237,13 @@ class Shooting:
             moved, troubles = self._examine(led, look, dark, expected)
             if not troubles or attempt == self._settings.retries:
                 break
-            if troubles[0].kind == "moved" and not self._steady:
+            if troubles[0][0] == "moved" and not self._steady:
                 break  # it has moved before: no time is spent on this capture any more
-        for trouble in troubles:
-            self.verdict.append(trouble.words)
-            self._steady = self._steady and trouble.kind != "moved"
+        for kind, words in troubles:
+            self.verdict.append(words)
+            self._steady = self._steady and kind != "moved"
         self._note(self._name(led), led, (frame, look), moved, attempt)
-        if not any(trouble.kind == "unlit" for trouble in troubles):
+        if not any(kind == "unlit" for kind, _ in troubles):
             self._before = (self._name(led), look)
         return frame, look
 
@@ -265,16 +252,16 @@ class Shooting:
         self.taken += 1
         return frame, self._examiner.look(frame)
 
-    def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[_Trouble]]:
-        """Motion in mm, and what is wrong."""
+    def _examine(self, led: int, look: Look, dark: Look, expected: float) -> tuple[float | None, list[tuple[str, str]]]:
+        """Motion in mm, and what is wrong: kinds, and words."""
         name = self._name(led)
         if look.level - dark.level < _MIN_LIGHT * expected:
             words = f"{name} did not light: check its wiring and capture again"
-            return None, [_Trouble("unlit", words)]
+            return None, [("unlit", words)]
         troubles = []
         if look.saturated > _MAX_SATURATED:
             words = f"{name} is overexposed on {100 * look.saturated:.0f} % of the finger: capture again"
-            troubles.append(_Trouble("saturated", words))
+            troubles.append(("saturated", words))
         moved = None
         if self._watch_motion and self._before is not None:
             earlier, before = self._before
@@ -283,14 +270,14 @@ class Shooting:
                 words = (
                     f"the picture changed between {earlier} and {name}: keep the finger in its place and capture again"
                 )
-                troubles.append(_Trouble("moved", words))
+                troubles.append(("moved", words))
             else:
                 moved = float(np.hypot(*shift))
                 if moved > self._examiner.moved_mm:
                     words = (
                         f"the finger moved by {moved:.1f} mm between {earlier} and {name}: hold still and capture again"
                     )
-                    troubles.append(_Trouble("moved", words))
+                    troubles.append(("moved", words))
         return moved, troubles
 
     def check_drift(self) -> None:

@@ -176,19 +176,11 @@ BAYER: Mapping[str, int] = {
 def developed(
     raw: NDArray[np.uint16], bits: int, black: int, order: str, gains: tuple[float, float] = (1.0, 1.0)
 ) -> NDArray[np.uint16]:
-    """Return white-balanced colours, or grey, from raw values.
+    """Return white-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), from `raw` values (H, W) of up to 16
+    `bits`.
 
-    Parameters
-    ----------
-    raw : (H, W) values of `bits` bits
-    bits : up to 16
-    black : value of no light on the scale of 16 bits; it stays so, in order that noise is not clipped
-    order : of the colours, one of :data:`BAYER`; another where there are none
-    gains : of red and blue
-
-    Returns
-    -------
-    (H, W, 3) uint16, linear: red, green, blue; (H, W, 1) without colours
+    `black`: value of no light on the scale of 16 bits; it stays so, in order that noise is not clipped; `order`: of the
+    colours, one of :data:`BAYER`, another where there are none; `gains`: of red and blue.
     """
     shift = 16 - bits
     if order not in BAYER:
@@ -280,18 +272,8 @@ def _opened(number: int) -> Any:
 
 
 def open_uvc(number: int, make: Callable[[int], Any] = _opened, size: tuple[int, int] | None = None) -> Stream:
-    """Open a webcam.
-
-    Parameters
-    ----------
-    number : of the camera, as the system counts them
-    make : ``cv2.VideoCapture``, or what behaves like it
-    size : rows and columns to ask for; the camera may give others
-
-    Raises
-    ------
-    BadInput
-        If there is no such camera.
+    """Open the webcam that the system counts as `number`; it may give another size than is asked for. BadInput if there
+    is none.
     """
     return _Uvc(make(number), number, size)
 
@@ -370,13 +352,7 @@ class _GenICam:
 
 
 def open_genicam(number: int) -> Stream:
-    """Open an industrial camera by the GenTL producers that GENICAM_GENTL64_PATH names, as its maker's installer does.
-
-    Raises
-    ------
-    BadInput
-        If harvesters or a producer is missing, or there is no such camera.
-    """
+    """Open an industrial camera by the GenTL producers that GENICAM_GENTL64_PATH names."""
     with importing("harvesters, which drives GenICam cameras, is not installed; install the extra genicam."):
         from harvesters.core import Harvester  # type: ignore[import-not-found]  # optional
     folders = [Path(folder) for folder in os.environ.get("GENICAM_GENTL64_PATH", "").split(os.pathsep) if folder]

@@ -42,24 +42,12 @@ class PhotographTree:
 def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
     """Find the captures below a folder by patterns of the files' paths; no photograph is opened.
 
-    A pattern is a path below `root` with ``{subject}``, ``{session}``, ``{finger}`` and ``{light}`` for what varies;
-    ``{hand}`` where it stands apart from the finger, ``{session}`` may be absent. Fingers are named (``right_index``,
-    ``Left Thumb``, ``R2``) or have their numbers of ISO 19794 (1 right thumb to 10 left little). Subjects and sessions
-    keep the numbers in their names where these are small, else they are counted in the order of their names.
-
-    Parameters
-    ----------
-    root : Path
-    patterns : of the white photographs, and of the near-infrared ones where there are any
-
-    Raises
-    ------
-    BadInput
-        If a pattern lacks a field, or nothing below `root` fits.
-
-    Examples
-    --------
-    >>> read_tree(Path("study"), ["{subject}/{session}/{finger}/white_{light}.jpg"])  # doctest: +SKIP
+    A pattern, of the white photographs and of the near-infrared ones where there are any, is a path below `root` with
+    ``{subject}``, ``{session}``, ``{finger}`` and ``{light}`` for what varies; ``{hand}`` where it stands apart from
+    the finger, ``{session}`` may be absent. Fingers are named (``right_index``, ``Left Thumb``, ``R2``) or have their
+    numbers of ISO 19794 (1 right thumb to 10 left little). Subjects and sessions keep the numbers in their names where
+    these are small, else they are counted in the order of their names. Raises BadInput if a pattern lacks a field, or
+    nothing below `root` fits.
     """
     require(root.is_dir(), f"{root} is not a folder; name the one of all people's photographs.")
     paths = (path.relative_to(root) for path in root.rglob("*") if path.is_file())

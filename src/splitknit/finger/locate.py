@@ -64,8 +64,9 @@ class FingerSettings(Checked):
     """``calibrated``: rays run as in the rig file's camera model; ``orthographic``: parallel, whatever the model is."""
     lights: LightsSettings = field(default_factory=LightsSettings)
     mask: MaskSettings = field(default_factory=MaskSettings)
-    cut_at_crease: bool = True
-    """Keep only the finger's first phalange."""
+    cut_at_crease: bool | Literal["equalised"] = True
+    """Keep only the finger's first phalange; ``equalised``: cut where the thesis does, at the row with the fewest light
+    pixels."""
     quality: QualitySettings = field(default_factory=QualitySettings)
     motion: MotionSettings = field(default_factory=MotionSettings)
 
@@ -145,8 +146,9 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     with ThreadPoolExecutor(1) as aside:
         looking = aside.submit(_quality, capture, settings, stack, outline, binning)
         upright = find_upright(outline, direction) if finger else as_it_lies(outline)
-        crease = find_crease(grey, outline, upright, small_px) if skin else NO_CREASE
-        cut = settings.cut_at_crease and not given and skin
+        equalised = settings.cut_at_crease == "equalised"
+        crease = find_crease(grey, outline, upright, small_px, equalised=equalised) if skin else NO_CREASE
+        cut = bool(settings.cut_at_crease) and not given and skin
         kept = phalange_mask(outline, crease, upright) if cut else outline
         usable = photometric_mask(stack, kept, small_px, saturation=limits) if not given else kept
         wider = _beyond(outline, crease, upright, small_px) if cut else outline

@@ -298,7 +298,7 @@ def _search(
         return [], facts
     if pool is None and len(acquired) > settings.search.candidates:
         index = CodeIndex([str(row) for row in codes], np.stack(list(codes.values())))
-        best, scores = index.search(probe, settings.search.candidates, settings.search.probe)
+        best, scores = index.search(probe, settings.search.candidates, settings.search.variants_of(probe))
         score = {int(row): value for row, value in zip(best, scores.tolist(), strict=True)}
         acquired, facts = list(score), replace(facts, method="codes")
     rows = {one.row: one for one in pool} if isinstance(pool, list) else gallery.entries_at(acquired)
@@ -322,13 +322,13 @@ def _by_shards(
     """Rows that codes, and of their best a glance at the ridges, let through; and the similarities of codes."""
     if probe.empty:
         return [], {}
-    hits = shards.search(probe, settings.search.shortlist, settings.search.probe)
+    hits = shards.search(probe, settings.search.shortlist, settings.search.variants_of(probe))
     score = dict(zip(hits.rows.tolist(), hits.similarity.tolist(), strict=True))
     ready, ranks = prepared(probe, settings.ridge), {}
     for row, variant in zip(hits.rows.tolist(), hits.variant.tolist(), strict=True):
         for payload in gallery.templates([row]).values():  # none if it was removed since the shards were made
             other = prepared(_unpacked(gallery, row, payload), settings.ridge)
-            ranks[row] = glance(ready, other, settings.search.probe, variant)
+            ranks[row] = glance(ready, other, settings.search.variants_of(probe), variant)
     return sorted(ranks, key=lambda row: (-ranks[row], row))[: settings.search.candidates], score
 
 

@@ -370,8 +370,12 @@ def poisson(
     return result
 
 
-def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: FloatArray, factor: int = 4) -> FloatArray:
-    """Height of a whole rectangle by weighted least squares, the weights acting on a grid so many times coarser.
+_BLOCK = 4
+"""Pixels a side of a block that weights act on."""
+
+
+def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: FloatArray) -> FloatArray:
+    """Height of a whole rectangle by weighted least squares, the weights acting on a grid four times coarser.
 
     :func:`poisson` with weights takes ten seconds for five megapixels. Where the weights are even nearly everywhere,
     the unweighted height, which cosine transforms give in one, differs from it by what is smooth: the weighted height
@@ -383,7 +387,6 @@ def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: Floa
         dz/dx and dz/dy, y up.
     weights : (H, W) float32
         Trust in each pixel's gradient, in [0, 1].
-    factor : pixels a side of a block
 
     Returns
     -------
@@ -391,9 +394,9 @@ def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: Floa
         Height in pixels, its mean about zero.
     """
     height = poisson(gradient_x, gradient_y)
-    if min(height.shape) < 8 * factor:
+    if min(height.shape) < 8 * _BLOCK:
         return poisson(gradient_x, gradient_y, weights=weights)
-    size = tuple(-(-side // factor) for side in height.shape[::-1])
+    size = tuple(-(-side // _BLOCK) for side in height.shape[::-1])
     trust = np.minimum(cv2.resize(weights, size, interpolation=cv2.INTER_AREA), np.float32(1.0))
     least = np.maximum(trust, np.float32(_WEIGHT_FLOOR))
     left = []

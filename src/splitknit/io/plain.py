@@ -178,6 +178,11 @@ def capture_from_photographs(
     left_out = f"; skipped: {_listed(skipped)}" if skipped else ""
     require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
     require(
+        options.shading is None or len(found) > 1,
+        f"{root} holds one photograph; the surface under three coloured lights at once is measured, and written with "
+        f"'Save result', by 'splitknit view --live {root} --shading FILE'.",
+    )
+    require(
         len(found) == len(rig.leds),
         f"{root} holds {len(found)} photographs ({found[0].name} to {found[-1].name}), but {table} has "
         f"{len(rig.leds)} lights{left_out}; let each of its lines begin with the name of a photograph.",

@@ -5,7 +5,7 @@ the comparison of the ridges of a few.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -21,6 +21,8 @@ from splitknit.settings import Checked, Limits
 
 EXHAUSTIVE = 2000
 """In a gallery of no more fingers all are compared by their ridges (if it is asked for a sure answer)."""
+PRESSED_MM = 2.0
+"""Prints are searched with shifts up to this: about the standard deviation of where a finger is put on a sensor."""
 _BLOCK = 1024
 """Codes that are widened to float32 at a time: what a core's cache holds."""
 
@@ -38,6 +40,14 @@ class SearchSettings(Checked):
     shortlist: Annotated[int, Limits(1, 10_000)] = 500
     """Fingers that shards let through to a glance, where a gallery has shards."""
     probe: ProbeSettings = field(default_factory=ProbeSettings)
+    """Of fingers; of prints at least `PRESSED_MM` of shift."""
+
+    def variants_of(self, probe: Template) -> ProbeSettings:
+        """How a probe is laid: a print, which has minutiae, lies further off than a finger before a camera."""
+        one = self.probe
+        if probe.minutiae is None:
+            return one
+        return replace(one, right_mm=max(one.right_mm, PRESSED_MM), down_mm=max(one.down_mm, PRESSED_MM))
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,12 +224,13 @@ def identify(
     if k >= len(index):
         chosen = [(identity, float("nan"), prepared(fetch(identity), match)) for identity in sorted(index.ids)]
     else:
-        variants = probe_codes(probe, settings.probe)
+        laid = settings.variants_of(probe)
+        variants = probe_codes(probe, laid)
         chosen, worths = [], []
         for place, score in zip(*index.nearest(variants, k), strict=True):
             code = index.codes[place].astype(np.float32)
             other = prepared(fetch(index.ids[place]), match)
-            worths.append(glance(ready, other, settings.probe, int(np.argmax(variants @ code))))
+            worths.append(glance(ready, other, laid, int(np.argmax(variants @ code))))
             chosen.append((index.ids[place], float(score), other))
         best = sorted(range(len(chosen)), key=lambda n: (-worths[n], chosen[n][0]))[: settings.finalists]
         chosen = [chosen[n] for n in best]

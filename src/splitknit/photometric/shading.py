@@ -30,7 +30,9 @@ Array = NDArray[np.float64]
 FORMAT = "splitknit-shading"
 BETWEEN = "between the balls"
 """Where the light of the flat gel was measured, in a shading's facts, if no photograph of the flat gel was given."""
-_VERSION = 1
+_VERSION = 2
+FLAT_TERMS = 15
+"""Monomials of the place in a fall-off: those up to degree 4."""
 _STRIP = 1 << 14
 """Pixels at once: their terms stay in a core's cache."""
 _EVERY = 16
@@ -44,8 +46,7 @@ _MAX_BYTES = 16_000_000
 class Shading:
     """How slopes shade the images of one sensor: what ``splitknit calibrate shading`` writes.
 
-    L lights, T terms of :func:`shading_terms`, P = 1 or 3 terms of place (1, x, y; both in half widths of the image
-    from its middle, y up).
+    L lights, T terms of :func:`shading_terms`, P monomials of the place (:func:`place_terms`) up to degree 0 to 3.
     """
 
     pitch_mm: float
@@ -59,7 +60,7 @@ class Shading:
     ambient: Array
     """(L,) fraction of a flat surface's light that comes from everywhere: other lights' reflections between slopes."""
     fall_off: Array
-    """(L, 6) ln of a flat surface's brightness: terms 1, x, y, x^2, x y, y^2 of the place; zeros: not measured."""
+    """(L, 15) ln of a flat surface's brightness: monomials of the place up to degree 4; zeros: not measured."""
     relative: bool
     """Whether images are divided by their mean over the lights: the surface's own brightness then does not matter."""
     degree: int
@@ -79,9 +80,12 @@ class Shading:
 
 
 def shading_terms(images: FloatArray, relative: bool, degree: int) -> FloatArray:
-    """Monomials (T, N) up to a degree of what images (L, N) depart from those of a flat surface, 1."""
+    """Monomials (T, N) up to a degree of how far roots of images (L, N) depart from those of a flat surface, 1.
+
+    The noise of photons is that of a root everywhere alike (Anscombe's transform), and lobes of a coat are less sharp.
+    """
     values = images / np.maximum(images.mean(axis=0), np.float32(1e-6)) if relative else images
-    values = values - np.float32(1.0)
+    values = np.sqrt(np.maximum(values, np.float32(0.0))) - np.float32(1.0)
     count = len(values)
     terms = np.empty((term_count(count, degree), values.shape[1]), dtype=values.dtype)
     terms[0] = 1.0
@@ -155,63 +159,74 @@ def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, Fl
     count = term_count(lights, shading.degree)
     places = len(shading.weights) // count
     matrix = np.ascontiguousarray(shading.weights.reshape(places, count, 2).transpose(0, 2, 1), dtype=np.float32)
-    x, y = place_terms(shading.image_size)
+    x, y = _axes(shading.image_size)
+    powers = _powers(places)
+    by_row = np.zeros((rows, 1 + powers[-1][1], 2, count), dtype=np.float32)  # of 1, x, x^2 ...: y is fixed in a row
+    for (i, j), one in zip(powers, matrix, strict=True):
+        by_row[:, i] += (y**j)[:, None, None] * one
     limit, top = _BEYOND * shading.max_slope, np.float32(shading.max_slope)
     fine = np.linspace(0.0, 2.0 * limit, 256)  # beyond what was seen the deviation grows with the excess
     known = np.interp(fine, np.linspace(0.0, float(top), len(shading.deviation)), shading.deviation)
     table = ((known * np.maximum(fine / top, 1.0) ** 2) ** 2).astype(np.float32)
     gradient = np.empty((2, rows, columns), dtype=np.float32)
     scale = np.float32(1.0) if shading.relative else np.float32(1.0 / facing_level(images))
-    deviation = _own_variance(shading, images, scale, (x, y))
+    deviation = _own_variance(shading, images, scale)
     step = max(1, _STRIP // columns)
     for first in range(0, rows, step):
         strip = slice(first, first + step)
         part = images[:, strip] * scale
         terms = shading_terms(part.reshape(lights, -1), shading.relative, shading.degree)
-        found = (matrix.reshape(2 * places, count) @ terms).reshape(places, 2, *part.shape[1:])
-        if places > 1:
-            found[0] += found[1] * x
-            found[0] += found[2] * y[strip, None]
-        across, up = found[0]
+        lines = terms.reshape(count, *part.shape[1:]).transpose(1, 0, 2)
+        found = np.matmul(by_row[strip].reshape(len(lines), -1, count), lines)
+        across, up = found[:, -2], found[:, -1]
+        for k in range(found.shape[1] - 4, -1, -2):  # Horner's rule
+            across, up = across * x + found[:, k], up * x + found[:, k + 1]
         slope = np.sqrt(across * across + up * up)
         deviation[strip] += table[
             (np.minimum(slope, np.float32(2.0 * limit)) * np.float32(127.5 / limit)).astype(np.uint8)
         ]
+        gradient[0, strip], gradient[1, strip] = across, up
         if float(slope.max()) > limit:
-            found[0] *= np.minimum(np.float32(1.0), np.float32(limit) / np.maximum(slope, np.float32(1e-6)))
-        gradient[:, strip] = found[0]
+            gradient[:, strip] *= np.minimum(np.float32(1.0), np.float32(limit) / np.maximum(slope, np.float32(1e-6)))
     return gradient, np.sqrt(deviation, out=deviation)
 
 
-def _own_variance(
-    shading: Shading, images: FloatArray, scale: np.float32, place: tuple[FloatArray, FloatArray]
-) -> FloatArray:
+def _own_variance(shading: Shading, images: FloatArray, scale: np.float32) -> FloatArray:
     """(H, W) what the covariance of the weights makes of the terms, evaluated on every sixteenth pixel."""
     half = min(_EVERY // 2, images.shape[1] - 1, images.shape[2] - 1)
     some = images[:, half::_EVERY, half::_EVERY] * scale
     terms = shading_terms(some.reshape(len(images), -1), shading.relative, shading.degree)
-    if len(shading.covariance) > len(terms):
-        x, y = (axis[half::_EVERY] for axis in place)
-        across, up = np.broadcast_arrays(x[None], y[:, None])
-        terms = np.concatenate([terms, terms * across.ravel(), terms * up.ravel()])
-    own = np.maximum(np.einsum("tn,tn->n", terms, shading.covariance.astype(np.float32) @ terms), np.float32(0.0))
-    whole = cv2.resize(own.reshape(some.shape[1:]), images.shape[:0:-1], interpolation=cv2.INTER_LINEAR)
-    return np.asarray(whole, dtype=np.float32)
+    rows, columns = np.mgrid[half : images.shape[1] : _EVERY, half : images.shape[2] : _EVERY].reshape(2, -1)
+    place = place_terms(shading.image_size, columns, rows, len(shading.covariance) // len(terms))
+    whole = (place[:, None] * terms).reshape(-1, terms.shape[1])
+    own = np.maximum(np.einsum("tn,tn->n", whole, shading.covariance.astype(np.float32) @ whole), np.float32(0.0))
+    fine = cv2.resize(own.reshape(some.shape[1:]), images.shape[:0:-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(fine, dtype=np.float32)
 
 
-def place_terms(size: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-    """Columns' x (W,) and rows' y (H,), up, in half widths from the middle of an image of this size."""
+def _powers(count: int) -> list[tuple[int, int]]:
+    """Powers of x and y of the first monomials: 1, x, y, x^2, x y, y^2 ..."""
+    return [(n - j, j) for n in range(count) for j in range(n + 1)][:count]
+
+
+def _axes(size: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
     rows, columns = size
     x = (np.arange(columns, dtype=np.float32) - np.float32(0.5 * (columns - 1))) / np.float32(0.5 * columns)
     y = (np.float32(0.5 * (rows - 1)) - np.arange(rows, dtype=np.float32)) / np.float32(0.5 * columns)
     return x, y
 
 
+def place_terms(size: tuple[int, ...], columns: Any, rows: Any, count: int) -> FloatArray:
+    """The first `count` monomials (P, N) of places (N,): x and y, up, in half widths from the middle of the image."""
+    x, y = (np.interp(at, np.arange(len(axis)), axis) for at, axis in zip((columns, rows), _axes(size), strict=True))
+    return np.stack([x**i * y**j for i, j in _powers(count)]).astype(np.float32)
+
+
 def flat_of_fall_off(fall_off: Array, size: tuple[int, ...]) -> FloatArray:
-    """(L, H, W) light of a flat surface from :attr:`Shading.fall_off` (L, 6)."""
-    x, y = np.meshgrid(*place_terms((size[0], size[1])))
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    return np.asarray(np.exp(np.tensordot(fall_off.astype(np.float32), terms, axes=1)), dtype=np.float32)
+    """(L, H, W) light of a flat surface from :attr:`Shading.fall_off` (L, 15)."""
+    rows, columns = np.mgrid[: size[0], : size[1]].reshape(2, -1)
+    terms = place_terms(size, columns, rows, fall_off.shape[1])
+    return np.asarray(np.exp(fall_off.astype(np.float32) @ terms).reshape(-1, *size), dtype=np.float32)
 
 
 def check_shading(shading: Shading, images: Any) -> tuple[int, int, int]:
@@ -247,7 +262,7 @@ def read_shading(path: str | os.PathLike[str]) -> Shading:
     arrays = read_npz(path, max_bytes=_MAX_BYTES)
     known = {one.name for one in fields(Shading)} | {"format", "version"}
     require(known <= set(arrays) and str(arrays["format"]) == FORMAT, damaged)
-    require(int(arrays["version"]) == _VERSION, f"{name} is of a later version; take a newer splitknit.")
+    require(int(arrays["version"]) == _VERSION, f"{name} is of another version of splitknit; calibrate again.")
     try:
         values: dict[str, Any] = {
             "pitch_mm": float(arrays["pitch_mm"]),
@@ -269,9 +284,9 @@ def read_shading(path: str | os.PathLike[str]) -> Shading:
     terms = term_count(lights, degree)
     fits = (
         values["direction"].shape == (lights, 3)
-        and values["fall_off"].shape == (lights, 6)
+        and values["fall_off"].shape == (lights, FLAT_TERMS)
         and values["nearness"].shape == values["ambient"].shape == (lights,)
-        and weights.shape in ((0, 2), (terms, 2), (3 * terms, 2))
+        and weights.shape in ((0, 2), *((terms * n, 2) for n in (1, 3, 6, 10)))
         and values["covariance"].shape == (len(weights), len(weights))
         and (
             len(weights) == 0

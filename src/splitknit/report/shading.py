@@ -10,6 +10,7 @@ from splitknit.calibration.shading import ShadingFit
 from splitknit.io.atomic import write_file
 from splitknit.io.pictures import colour, data_uri
 from splitknit.io.targets import check_file
+from splitknit.photometric.shading import place_terms
 from splitknit.report import template
 from splitknit.report.charts import Axis, Curve, line_chart, round_marks
 
@@ -41,19 +42,15 @@ def write_page(page: Path, fit: ShadingFit) -> None:
             zip(azimuth, elevation, shading.nearness, shading.ambient, residual, strict=True)
         )
     ]
-    corners = np.array([(x, y) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]) * [
-        1.0,
-        shading.image_size[0] / shading.image_size[1],
-    ]
-    terms = np.column_stack(
-        [np.ones(4), corners, corners[:, 0] ** 2, corners[:, 0] * corners[:, 1], corners[:, 1] ** 2]
-    )
-    edges = np.exp((shading.fall_off @ terms.T) - shading.fall_off[:, :1])
+    rows, columns = shading.image_size
+    left, bottom = [0, 0, columns - 1, columns - 1], [rows - 1, 0, rows - 1, 0]
+    terms = place_terms(shading.image_size, left, bottom, shading.fall_off.shape[1])
+    edges = np.exp((shading.fall_off @ terms) - shading.fall_off[:, :1])
     chart = _slope_chart(fit) if len(fit.error_by_slope) else ""
     picture, limit = _residual_map(fit) if fit.cap_errors else ("", 0.0)
     html = template("shading.html").render(
         title=_TITLE, facts=facts, shading=shading, notes=fit.notes, lights=lights, chart=chart, map=picture,
-        limit=limit, tried=fit.tried, places=sum(fit.used), balls=[
+        limit=limit, tried=facts.get("tried", ()), places=sum(fit.used), balls=[
             (f"{one[1]:.1f}", f"{one[2]:.1f}", "yes" if used else "no", f"{rms:.2f}", f"{gain:.3f}")
             for one, used, rms, gain in zip(fit.balls, fit.used, fit.cap_rms_um, fit.cap_gain, strict=True)
         ],

@@ -105,18 +105,7 @@ def require_build123d() -> None:
 
 
 def build_parts(dimensions: RigDimensions, progress: Callable[[str, float], None] | None = None) -> tuple[RigPart, ...]:
-    """Draw every part.
-
-    Parameters
-    ----------
-    dimensions : RigDimensions
-    progress : called with the part's name and the fraction that is done
-
-    Raises
-    ------
-    BadInput
-        If build123d is missing or the rig cannot be built.
-    """
+    """Draw every part; BadInput if build123d is missing or the rig cannot be built."""
     check_dimensions(dimensions)
     require_build123d()
     from splitknit.rig.parts import MAKERS  # needs build123d

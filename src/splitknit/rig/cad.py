@@ -53,20 +53,10 @@ def cad_to_folder(
 ) -> dict[str, Any]:
     """Draw, check and write all parts of a rig; return the document of ``parts.json`` and the folder's name.
 
-    Parameters
-    ----------
-    out : folder to write; appears whole or not at all
-    rig_file : rig file, or None for the thesis's rig
-    changes : fields of :class:`splitknit.rig.part_settings.PartSettings` to replace
-    below : put the assembly together with the camera below the finger
-    films : see :func:`splitknit.rig.films.with_films`
-    pictures : draw them, too
-    progress : called with what is at work and the fraction done
-
-    Raises
-    ------
-    BadInput
-        In one sentence: a rig that cannot be built, a setting out of range, build123d not installed.
+    `out` appears whole or not at all; `rig_file`: None for the thesis's rig; `changes`: fields of
+    :class:`splitknit.rig.part_settings.PartSettings`; `below`: the assembly's camera is below the finger; `films`: see
+    :func:`splitknit.rig.films.with_films`; `pictures`: draw them, too. Raises BadInput if the rig cannot be built, a
+    setting is out of range, or build123d is not installed.
     """
     check_target(out, "parts.json", "an earlier set of parts")
     rig, hashes = _rig(rig_file)
@@ -134,10 +124,7 @@ _FAR_MM = 10_000.0
 
 
 def _write_pictures(folder: Path, parts: Mapping[str, RigPart], names: Sequence[str], *, below: bool) -> list[str]:
-    """Draw everything into an existing folder; return the names of the files.
-
-    `parts`: all parts by name; `names`: those of the rig, lowest first; `below`: the camera is below the finger.
-    """
+    """Draw everything, and the parts `names` of the rig, lowest first; return the names of the files."""
     from build123d import Compound, Pos, Rot  # large, and only parts need it
 
     for name, part in parts.items():

@@ -92,12 +92,8 @@ def grid(
     tilts_deg: Sequence[float | None] = (None,),
     resolutions: Sequence[float] = (12.0,),
 ) -> tuple[RigCandidate, ...]:
-    """All combinations, in the order of the lists; what is listed twice counts once.
-
-    Raises
-    ------
-    BadInput
-        If a list is empty or holds an impossible value.
+    """All combinations, in the order of the lists; what is listed twice counts once. BadInput if a list is empty or
+    holds an impossible value.
     """
     names = ("heights_mm", "radii_mm", "powers_w", "tilts_deg", "resolutions")
     axes = (heights_mm, radii_mm, powers_w, tilts_deg, resolutions)

@@ -74,17 +74,10 @@ _WEAK_WHITE = (
 
 
 def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit:
-    """Design the stages of a rig's LEDs.
+    """Design the stages of a rig's white and NIR LEDs; GPIO lines from its ``provenance.pins``, or the default ones.
 
-    Parameters
-    ----------
-    rig : LEDs of the bands ``white`` and ``nir``; GPIO lines from its ``provenance.pins``, or the default ones
-    settings : parts and margins
-
-    Raises
-    ------
-    BadInput
-        If a margin is missed, a GPIO line is used twice, or the rig has LEDs of another band or distant lights.
+    Raises BadInput if a margin is missed, a GPIO line is used twice, or the rig has LEDs of another band or distant
+    lights.
     """
     settings = settings or CircuitSettings()
     for index, led in enumerate(rig.leds):
@@ -236,15 +229,10 @@ def _second_board(rig: Rig, films: RigFilms, settings: CircuitSettings) -> Circu
 def circuit_to_folder(out: Path, rig: Rig, settings: CircuitSettings) -> dict[str, Any]:
     """Design the circuit of a rig's LEDs and write the board's files, the rig's with the pin map; return the facts.
 
-    A circuit that the laid-out board cannot carry is written without the board's files; ``facts["board"]`` says why.
-    A rig with films gets rows for them in ``parts.csv`` and, on the default lines, ``films.svg``; LEDs of the crossed
-    series get a second board.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds something else, no stage can be made with these settings, or its light would be above a
-        limit of :mod:`splitknit.rig.safety`.
+    A circuit that the laid-out board cannot carry is written without the board's files; ``facts["board"]`` says why. A
+    rig with films gets rows for them in ``parts.csv`` and, on the default lines, ``films.svg``; LEDs of the crossed
+    series get a second board. Raises BadInput if the folder holds something else, no stage can be made with these
+    settings, or its light would be above a limit of :mod:`splitknit.rig.safety`.
     """
     check_target(out, "circuit.json", "an earlier board")
     films, second = rig_films(rig), None

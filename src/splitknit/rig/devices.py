@@ -44,15 +44,10 @@ class DeviceSettings:
 
 
 def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> DeviceSettings:
-    """Sort settings by what they belong to.
+    """Sort settings by what they belong to; BadInput if one is not known, or is the twin's and the device is not.
 
-    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the
-    rest is the twin's finger, skin, light and sensor.
-
-    Raises
-    ------
-    BadInput
-        If a setting is not known, or is the twin's and the device is not.
+    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the rest
+    is the twin's finger, skin, light and sensor.
     """
     flat = flatten(changes)
     parts: dict[str, dict[str, Any]] = {"capture": {}, "pi": {}, "device": {}, "": {}}
@@ -93,13 +88,7 @@ def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scal
 
 @contextmanager
 def opened_pi(rig: Rig | None, settings: DeviceSettings) -> Iterator[Opened]:
-    """Open the Raspberry Pi's devices; all LEDs are off before and after.
-
-    Raises
-    ------
-    BadInput
-        If there is no camera, or no LEDs.
-    """
+    """Open the Raspberry Pi's devices; all LEDs are off before and after. BadInput if there is none."""
     with ExitStack() as stack:
         chosen = rig or replace(nominal_rig(), provenance={"source": "as drawn, not calibrated"})
         camera, lights = open_pi(stack, chosen, settings.pi)
@@ -151,9 +140,7 @@ def _target_scene(name: str, rig: Rig, seed: int) -> tuple[LitScene, str]:
         x, y = np.random.default_rng(np.random.SeedSequence([seed, 0x7A])).uniform(-8.0, 8.0, 2).round(2).tolist()
         return NailScene(camera=camera, leds=leds, position_mm=(x, y)), f"a nail of 13 mm stood at x {x}, y {y} mm"
     if name == "board":
-        pose = board_poses(seed, 1, camera, BOARD)[0]
-        turn, middle = pose.rotation_vector, pose.translation_mm
-        scene = BoardScene(camera=camera, leds=leds, board=BOARD, rotation_vector=turn, translation_mm=middle)
+        scene = BoardScene(camera=camera, leds=leds, board=BOARD, **board_poses(seed, 1, camera, BOARD)[0])
         size = f"{BOARD.columns}x{BOARD.rows}"
         return scene, f"a checkerboard of {size} inner corners (--board {size}) was held"
     makers: dict[str, type[CardScene | DiscScene | SphereScene]] = {

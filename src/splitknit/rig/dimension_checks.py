@@ -19,13 +19,7 @@ _MIN_SEAT_MM = 0.6
 
 
 def check_dimensions(dimensions: RigDimensions) -> None:
-    """Refuse what cannot be printed, put together, or lit and seen through.
-
-    Raises
-    ------
-    BadInput
-        Naming the LED or the dimension at fault.
-    """
+    """Refuse what cannot be printed, put together, or lit and seen through, naming the LED or dimension at fault."""
     _check_bed(dimensions)
     _check_height(dimensions)
     _check_finger(dimensions)

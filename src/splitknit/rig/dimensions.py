@@ -25,14 +25,8 @@ _STEP_MM = 0.5
 
 
 def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
-    """Return (L, 2): where each LED throws the shadow of a nail's tip onto the finger plane, in mm.
-
-    Parameters
-    ----------
-    rig : Rig
-        With the places of its LEDs.
-    nail_mm : height of the tip over the plane, below the lowest LED
-    place_mm : x and y of the nail
+    """Return (L, 2): where each LED throws the shadow of a nail's tip, `nail_mm` high at `place_mm`, onto the finger
+    plane, mm.
 
     Examples
     --------
@@ -49,9 +43,8 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
     """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
 
-    `offset_mm`: how far from the middle the nail may stand, along x and along y; `margin_mm`: between a shadow's tip
-    and the border of the picture; `radius_mm`: of the nail's foot; a shadow's tip must come out from under it. Raises
-    BadInput if the picture is too small for a nail of 4 mm, or the shadows stay hidden under the foot.
+    The nail stands up to `offset_mm` from the middle along x and y, a shadow's tip stays `margin_mm` inside the border
+    and comes out from under the foot of `radius_mm`.
     """
     camera = rig.camera
     half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
@@ -283,23 +276,9 @@ class RigDimensions:
 
 
 def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensions:
-    """Work out all dimensions.
+    """Work out all dimensions, not yet checked: see :func:`splitknit.rig.dimension_checks.check_dimensions`.
 
-    Parameters
-    ----------
-    rig : Rig
-        With the place of every LED.
-    settings : PartSettings
-
-    Returns
-    -------
-    RigDimensions
-        Not yet checked: see :func:`splitknit.rig.dimension_checks.check_dimensions`.
-
-    Raises
-    ------
-    BadInput
-        If an LED has no place, or the picture is too small for a nail's shadows.
+    Raises BadInput if an LED has no place, or the picture is too small for a nail's shadows.
 
     Examples
     --------
@@ -321,13 +300,15 @@ def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensio
     board_z = camera.height_mm + settings.camera.board_above_lens_mm
     plate_top = frame_z + sizes.JOINT_PLATE_MM
     highest = max(board_z, plate_top, *(float(hole.at(hole.back_mm)[2]) + hole.radius_mm for hole in holes))
-    lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + _gusset(settings)
+    gusset = sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - settings.joint.wall_mm  # 45 deg, below a lug
+    lug_room = 2 * sizes.JOINT_LUG_MM + sizes.JOINT_INSERT_DEPTH_MM + gusset
     box_z = max(highest + sizes.WIRE_ROOM_MM, frame_z + lug_room)
     films = rig_films(rig)
     if films is not None and films.kind == "servo":
         box_z = max(box_z, plate_top + sizes.SERVO_HIGH_MM)
     second = sizes.SECOND_BOARD_MM if films is not None and films.kind == "neighbours" else 0.0
-    lid_z = max(box_z + sizes.JOINT_PLATE_MM + _boards_high() + second, box_z + lug_room)
+    boards = sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM + 1.6 + sizes.PCB_PARTS_MM
+    lid_z = max(box_z + sizes.JOINT_PLATE_MM + boards + second, box_z + lug_room)
     stop_y = min(field[1] / 2 - finger.tip_margin_mm, sizes.FINGER_PHALANX_MM / 2)
     return RigDimensions(
         settings=settings,
@@ -366,16 +347,6 @@ def _opening(settings: PartSettings) -> float:
     x = settings.finger.widest_mm / 2 * np.cos(angle)
     z = sizes.FINGER_THICKEST_MM / 2 * (1 + np.sin(angle))
     return float(np.hypot(x, z).max()) + sizes.FINGER_CLEARANCE_MM
-
-
-def _gusset(settings: PartSettings) -> float:
-    """Height of the 45 deg support under a lug."""
-    joint = settings.joint
-    return sizes.JOINT_RIDGE_MM + 2 * sizes.JOINT_LUG_RADIUS_MM + 0.1 - joint.wall_mm
-
-
-def _boards_high() -> float:
-    return sizes.PI_POST_HEIGHT_MM + 1.5 + sizes.PCB_OVER_PI_MM + 1.6 + sizes.PCB_PARTS_MM
 
 
 _LIP_WALL_MM = 1.2

@@ -28,11 +28,7 @@ def with_films(rig: Rig, kind: str | None) -> Rig:
     """Give a rig films of a kind: its file's word for them and, for ``neighbours``, further white LEDs and their lines.
 
     Each further LED stands half way between a white LED and the next LED counter-clockwise. None changes nothing.
-
-    Raises
-    ------
-    BadInput
-        If the rig has films of another kind, or an LED without a place, or too many for further ones.
+    Raises BadInput if the rig has films of another kind, or an LED without a place, or too many for further ones.
     """
     given = rig_films(rig)
     if kind is None or (given is not None and given.kind == kind):
@@ -136,13 +132,7 @@ class FilmMounts:
 
 
 def film_mounts(d: RigDimensions) -> FilmMounts:
-    """Work out where the films of a rig that has some are mounted.
-
-    Raises
-    ------
-    BadInput
-        If LEDs leave no room for films, screws, servo or rod.
-    """
+    """Work out where the films of a rig are mounted; BadInput if LEDs leave no room for films, screws, servo or rod."""
     camera, films = d.settings.camera, d.films
     assert films is not None
     lights = np.array([hole.light_mm for hole in d.holes])

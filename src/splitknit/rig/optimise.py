@@ -122,17 +122,11 @@ def _typical_print() -> PrintPoints:
 
 
 def evaluate_candidate(candidate: RigCandidate, study: Study) -> dict[str, Any]:
-    """Judge and measure one candidate.
+    """Judge and measure one candidate; never raises for what it is: a broken one is a result too.
 
-    Returns
-    -------
-    dict with ``candidate``, ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger could not be
+    Returns ``candidate``, ``status`` (``done``; ``refused`` by a constraint; ``failed`` where a finger could not be
     photographed or reconstructed), ``reason`` (one sentence, or None), ``constraints``, ``fingers`` (figures by finger)
     and ``mean`` (of the figures over the fingers, None unless done).
-
-    Notes
-    -----
-    Never raises for what a candidate is: a broken one is a result too. Follows from its arguments alone.
     """
     record: dict[str, Any] = {"candidate": {**asdict(candidate), "name": candidate.name}, "constraints": []}
     nothing: dict[str, Any] = {"fingers": [], "mean": None}
@@ -159,25 +153,11 @@ def _broken(findings: Sequence[Finding]) -> list[str]:
 def sweep_rigs(
     out: Path, candidates: Sequence[RigCandidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
 ) -> list[dict[str, Any]]:
-    """Evaluate all candidates and keep each as soon as it is finished.
+    """Evaluate all candidates, keep each as soon as it is finished, and return their records in order.
 
-    Parameters
-    ----------
-    out : folder; holds nothing, or an earlier sweep of the same study, whose finished candidates are not done again
-    candidates : rigs to compare
-    study : what they are evaluated with
-    workers : processes; the result does not depend on it
-    progress : called with the candidate and the fraction done
-
-    Returns
-    -------
-    Records of :func:`evaluate_candidate`, in the order of `candidates`. A failed candidate is tried again when the
-    sweep is resumed; done and refused ones are not.
-
-    Raises
-    ------
-    BadInput
-        If there are no candidates, none can be built, or the folder holds something else.
+    `out` holds nothing, or an earlier sweep of the same study: a failed candidate is then tried again; done and refused
+    ones are not. `workers`: processes; the result does not depend on it. Raises BadInput if there are no candidates,
+    none can be built, or the folder holds something else.
     """
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")
@@ -206,9 +186,7 @@ class _SweepFolder:
     """A folder of finished candidates of one study, one file each, whole or not there."""
 
     def __init__(self, out: Path, study: Study) -> None:
-        """Make the folder, or see that it holds a sweep of this very study. Raises BadInput if `out` is a file, holds
-        other files, or a sweep with other settings.
-        """
+        """Make the folder, or see that it holds a sweep of this very study."""
         self.out = out
         facts = {"format": "splitknit-rig-sweep", "version": 1, "software": provenance()["version"], "study": study}
         document = json.loads(canonical_json(facts))
@@ -258,23 +236,11 @@ class _SweepFolder:
 
 
 def summarise(records: Sequence[dict[str, Any]], figure: str) -> dict[str, Any]:
-    """Compare the rigs of a sweep by a figure that is minimised.
+    """Compare the rigs of a sweep by one of the records' figures, which is minimised, as ``surface_rms_mm``.
 
-    Parameters
-    ----------
-    records : of :func:`sweep_rigs`
-    figure : name of one of the records' figures, as ``surface_rms_mm``
-
-    Returns
-    -------
-    dict with ``counts`` (by status), ``figure``, ``best``, ``as_good`` (names), ``pareto`` (names; over the figure, the
+    Returns ``counts`` (by status), ``figure``, ``best``, ``as_good`` (names), ``pareto`` (names; over the figure, the
     LEDs' power and the size of the box), ``compared`` (by name), ``reasons`` (of refused and failed ones, with their
-    number)
-
-    Raises
-    ------
-    BadInput
-        If not one candidate was done; the message gives the reason.
+    number). Raises BadInput, with the reason, if not one candidate was done.
     """
     done = [one for one in records if one["status"] == DONE]
     reasons = Counter(one["reason"] for one in records if one["reason"] is not None)
@@ -312,13 +278,7 @@ def results_csv(
 
 
 def _pareto_front(costs: Array) -> NDArray[np.bool_]:
-    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere.
-
-    Raises
-    ------
-    BadInput
-        If `costs` is not finite.
-    """
+    """(N,) true where no other row of (N, K) `costs` is at most as large everywhere and smaller somewhere."""
     require(bool(np.isfinite(costs).all()), "costs must be finite.")
     return np.array([not ((costs <= row).all(axis=1) & (costs < row).any(axis=1)).any() for row in costs])
 

@@ -104,42 +104,30 @@ _FACETS_MM = 0.1
 
 
 def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) -> dict[str, Any]:
-    """Check one part as it lies on the bed.
+    """Check one part, `triangles` (N, 3, 3) in mm as in the STL file, as it lies on the bed.
 
-    Parameters
-    ----------
-    kind : PartKind
-    triangles : (N, 3, 3), mm, as in the STL file
-    printer : its limits
-
-    Returns
-    -------
-    dict with ``title``, ``quantity``, ``print``, ``size_mm``, ``volume_cm3``, ``mass_g`` (solid), ``checks`` and
-    ``findings``: sentences, one for everything that is outside a limit or wants a hand.
-
-    Raises
-    ------
-    RuntimeError
-        If the mesh is not watertight: an internal error, never the rig's.
+    Returns ``title``, ``quantity``, ``print``, ``size_mm``, ``volume_cm3``, ``mass_g`` (solid), ``checks`` and
+    ``findings``: sentences, one for everything that is outside a limit or wants a hand. Raises RuntimeError if the mesh
+    is not watertight: an internal error, never the rig's.
     """
     sound = _check_soundness(triangles)
     if not sound.watertight:
         raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
-    wall = _thinnest_wall(triangles)
+    thickness, place, samples = _thinnest_wall(triangles)
     hanging = _overhang(triangles, sizes.MAX_OVERHANG_DEG, sizes.LAYER_MM)
     points = triangles.reshape(-1, 3).astype(np.float64)
     size = points.max(axis=0) - points.min(axis=0)
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
-    thick = wall.thickness_mm >= sizes.MIN_WALL_MM - _FACETS_MM
+    thick = thickness >= sizes.MIN_WALL_MM - _FACETS_MM
     bridged = hanging.bridge_mm <= sizes.BRIDGE_MM
     volume = sound.volume_mm3 / 1000.0
     findings = [kind.remedy] if kind.remedy else []
     if not fits:
         findings.append(f"It is {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, larger than the printer's bed.")
     if not thick:
-        x, y, z = wall.place_mm
+        x, y, z = place
         findings.append(
-            f"Its thinnest place measures {wall.thickness_mm:.2f} mm, less than {sizes.MIN_WALL_MM:g} mm, at "
+            f"Its thinnest place measures {thickness:.2f} mm, less than {sizes.MIN_WALL_MM:g} mm, at "
             f"x {x:.0f}, y {y:.0f}, z {z:.0f} mm on the bed."
         )
     if not bridged:
@@ -165,10 +153,10 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
             "watertight": {"ok": True, "triangles": sound.triangles, "edges": sound.edges},
             "wall": {
                 "ok": bool(thick),
-                "smallest_mm": round(wall.thickness_mm, 2),
-                "at_mm": [round(float(value), 1) for value in wall.place_mm],
+                "smallest_mm": round(thickness, 2),
+                "at_mm": [round(float(value), 1) for value in place],
                 "least_mm": sizes.MIN_WALL_MM,
-                "places": wall.samples,
+                "places": samples,
             },
             "bed": {"ok": fits, "bed_mm": [printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm]},
             "overhang": {
@@ -205,13 +193,11 @@ class _Overhang:
 def _overhang(
     triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25
 ) -> _Overhang:
-    """Measure steep faces and bridges of a closed mesh.
+    """Measure steep faces and bridges of a closed mesh (N, 3, 3), mm.
 
     Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
     has a distance to the layer below. A ceiling that is held on both sides spans twice the largest distance; one that
-    is held on one side only counts twice, too, which is on the safe side. `triangles`: (N, 3, 3), mm; `limit_deg`: lean
-    from the vertical up to which nothing is needed; one degree is forgiven, for facets; `layer_mm`: height of a layer;
-    `pitch_mm`: of the grid.
+    is held on one side only counts twice, too, which is on the safe side. One degree of lean is forgiven, for facets.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
@@ -264,10 +250,8 @@ def _bridge(corners: NDArray[np.float64], z: float, layer_mm: float, pitch_mm: f
 def _slice_mask(
     corners: NDArray[np.float64], z: float, low: NDArray[np.float64], shape: tuple[int, int], pitch_mm: float
 ) -> NDArray[np.bool_]:
-    """Return which points of a grid lie inside a closed mesh at the height `z`.
-
-    `corners`: (N, 3, 3); `z`: height of the cut, mm; it should not meet a corner; `low`: (2,) x and y of the grid's
-    first point; `shape`: rows (along y) and columns (along x); `pitch_mm`: of the grid. Returns (rows, columns) bool.
+    """Which points of a grid of `shape` rows and columns from `low` (2,) lie inside a closed mesh at the height `z`,
+    which should not meet a corner.
     """
     heights = corners[..., 2] - z
     above = heights > 0
@@ -323,9 +307,7 @@ class _Soundness:
 
 
 def _check_soundness(triangles: Triangles) -> _Soundness:
-    """Count edges and measure the volume. `triangles`: (N, 3, 3) float32, mm, corners are the same point if their
-    numbers are the same.
-    """
+    """Count edges and measure the volume; corners are the same point if their numbers are the same."""
     corners = np.asarray(triangles, dtype=np.float32)
     require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
     _, index = np.unique(corners.reshape(-1, 3) + np.float32(0.0), axis=0, return_inverse=True)
@@ -347,23 +329,11 @@ def _check_soundness(triangles: Triangles) -> _Soundness:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wall:
-    """The thinnest place that was found."""
+def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> tuple[float, NDArray[np.float64], int]:
+    """Thinnest wall up to 8 mm, its place (3,), and from how many points on the surface it was sought.
 
-    thickness_mm: float
-    """8 where no wall is thinner than that."""
-    place_mm: NDArray[np.float64]
-    """(3,) on the surface."""
-    samples: int
-
-
-def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> _Wall:
-    """Measure the thickness from points on the surface straight inwards to the opposite face.
-
-    Only faces that look away from each other within 25 deg count: towards a sharp edge every body becomes thin, and
-    that is no wall. `triangles`: (N, 3, 3), a closed mesh, mm; `samples`: points on the surface, drawn in proportion to
-    the area; every triangle has one at least; `seed`: of the drawing.
+    Points are drawn by area, at least one a triangle. Only faces that look away from each other within 25 deg count:
+    towards a sharp edge every body becomes thin.
     """
     corners = np.asarray(triangles, dtype=np.float64)
     normals = _unit_normals(triangles)
@@ -372,10 +342,10 @@ def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> 
     distance, hit = _first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
     met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
     if not bool(met.any()):
-        return _Wall(_REACH_MM, points[0], len(points))
+        return _REACH_MM, points[0], len(points)
     thickness = np.where(met, distance, np.inf)
     thinnest = int(np.argmin(thickness))
-    return _Wall(float(thickness[thinnest]) + 1e-4, points[thinnest], len(points))
+    return float(thickness[thinnest]) + 1e-4, points[thinnest], len(points)
 
 
 def _surface_points(
@@ -401,11 +371,10 @@ _AT_ONCE = 400_000
 def _first_hits(
     corners: NDArray[np.float64], origins: NDArray[np.float64], directions: NDArray[np.float64], reach_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return each ray's distance to the first triangle that it meets within its reach, and that triangle.
+    """Return each ray's distance (R,) to the first triangle that it meets within its reach, or infinity, and that
+    triangle.
 
-    `corners`: (N, 3, 3), mm; `origins`, `directions`: (R, 3); directions of unit length; `reach_mm`: length of the
-    rays. Returns `distance`: (R,), infinite where nothing is met; `triangle`: (R,), -1 where nothing is met. Source: T.
-    Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
+    T. Moeller and B. Trumbore, "Fast, minimum storage ray/triangle intersection", Journal of Graphics Tools 2(1), 1997.
 
     >>> import numpy as np
     >>> floor = np.array([[[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]]])

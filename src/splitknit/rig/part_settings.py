@@ -103,10 +103,7 @@ class _FingerSettings(Checked):
 
     British adults of 19 to 65 years (5th percentile of women to 95th of men, mm): thumb breadth 17 to 26, index finger
     breadth 16 to 23, thumb thickness 15 to 24, index finger thickness 14 to 21, index finger length 60 to 79, little
-    finger length 43 to 63 (breadth and thickness at the proximal joint; the last phalanx is about a quarter thinner).
-
-    References
-    ----------
+    finger length 43 to 63 (breadth and thickness at the proximal joint; the last phalanx is about a quarter thinner):
     S. Pheasant, "Bodyspace: Anthropometry, Ergonomics and the Design of Work", 2nd edition, 1996, table of the hand.
     """
 

@@ -325,17 +325,6 @@ def _disc_dots(dimensions: RigDimensions) -> list[tuple[float, float]]:
     return [(i * step, j * step) for i in steps for j in steps if math.hypot(i, j) * step <= reach]
 
 
-def _disc_part(dimensions: RigDimensions) -> Shape:
-    """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
-    return _cut(_cup(dimensions), _dots(dimensions, sizes.DOT_DEPTH_MM, dimensions.settings.calibration.dot_mm / 2))
-
-
-def _flat_disc_part(dimensions: RigDimensions) -> Shape:
-    """Return the disc whose dots are the pegs of another part, flush with its face."""
-    calibration = dimensions.settings.calibration
-    return _cut(_cup(dimensions), _dots(dimensions, sizes.DISC_MM + 1.0, calibration.dot_mm / 2))
-
-
 def _dots_part(dimensions: RigDimensions) -> Shape:
     """Return a sheet with pegs that are pushed into the flat disc from behind."""
     d, calibration = dimensions, dimensions.settings.calibration
@@ -345,8 +334,10 @@ def _dots_part(dimensions: RigDimensions) -> Shape:
     return _fused(_cylinder(radius, low, high), [_cylinder(peg, high - 0.3, 0.0, x, y) for x, y in _disc_dots(d)])
 
 
-def _dots(dimensions: RigDimensions, depth: float, radius: float) -> list[Shape]:
-    return [_cylinder(radius, -depth, 1.0, x, y) for x, y in _disc_dots(dimensions)]
+def _disc_part(dimensions: RigDimensions, depth: float) -> Shape:
+    """Return the disc with recessed dots; its face is the finger plane, its skirt stands in the base's ring pocket."""
+    radius = dimensions.settings.calibration.dot_mm / 2
+    return _cut(_cup(dimensions), [_cylinder(radius, -depth, 1.0, x, y) for x, y in _disc_dots(dimensions)])
 
 
 def _cup(dimensions: RigDimensions) -> Shape:
@@ -359,12 +350,6 @@ def _cup(dimensions: RigDimensions) -> Shape:
     half = d.block_mm + 2 * sizes.JOINT_CLEARANCE_MM
     rim = d.groove_z_mm + d.settings.finger.groove_depth_mm
     return _cut(body, [_box((-half, half), (-outside - 1.0, -5.0), (foot - 1.0, rim + 0.5))])
-
-
-def _nail_part(dimensions: RigDimensions) -> Shape:
-    """Return the nail: a cone on the finger plane, as sharp as the nozzle allows."""
-    tip = sizes.NOZZLE_MM / 2
-    return _cone(sizes.NAIL_RADIUS_MM, tip, 0.0, dimensions.nail_mm)
 
 
 # Holders of polarising films.
@@ -465,10 +450,10 @@ MAKERS: dict[str, Callable[[RigDimensions], Shape]] = {
     "frame": _frame_part,
     "box": _box_part,
     "lid": _lid_part,
-    "calibration_disc": _disc_part,
-    "calibration_disc_flat": _flat_disc_part,
+    "calibration_disc": lambda d: _disc_part(d, sizes.DOT_DEPTH_MM),
+    "calibration_disc_flat": lambda d: _disc_part(d, sizes.DISC_MM + 1.0),
     "calibration_dots": _dots_part,
-    "nail": _nail_part,
+    "nail": lambda d: Pos(0, 0, 0) * Solid.make_cone(sizes.NAIL_RADIUS_MM, sizes.NOZZLE_MM / 2, d.nail_mm),
     "film_ring": _film_ring_part,
     "analyser": _analyser_part,
     "analyser_plate": _analyser_plate_part,
@@ -489,11 +474,6 @@ def _rod(radius: float, start: _Point, end: _Point, start_radius: float | None =
     if start_radius is not None:
         return Solid.make_cone(start_radius, radius, way.length, plane)
     return Solid.make_cylinder(radius, way.length, plane)
-
-
-def _cone(low_radius: float, high_radius: float, low: float, high: float) -> Shape:
-    """Return an upright truncated cone about the z axis."""
-    return Pos(0, 0, low) * Solid.make_cone(low_radius, high_radius, high - low)
 
 
 def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Shape:
@@ -537,13 +517,7 @@ def _common(first: Shape, second: Shape) -> Shape:
 
 
 def _one(shape: Shape) -> Shape:
-    """Return the only solid of a result of fusing or cutting.
-
-    Raises
-    ------
-    RuntimeError
-        If there is not exactly one: a dimension that the checks let through tears a part.
-    """
+    """Return the only solid of a result of fusing or cutting; a dimension that the checks let through may tear it."""
     solids = shape.solids()
     if len(solids) != 1:
         raise RuntimeError(f"a part fell into {len(solids)} pieces")

@@ -30,14 +30,9 @@ MARKS_MM = ((-3.5, 9.0), (0.6, 9.4), (3.0, 8.6), (-0.6, 10.8))
 
 
 def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
-    """The phantom's surface as a result, and its fields of ridges.
+    """The phantom's surface as drawn, without the printer's own error, as a result, and its fields of ridges.
 
-    Returns
-    -------
-    result : Reconstruction
-        Heights as drawn; the printer's own error is not in them.
-    fields : list of dict
-        ``middle_mm`` across and along the skin, ``height_um``, ``period_mm``, ``turn_deg``.
+    Of each field ``middle_mm`` across and along the skin, ``height_um``, ``period_mm``, ``turn_deg``.
     """
     columns, rows = (round(side / PITCH_MM) + 1 for side in PLATE_MM)
     x = (np.arange(columns) - (columns - 1) / 2) * PITCH_MM
@@ -91,13 +86,7 @@ def phantom_mesh(result: Reconstruction) -> tuple[FloatArray, NDArray[np.int32]]
 
 
 def phantom_to_folder(out: Path) -> dict[str, Any]:
-    """Write ``phantom.stl``, its heights as a result's ``height.npz``, and ``phantom.json``; return the latter's facts.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds anything but an earlier phantom.
-    """
+    """Write ``phantom.stl``, its heights as a result's ``height.npz``, and ``phantom.json``; return its facts."""
     check_target(out, "phantom.json", "an earlier phantom", form=FORMAT)
     result, fields = phantom()
     vertices, faces = phantom_mesh(result)

@@ -42,11 +42,7 @@ _TABLE_B = np.array([
 
 
 def _blue_weight(nm: _Array) -> _Array:
-    """Return the blue-light hazard function B at wavelengths in nm (same shape; IEC 62471:2006, table 4.2).
-
-    >>> blue_weight(np.array([440.0, 470.0, 550.0, 650.0, 850.0])).tolist()
-    [1.0, 0.62, 0.01, 0.001, 0.0]
-    """
+    """Return the blue-light hazard function B at wavelengths in nm (same shape; IEC 62471:2006, table 4.2)."""
     short = np.interp(nm, _TABLE_NM, _TABLE_B)
     middle = 10.0 ** ((450.0 - nm) / 50.0)
     long = np.where((nm > 600) & (nm <= 700), 0.001, 0.0)
@@ -54,11 +50,7 @@ def _blue_weight(nm: _Array) -> _Array:
 
 
 def _burn_weight(nm: _Array) -> _Array:
-    """Return the burn hazard function R at wavelengths in nm (same shape; IEC 62471:2006, table 4.2).
-
-    >>> burn_weight(np.array([440.0, 550.0, 850.0])).round(3).tolist()
-    [10.0, 1.0, 0.501]
-    """
+    """Return the burn hazard function R at wavelengths in nm (same shape; IEC 62471:2006, table 4.2)."""
     short = np.maximum(10.0 * np.interp(nm, _TABLE_NM, _TABLE_B), np.where(nm > 495, 1.0, 0.0))
     near = 10.0 ** ((700.0 - nm) / 500.0)
     far = 0.2 * 10.0 ** (0.02 * (1150.0 - nm))
@@ -109,13 +101,7 @@ class _Hazard:
 
 
 def _radiant_intensity(part: LedPart, band: str) -> float:
-    """Return an LED's radiant intensity on its axis at its data sheet's current, W/sr.
-
-    Raises
-    ------
-    BadInput
-        If its data are no positive numbers, give its intensity not once, or more light than the LED takes power.
-    """
+    """Return an LED's radiant intensity on its axis at its data sheet's current, W/sr; BadInput if the data lack it."""
     which = f"the {band} LED's"
     cd, w_sr = part.intensity_cd, part.intensity_w_sr
     require(
@@ -150,28 +136,12 @@ def _hazards(
     duty: float = 1.0,
     exposure_s: float = EXEMPT_S,
 ) -> tuple[_Hazard, ...]:
-    """Return the retina's hazards of LEDs of one band, each with its limit.
+    """Return the retina's hazards of LEDs of one band, each with its limit (IEC 62471:2006, 4.2.2, 4.3.3 to 4.3.6,
+    table 6.1).
 
-    Parameters
-    ----------
-    band : ``white`` (blue light, heat) or ``nir`` (heat without a visual stimulus)
-    part : the LED
-    current_a : through it; its intensity is taken in proportion
-    distance_mm : from the eye
-    together : LEDs so near each other that they are seen within 0.1 rad
-    duty : fraction of the time that it is on; heat of the retina is taken as though it were always on, for a single
-        flash may be long enough
-    exposure_s : how long somebody looks, at least 10 s; 30,000 s gives the limits of the exempt group
-
-    Examples
-    --------
-    >>> from splitknit.rig.circuit import NIR_LED
-    >>> [h.margin > 10 for h in hazards("nir", NIR_LED, 0.1, 149.5)]
-    [True]
-
-    References
-    ----------
-    IEC 62471:2006, 4.2.2, 4.3.3 to 4.3.6, table 6.1.
+    `together`: LEDs so near each other that they are seen within 0.1 rad; `duty`: fraction of the time that each is on;
+    heat of the retina is taken as though it were always on, for a single flash may be long enough; `exposure_s`: how
+    long somebody looks, at least 10 s; 30,000 s gives the limits of the exempt group.
     """
     require(exposure_s >= 10 and distance_mm > 0, "an exposure needs 10 s or more and a distance.")
     irradiance = _irradiance(band, part, current_a, distance_mm)
@@ -203,21 +173,11 @@ def rig_hazards(
     shorted: bool = False,
     passed: float = 1.0,
 ) -> tuple[_Hazard, ...]:
-    """Return all hazards of a rig whose LEDs are on together.
+    """Return all hazards of a rig whose LEDs are on together, with the largest currents of `stages`, by band.
 
-    Parameters
-    ----------
-    rig : where the LEDs are
-    stages : by band, whose largest currents flow
-    duty : fraction of the time that each LED is on
-    exposure_s : see :func:`_hazards`
-    shorted : with the current that flows if a transistor is shorted, instead of the largest of all tolerances
-    passed : fraction of the white LEDs' light that passes what is before them, such as film; NIR passes it all
-
-    Raises
-    ------
-    BadInput
-        If an LED's data are none; see :func:`_radiant_intensity`.
+    `duty`: fraction of the time that each LED is on; `exposure_s`: see :func:`_hazards`; `shorted`: with the current
+    that flows if a transistor is shorted, instead of the largest of all tolerances; `passed`: fraction of the white
+    LEDs' light that passes what is before them, such as film; NIR passes it all.
     """
     found: list[_Hazard] = []
     infrared = skin = 0.0
@@ -241,13 +201,7 @@ def rig_hazards(
 
 
 def check_hazards(found: tuple[_Hazard, ...]) -> None:
-    """Refuse light above a limit.
-
-    Raises
-    ------
-    BadInput
-        Naming the hazard that is worst.
-    """
+    """Refuse light above a limit, naming the hazard that is worst."""
     worst = min(found, key=lambda hazard: hazard.margin)
     leds = "the LEDs together" if worst.band == "all" else f"the {worst.band} LEDs"
     require(

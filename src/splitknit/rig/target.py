@@ -205,13 +205,7 @@ class TargetSettings:
 
 
 def target_pdf(settings: TargetSettings | None = None) -> bytes:
-    """Return the target as a PDF file; equal settings give equal bytes.
-
-    Raises
-    ------
-    BadInput
-        If a setting cannot be, or the parts do not fit on the sheet.
-    """
+    """Return the target as a PDF file; equal settings give equal bytes. BadInput if the parts do not fit."""
     settings = settings or TargetSettings()
     page = _Page(title="splitknit calibration target")
     _words(page, settings)

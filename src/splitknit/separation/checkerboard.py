@@ -49,15 +49,16 @@ def checkerboard(
 ) -> Separation:
     """Separate direct from global light.
 
-    Without `patterns`: each pixel's maximum and minimum over the images (Nayar et al.; the thesis's 3.54 to 3.57).
-    With `patterns`: least squares of L = s L_direct + k L_global over a pixel's images, s = dark + (1 - dark) P, with
-    images left out in which the pixel lies on the rim of a check (P neither lit nor dark: there P is uncertain and
-    the direct light partly missing). It is unbiased, since the states do not depend on the noise.
+    Without `patterns`: each pixel's maximum and minimum over the images (Nayar et al.; the thesis's 3.54 to 3.57). With
+    `patterns`: least squares of L = s L_direct + k L_global over a pixel's images, s = dark + (1 - dark) P, with images
+    left out in which the pixel lies on the rim of a check (P neither lit nor dark: there P is uncertain and the direct
+    light partly missing). It is unbiased, since the states do not depend on the noise.
 
-    With `patterns` and `check_px`, for matter in which light spreads: least squares of
-    L = a + b s + c m, where m is s averaged over a square of 0.8 checks around the pixel, with the weights |2 m - 1|,
-    evaluated where the pixel lies nearest to the middle of a lit and of a dark check. These places are known, so that
-    there is still no bias by noise.
+    With `patterns` and `check_px`, for matter in which light spreads: least squares of L = a + b s + c m, where m is s
+    averaged over a square of 0.8 checks around the pixel, with the weights |2 m - 1|, evaluated where the pixel lies
+    nearest to the middle of a lit and of a dark check. These places are known, so that there is still no bias by noise.
+    Raises BadInput if the stack is inconsistent: a shift missing or repeated, pixels that were never lit or never dark,
+    saturated or black images, sizes that differ, NaN, images that do not show their patterns.
 
     Parameters
     ----------
@@ -75,17 +76,6 @@ def checkerboard(
     period : number or pair, optional
         Period of the pattern in the units of `shifts`, which are then compared modulo it.
     mask : (H, W) bool, optional
-    settings : StackSettings
-
-    Returns
-    -------
-    Separation
-
-    Raises
-    ------
-    BadInput
-        If the stack is inconsistent: a shift missing or repeated, pixels that were never lit or never dark, saturated
-        or black images, sizes that differ, NaN, images that do not show their patterns.
 
     References
     ----------

@@ -34,11 +34,8 @@ def exposure_level(image: FloatArray) -> float:
 def local_level(image: FloatArray) -> FloatArray:
     """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one.
 
-    A Gaussian mean over the pixels that are not black, formed on blocks of 8 x 8 pixels and interpolated.
-
-    Parameters
-    ----------
-    image : (h, w) or (C, h, w), zero outside the skin
+    A Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not black, formed on blocks of 8 x 8
+    pixels and interpolated.
     """
     grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), np.float32(0.0))
     height, width = grey.shape
@@ -60,35 +57,20 @@ def direct_light(
 ) -> FloatArray:
     """Direct light of every image; what is left, image minus direct, is global light.
 
+    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
+    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
+    shows. The result, of the shape of `images`, lies between zero and the image; for enhanced images it is what
+    enhancement makes of the image times the direct fraction of its light. The thesis, 3.3.1.4; O. Ronneberger, P.
+    Fischer and T. Brox, "U-Net", MICCAI 2015. Raises BadInput if the images have the wrong shape, hold NaN, or are
+    smaller than the network's stride.
+
     Parameters
     ----------
     images : (N, H, W) grey or (N, 3, H, W) red, green, blue
         Linear light, or images enhanced by CLAHE; any scale, zero outside the skin. Grey images are given to the
         network three times, as the thesis does.
     network : Network, name of a shipped network, or path of an ``.onnx`` file
-    tile
-        As of :func:`splitknit.networks.unet.run_network`.
-
-    Returns
-    -------
-    Array of the shape of `images`, float32
-        Direct light in the images' units, between zero and the image. For enhanced images it is what enhancement makes
-        of the image times the direct fraction of its light.
-
-    Raises
-    ------
-    BadInput
-        If the images have the wrong shape, hold NaN, or are smaller than the network's stride.
-
-    Notes
-    -----
-    Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
-    shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
-    shows.
-
-    References
-    ----------
-    The thesis, 3.3.1.4; O. Ronneberger, P. Fischer and T. Brox, "U-Net", MICCAI 2015.
+    tile : as of :func:`splitknit.networks.unet.run_network`
     """
     ready = network if isinstance(network, Network) else load_network(network)
     stack = np.asarray(images, dtype=np.float32)
@@ -110,22 +92,12 @@ def direct_light(
 def direct_of_enhanced(
     enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
 ) -> FloatArray:
-    """Direct part of enhanced grey images, by the direct fraction of the colour images they were made of.
+    """Direct part (N, H, W) of enhanced grey images, by the direct fraction of the colour images (N, 3, H, W) they were
+    made of.
 
     A grey image has lost the colours that show how much of skin's light is direct. Here the network is given the
     colours, and the enhanced image is multiplied by the fraction of direct light that it finds; the thesis gives the
     network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
-
-    Parameters
-    ----------
-    enhanced : (N, H, W) images after CLAHE, zero outside the skin
-    images : (N, 3, H, W) the same in linear red, green and blue
-    network, tile
-        As of :func:`direct_light`.
-
-    Returns
-    -------
-    (N, H, W) float32, between zero and `enhanced`
     """
     grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
     require(

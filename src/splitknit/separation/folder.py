@@ -57,11 +57,7 @@ def separate_to_folder(
     """Separate the images in `folder`, write all results into `out`, return the facts of ``report.json`` and more.
 
     `changes` replace fields of :class:`splitknit.separation.pattern_folder.PatternFolder` (``None`` changes nothing).
-
-    Raises
-    ------
-    BadInput
-        Naming the file or the folder at fault; nothing is left half-written.
+    Raises BadInput naming the file or the folder at fault; nothing is left half-written.
     """
     started = time.perf_counter()
     plan = read_pattern_folder(folder, changes)
@@ -87,10 +83,7 @@ def separate_polarised_folders(
 ) -> dict[str, Any]:
     """Separate photographs through parallel and crossed films, light by light; return the facts of ``report.json``.
 
-    Raises
-    ------
-    BadInput
-        If the folders do not hold the same number of photographs of one kind, or are not to be read.
+    Raises BadInput if the folders do not hold the same number of photographs of one kind, or are not to be read.
     """
     series = []
     for folder in (parallel, crossed):

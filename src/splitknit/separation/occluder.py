@@ -33,11 +33,11 @@ def occluder(
     mask: Any = None,
     settings: StackSettings = DEFAULTS,
 ) -> Separation:
-    """Separate direct from global light by a moving shadow.
+    """Separate direct from global light by a moving shadow (S. K. Nayar et al. 2006, section 5.1).
 
     A thin line takes away hardly any of the global light: direct = greatest - least, global = least. A mesh that lets
-    the fraction `alpha` of the light through takes the rest of the global light with it in *every* image:
-    direct = greatest - least, global = least / alpha.
+    the fraction `alpha` of the light through takes the rest of the global light with it in *every* image: direct =
+    greatest - least, global = least / alpha.
 
     Minimum and maximum over noisy images are biased outwards. Two remedies: `shadow_percent`, the fraction of the
     images in which every pixel is surely in full shadow; the median of that many darkest images is its shadow, and the
@@ -45,30 +45,11 @@ def occluder(
     or from :func:`splitknit.separation.states.estimate_patterns`: the means over a pixel's lit and shadowed images,
     unbiased.
 
-    Parameters
-    ----------
-    sequence : (N, H, W) or (N, H, W, C), or an iterable of images; two at least
-        Linear light, black level removed, lamp and camera fixed.
-    kind : ``line`` or ``mesh``
-    alpha : fraction of the light that passes, in (0, 1]; 1 for a line, to be given for a mesh
-    shadow_percent : 0 (plain extremes) to 50
-    patterns : (N, H, W) in [0, 1], optional
-        1 where a pixel is lit, 0 where it lies in the shadow; between them it is left out.
-    mask : (H, W) bool, optional
-    settings : StackSettings
-
-    Returns
-    -------
-    Separation
-
-    Raises
-    ------
-    BadInput
-        If pixels were never shadowed (with their fraction and the first of them), or the images are unusable.
-
-    References
-    ----------
-    S. K. Nayar et al. 2006, section 5.1 (line occluder and mesh of holes, from a video).
+    `sequence`: (N, H, W) or (N, H, W, C) linear light, black level removed, lamp and camera fixed, or an iterable of
+    images, two at least; `kind`: ``line`` or ``mesh``; `alpha`, in (0, 1], is to be given for a mesh; `shadow_percent`:
+    0 (plain extremes) to 50; `patterns`: (N, H, W), 1 where a pixel is lit, 0 where it lies in the shadow, left out
+    between them; `mask`: (H, W) bool. Raises BadInput if pixels were never shadowed (with their fraction and the first
+    of them), or the images are unusable.
     """
     require(kind in KINDS, f"kind must be 'line' or 'mesh', but it is '{kind}'.")
     require(kind == "line" or alpha is not None, "a mesh needs alpha, the fraction of the light that passes it.")

@@ -114,12 +114,8 @@ class PatternFolder:
 def read_pattern_folder(folder: Path, changes: Mapping[str, Any] | None = None) -> PatternFolder:
     """Read ``separation.json``, or take the folder as it is; then `changes`, fields of :class:`PatternFolder`.
 
-    ``patterns`` may name a folder of state images in `changes`.
-
-    Raises
-    ------
-    BadInput
-        Naming the folder, the field or the file that is at fault.
+    ``patterns`` may name a folder of state images in `changes`. Raises BadInput naming the folder, field or file at
+    fault.
     """
     require(folder.is_dir(), f"'{folder}' is not a folder; name the folder that holds the images.")
     found = _read_document(folder) if (folder / DOCUMENT).is_file() else _by_names(folder)

@@ -33,37 +33,18 @@ def single_image(
     pattern: Any = None,
     settings: StackSettings = DEFAULTS,
 ) -> Separation:
-    """Separate direct from global light in blocks of `block` x `block` pixels.
+    """Separate direct from global light in blocks of `block` x `block` pixels (S. K. Nayar et al. 2006, section 6).
 
     Without `pattern`: in each channel the local peaks (a check's brightest pixels) and valleys are found, carried over
-    to all pixels, and averaged over the blocks (Nayar et al.). Peaks and valleys of noise and of the skin's own
-    texture are taken along: direct light comes out too large. With `pattern`, least squares of
-    L = s L_direct + k L_global over the pixels of each block, which noise does not bias.
+    to all pixels, and averaged over the blocks. Peaks and valleys of noise and of the skin's own texture are taken
+    along: direct light comes out too large. With `pattern`, (H, W) in [0, 1], least squares of L = s L_direct + k
+    L_global over the pixels of each block, which noise does not bias.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, C)
-        Linear light, black level removed.
-    block : side of a block in pixels; at least twice the check
-    check_px : side of a check in the image, pixels; needed without `pattern`
-    alpha, dark : as for :func:`splitknit.separation.checkerboard.checkerboard`
-    pattern : (H, W) in [0, 1], optional
-        State of the pattern at each pixel.
-    settings : StackSettings
-
-    Returns
-    -------
-    Separation
-        (H // block, W // block) or with C; rows and columns that fill no block are dropped.
-
-    Raises
-    ------
-    BadInput
-        If the image is black or saturated, holds no such pattern, or a block is never lit or never dark.
-
-    References
-    ----------
-    S. K. Nayar et al. 2006, section 6 (one image, lower resolution).
+    `image`: (H, W) or (H, W, C) linear light, black level removed; `block`: at least twice the check; `check_px`: side
+    of a check in pixels, needed without `pattern`; `alpha`, `dark`: as for
+    :func:`splitknit.separation.checkerboard.checkerboard`. Returns (H // block, W // block) or with C; rows and columns
+    that fill no block are dropped. Raises BadInput if the image is black or saturated, holds no such pattern, or a
+    block is never lit or never dark.
     """
     mean_brightness(alpha, dark)
     images = light_stack([image], least=1, settings=settings)

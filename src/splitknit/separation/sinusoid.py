@@ -47,40 +47,20 @@ def sinusoid(
     """Separate direct from global light under the pattern 1/2 + 1/2 sin(phase + phases_rad[n]) in image n.
 
     Least squares over the images at each pixel: L = A + B sin(phase + shift), direct = 2 B / (1 - dark), direct plus
-    global = 2 A / (1 + dark). Three images determine A, B and the phase; more lower the noise. All channels share one
-    phase.
+    global = 2 A / (1 + dark). Three images determine A, B and the phase (S. K. Nayar et al. 2006, section 5.3); more
+    lower the noise. All channels share one phase.
 
-    B is the length of a noisy vector and so biased upwards, by v / (2 B) for a variance v of its two components. Two
-    remedies: `known_phase_rad`, with which B is linear in the images and has no bias; or `noise_std`, by which this
-    bias is taken off, to second order in noise over B (sound where B exceeds about three standard deviations).
+    B is the length of a noisy vector and so biased upwards, by v / (2 B) for a variance v of its two components (H.
+    Gudbjartsson and S. Patz, "The Rician distribution of noisy MRI data", Magnetic Resonance in Medicine 34(6), 1995).
+    Two remedies: `known_phase_rad`, (H, W) from a calibrated projector or a smooth fit, with which B is linear in the
+    images and has no bias; or `noise_std`, of one image in units of linear light, by which this bias is taken off, to
+    second order in noise over B (sound where B exceeds about three standard deviations).
 
-    Parameters
-    ----------
-    stack : (N, H, W) or (N, H, W, C), three images at least
-        Linear light, black level removed.
-    phases_rad : (N,), optional
-        Shift of each image; equal steps of 2 pi / N where None.
-    dark : least brightness of the source relative to its greatest, in [0, 1)
-    known_phase_rad : (H, W), optional
-        Phase at each pixel, from a calibrated projector or a smooth fit.
-    noise_std : standard deviation of one image's noise, in units of linear light
-    mask : (H, W) bool, optional
-    settings : StackSettings
-
-    Returns
-    -------
-    PhaseSeparation
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than three images, two phases agree, they do not determine a sinusoid, the images do not
-        follow them, or the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
-
-    References
-    ----------
-    S. K. Nayar et al. 2006, section 5.3 (three sinusoids); H. Gudbjartsson and S. Patz, "The Rician distribution of
-    noisy MRI data", Magnetic Resonance in Medicine 34(6), 1995 (the bias).
+    `stack`: (N, H, W) or (N, H, W, C) linear light, black level removed, three images at least; `phases_rad`: (N,),
+    equal steps of 2 pi / N where None; `dark`: least brightness of the source relative to its greatest, in [0, 1);
+    `mask`: (H, W) bool. Raises BadInput if there are fewer than three images, two phases agree, they do not determine a
+    sinusoid, the images do not follow them, or the stack is unusable as for
+    :func:`splitknit.separation.checkerboard.checkerboard`.
     """
     check_fraction(dark, "dark")
     require(bool(np.isfinite(noise_std)) and noise_std >= 0, f"noise_std must not be negative, but it is {noise_std}.")
@@ -152,10 +132,7 @@ def _fit(light: FloatArray, inverse: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def _check_residual(images: LightStack, design: NDArray[np.float64], inverse: NDArray[np.float64]) -> None:
-    """Refuse images that do not follow their phases; with three there is no redundancy to check.
-
-    Noise is independent in neighbouring pixels and does not count.
-    """
+    """Refuse images that do not follow their phases; noise is independent in neighbouring pixels and does not count."""
     if len(design) == 3 or images.light.shape[2] < 2:
         return
     step = max(1, images.light.shape[1] // 64)

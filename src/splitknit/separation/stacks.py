@@ -90,18 +90,11 @@ class LightStack:
 
 
 def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
-    """Check a stack of linear light.
+    """Check a stack of linear light, (N, H, W) or (N, H, W, C) or a sequence of images, C = 1 or 3, and its mask (H,
+    W).
 
-    Parameters
-    ----------
-    stack : (N, H, W) or (N, H, W, C) array, or a sequence of images (H, W) or (H, W, C), with C = 1 or 3
-    least : smallest number of images
-    mask : (H, W) bool, optional
-
-    Raises
-    ------
-    BadInput
-        If there are too few images, sizes differ, values are not finite, or an image is black or overexposed.
+    Raises BadInput if there are fewer than `least` images, sizes differ, values are not finite, or an image is black or
+    overexposed.
     """
     images = [np.asarray(image) for image in stack]
     require(len(images) >= least, f"at least {least} images are needed, but there are {len(images)}.")
@@ -165,11 +158,7 @@ def from_extremes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Direct and global light of the light recorded dark (`low`) and lit (`high`), any shape.
 
-    With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark),
-    global = (low - dark high) / (k (1 - dark)).
-
-    References
-    ----------
+    With k = alpha + dark (1 - alpha): direct = (high - low) / (1 - dark), global = (low - dark high) / (k (1 - dark)).
     S. K. Nayar et al. 2006, eq. 7 and 8, for one fraction alpha in all images.
     """
     k = mean_brightness(alpha, dark)
@@ -202,18 +191,10 @@ def percent(fraction: float) -> str:
 def check_contrast(
     low: FloatArray, high: FloatArray, mask: BoolArray, settings: StackSettings, words: tuple[str, str]
 ) -> None:
-    """Refuse a stack in which too many bright pixels do not change.
+    """Refuse a stack in which too many bright pixels do not change, naming their fraction and where the first of them
+    is.
 
-    Parameters
-    ----------
-    low, high : (H, W, C)
-        Minimum and greatest light.
-    words : what they have never been, and the remedy
-
-    Raises
-    ------
-    BadInput
-        Naming their fraction and where the first of them is.
+    `words`: what they have never been, and the remedy.
     """
     dark, bright = low.max(axis=-1), high.max(axis=-1)
     looked_at = mask & (bright > LIT_LEVEL * float(np.quantile(_thinned(bright, mask), 0.999)))
@@ -234,19 +215,8 @@ def check_repeats(
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
     Two images of one pattern differ by noise alone. Noise is independent from pixel to pixel, patterns are not: the
-    covariance of the difference with itself, moved by a pixel or two, separates them in noisy images too.
-
-    Parameters
-    ----------
-    light : (N, H, W, C)
-    mask : (H, W)
-    expected : (N, N), optional
-        How much the patterns themselves differ (any unit); all equal where None.
-
-    Raises
-    ------
-    BadInput
-        Naming the two images.
+    covariance of the difference with itself, moved by a pixel or two, separates them in noisy images too. `expected`:
+    (N, N) how much the patterns themselves differ (any unit); all equal where None.
     """
     power, covariance, count = _differences(light, mask)
     pairs = np.triu_indices(len(light), 1)

@@ -14,15 +14,11 @@ from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSetting
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
-    """States (N, H, W) in [0, 1] of a checkerboard whose rows and columns run along the camera's.
+    """States (N, H, W) in [0, 1] of a checkerboard whose rows and columns run along the camera's, moved by (N, 2)
+    `shifts_px`.
 
-    Each value is the lit fraction of the pixel's area, so that shifts and checks need not be whole pixels.
-
-    Parameters
-    ----------
-    size : rows, columns
-    check_px : side of a check, at least one pixel
-    shifts_px : (N, 2) rows, columns by which the pattern is moved
+    Each value is the lit fraction of the pixel's area, so that shifts and checks (of a pixel or more) need not be whole
+    pixels.
     """
     require(bool(np.isfinite(check_px)) and check_px >= 1, f"check_px must be at least 1, but it is {check_px}.")
     shifts = np.asarray(shifts_px, dtype=np.float64)
@@ -49,16 +45,11 @@ def estimate_patterns(
 ) -> FloatArray:
     """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5 undecided.
 
-    A pixel's state is read from the mean of its *neighbours* (a Gaussian without its centre), relative to their own
-    maximum and minimum over the images. The neighbours share its state and not its noise, so that least squares with
-    these states is unbiased in all but the faintest pixels; there it falls short, towards zero, where maximum and
-    minimum would invent direct light. Checks must be wider than about five times `smooth_px`.
-
-    Parameters
-    ----------
-    stack : (N, H, W) or (N, H, W, C)
-    smooth_px : standard deviation of the Gaussian
-    edge : a state nearer to the middle than 0.5 - `edge` is undecided
+    A pixel's state is read from the mean of its *neighbours* (a Gaussian of `smooth_px` without its centre), relative
+    to their own maximum and minimum over the images; nearer to the middle than 0.5 - `edge` it is undecided. The
+    neighbours share its state and not its noise, so that least squares with these states is unbiased in all but the
+    faintest pixels; there it falls short, towards zero, where maximum and minimum would invent direct light. Checks
+    must be wider than about five times `smooth_px`.
     """
     require(0.3 <= smooth_px <= 50, f"smooth_px must lie in [0.3, 50], but it is {smooth_px}.")
     require(0 < edge < 0.5, f"edge must lie in (0, 0.5), but it is {edge}.")
@@ -84,13 +75,7 @@ def estimate_patterns(
 
 
 def check_shifts(shifts: Any, count: int, period: Any = None) -> None:
-    """Refuse a table of shifts that is not a full grid with each shift once, one for each of `count` images.
-
-    Raises
-    ------
-    BadInput
-        Naming the shift that is missing or the two images that share one.
-    """
+    """Refuse a table of shifts that is not a full grid with each shift once, one for each of `count` images."""
     table = np.asarray(shifts, dtype=np.float64)
     table = table[:, None] if table.ndim == 1 else table
     good = table.ndim == 2 and table.shape[1] in (1, 2) and bool(np.isfinite(table).all())
@@ -135,14 +120,7 @@ def _words(row: tuple[float, ...]) -> str:
 
 
 def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) -> FloatArray:
-    """Return known states (N, H, W), checked against the stack they belong to; `distinct` if no pattern may come twice.
-
-    Raises
-    ------
-    BadInput
-        If shapes differ, a state lies outside [0, 1], two patterns are the same, a pixel is never lit or never dark,
-        or an image shows another pattern than its own.
-    """
+    """Return known states (N, H, W), checked against the stack they belong to; `distinct`: none may come twice."""
     states = np.asarray(patterns, dtype=np.float32)
     shape = images.light.shape[:3]
     require(states.shape == shape, f"patterns must have the shape {shape} of the images, but it has {states.shape}.")

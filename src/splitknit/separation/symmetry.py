@@ -50,11 +50,15 @@ def by_symmetry(
     mask: Any = None,
     settings: StackSettings = DEFAULTS,
 ) -> Separation:
-    """Separate direct from global light by n x n shifts of one checkerboard, n odd.
+    """Separate direct from global light (Nayar et al. 2006, equations 3 and 4) by n x n shifts of one checkerboard, n
+    odd.
 
     For *clean* stacks: D is twice an image, its noise too, and on noisy skin the result is worse than plain maximum
-    minus minimum. For checks of n pixels or more: then the phases of the result are not finer than a pixel.
-    Half of the pattern is lit, and its n steps along each axis are equal and fill one period.
+    minus minimum. For checks of n pixels or more: then the phases of the result are not finer than a pixel. Half of the
+    pattern is lit, and its n steps along each axis are equal and fill one period. Raises BadInput if the number of
+    images is no odd square, shifts are missing, repeated, unequal or do not fill the period, neighbouring phases
+    contradict each other (order, period, noise), the white image does not belong to the stack, checks are too small, or
+    the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
 
     Parameters
     ----------
@@ -71,23 +75,6 @@ def by_symmetry(
     period : number or pair, optional
         Period of the pattern, two checks, in the units of `shifts`.
     mask : (H, W) bool, optional
-    settings : StackSettings
-
-    Returns
-    -------
-    Separation
-
-    Raises
-    ------
-    BadInput
-        If the number of images is no odd square, shifts are missing, repeated, unequal or do not fill the period,
-        neighbouring phases contradict each other (order, period, noise), the white image does not belong to the stack,
-        checks are too small, or the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
-
-    References
-    ----------
-    S. K. Nayar et al., "Fast separation of direct and global components of a scene using high frequency
-    illumination", ACM Transactions on Graphics 25(3), 2006, equations 3 and 4, for what direct and global light are.
 
     Examples
     --------
@@ -166,10 +153,7 @@ def _check_white(white: Any, found: FloatArray, images: LightStack) -> FloatArra
 
 
 def _check_neighbours(light: FloatArray, total: FloatArray, dark: float, images: LightStack) -> None:
-    """Refuse responses that do not go on from phase to phase.
-
-    Under an ideal pattern the correlation of neighbours is 1 - 2 / n, where light spreads it is more.
-    """
+    """Refuse responses that do not go on from phase to phase: their correlation is 1 - 2 / n under an ideal pattern."""
     step = max(1, light.shape[1] // 128)
     grey = [
         part.mean(axis=-1, keepdims=True, dtype=np.float32) * images.mask[::step, :, None]

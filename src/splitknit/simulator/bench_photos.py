@@ -18,13 +18,20 @@ from splitknit.io.capture import write_capture
 from splitknit.io.images import write_image
 from splitknit.io.rig import write_rig
 from splitknit.io.targets import check_capture
-from splitknit.model import Band, Capture, Progress, Rig, no_progress, nominal_rig
-from splitknit.simulator.calibration_set.bench import BenchSettings, DarkScene, photograph_bench, well_exposed
-from splitknit.simulator.calibration_set.films import BlackBallScene, behind_analyser, drawn_films
+from splitknit.model import Band, Camera, Capture, Films, Led, Progress, Rig, no_progress, nominal_rig
+from splitknit.simulator.calibration_set.bench import (
+    Array,
+    BenchSettings,
+    DarkScene,
+    SightLines,
+    photograph_bench,
+    well_exposed,
+)
 from splitknit.simulator.calibration_set.flat import BoardScene, CardScene, DiscScene, PrintedBoard, board_poses
-from splitknit.simulator.calibration_set.solids import NailScene
+from splitknit.simulator.calibration_set.solids import Lines, NailScene, SphereScene, directions, mirrored, unit
 from splitknit.simulator.camera.device import LitScene
 from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
+from splitknit.simulator.light.films import reflected_through
 from splitknit.simulator.rigs import built_rig
 
 MARKER = "rig_true.json"
@@ -81,12 +88,7 @@ def bench_to_folder(
     Writes ``board/`` (the checkerboard in the hand), ``plane.png`` (the same on the finger plane), ``disc.png``,
     ``nail/nail_K/`` (the nail under every LED), ``card/`` (a capture folder of a white card, with dark frames and an
     exposure series), ``polarisers/`` where asked for, ``rig_drawn.json`` (the nominal rig) and ``rig_true.json`` (what
-    calibration should find).
-
-    Raises
-    ------
-    BadInput
-        If `out` holds something else, or numbers are out of range.
+    calibration should find). Raises BadInput if `out` holds something else, or numbers are out of range.
     """
     photos = photos or BenchPhotos()
     check_capture(out, overwrite=overwrite, marker=MARKER, words="an earlier simulated bench")
@@ -120,38 +122,24 @@ def bench_to_folder(
 
 
 def _jobs(rig: Rig, photos: BenchPhotos, seeds: np.random.SeedSequence) -> Iterator[tuple[str, Callable[[Path], None]]]:
-    camera, leds = rig.camera, rig.leds
     tilt = tuple(rig.provenance["base_tilt_deg"])
-    lens = BenchSettings(aperture_mm=PUPIL_MM)
-    white = [k for k, led in enumerate(leds) if led.band == "white"]
+    under: dict[str, Any] = {"camera": rig.camera, "leds": rig.leds, "bench": BenchSettings(aperture_mm=PUPIL_MM)}
+    white = [k for k, led in enumerate(rig.leds) if led.band == "white"]
     of_boards, of_plane, of_nails, of_card = seeds.spawn(4)
     board_seed = int(of_boards.generate_state(1)[0])
-    for k, pose in enumerate(board_poses(board_seed, photos.boards, camera, BOARD)):
-        scene = BoardScene(
-            camera=camera,
-            leds=leds,
-            bench=lens,
-            board=BOARD,
-            rotation_vector=pose.rotation_vector,
-            translation_mm=pose.translation_mm,
-        )
+    for k, pose in enumerate(board_poses(board_seed, photos.boards, rig.camera, BOARD)):
+        scene = BoardScene(**under, board=BOARD, **pose)
         yield "board", partial(_one, scene, white, of_boards.spawn(1)[0], Path("board") / f"board_{k:02d}.png")
     turn = np.deg2rad(tilt)
-    plane = BoardScene(
-        camera=camera, leds=leds, bench=lens, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0)
-    )
+    plane = BoardScene(**under, board=BOARD, rotation_vector=(float(turn[0]), float(turn[1]), 0.0))
     yield "plane", partial(_one, plane, white, of_plane.spawn(1)[0], Path("plane.png"))
-    disc = DiscScene(
-        camera=camera, leds=leds, bench=lens, rotation_deg=3.0, shift_mm=(1.0, -0.7), tilt_deg=(tilt[0], tilt[1])
-    )
+    under["tilt_deg"] = tilt
+    disc = DiscScene(**under, rotation_deg=3.0, shift_mm=(1.0, -0.7))
     yield "disc", partial(_one, disc, white, of_plane.spawn(1)[0], Path("disc.png"))
     for n, place in enumerate(NAIL_PLACES_MM[: photos.nails]):
-        nail = NailScene(
-            camera=camera, leds=leds, bench=lens, position_mm=place, nail_mm=NAIL_MM, tilt_deg=(tilt[0], tilt[1])
-        )
+        nail = NailScene(**under, position_mm=place, nail_mm=NAIL_MM)
         yield "nail", partial(_series, nail, of_nails.spawn(1)[0], Path("nail") / f"nail_{n}")
-    card = CardScene(camera=camera, leds=leds, bench=lens, tilt_deg=(tilt[0], tilt[1]))
-    yield "card", partial(_card, card, rig, of_card, photos.dark)
+    yield "card", partial(_card, CardScene(**under), rig, of_card, photos.dark)
 
 
 def behind_films(
@@ -256,3 +244,89 @@ def _card(scene: CardScene, rig: Rig, seed: np.random.SeedSequence, dark: int, t
         steps.append({"file": f"step_{k}.png", "exposure_s": seconds})
     document = {"format": "splitknit-radiometry", "version": 1, "dark": names, "exposures": steps}
     (folder / "radiometry.json").write_text(json.dumps(document, indent=2) + "\n", encoding="ascii")
+
+
+# Polarising films: a glossy black ball reflects an LED's light with Fresnel's signed amplitudes; cards and the ball's
+# body return it depolarised.
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BlackBallScene(SphereScene):
+    """A glossy ball whose body and ground return a few per cent of the light, half of which passes the analyser."""
+
+    radius_mm: float = 14.0
+    chrome: bool = True
+    reflectance: float | None = 0.01
+    ground: float = 0.025
+    extinction: float = 1000.0
+    """Of both films together; each is twice as good."""
+    angle_deg: tuple[float, ...] = ()
+    """Of each LED's polariser, from the image's columns towards up."""
+    analyser_deg: float = 0.0
+
+    def _mirrored(self, leds: tuple[Led, ...], lines: SightLines, seen: Lines) -> Array:
+        rays, view = mirrored(lines, seen), -directions(lines)
+        image = self._matt(leds, seen)
+        for led in leds:
+            face = self._led_in_mirror(led, lines, rays)
+            lit = face > 0.0
+            image[lit] += face[lit] * self._passed(led, rays[1][lit], view[lit])
+        return image
+
+    def _passed(self, led: Led, towards: Array, view: Array) -> Array:
+        """Fraction of an LED's light that passes both films and is reflected, of the directions (..., 3) to both."""
+        to_led, to_camera = (np.moveaxis(way, -1, 0) for way in (towards, view))
+        polariser, analyser = (float(np.deg2rad(a)) for a in (self.angle_deg[self.leds.index(led)], self.analyser_deg))
+        leak = self.extinction - float(np.sqrt(self.extinction**2 - 1.0))  # of both films 2 leak / (1 + leak^2)
+        return 0.5 * reflected_through(to_led, to_camera, polariser, analyser, leak)
+
+    def highlight(self, index: int) -> tuple[float, float]:
+        """Turn in degrees of an LED's reflection towards the camera, and what of it is left when films are crossed."""
+        point, led = self.highlights_mm()[index], self.leds[index]
+        ways = unit(np.asarray(led.position_mm) - point), unit(self._towards_camera(point))
+        level, up, slant = (float(replace(self, analyser_deg=a)._passed(led, *ways)) for a in (0.0, 90.0, 45.0))
+        return float(np.rad2deg(0.5 * np.arctan2(2.0 * slant - level - up, level - up))), up / (level + up)
+
+
+def drawn_films(
+    rig: Rig, seed: np.random.SeedSequence, bench: BenchSettings, extinction: float | None = None
+) -> tuple[Films, BlackBallScene]:
+    """Films as a person cuts and mounts them, as calibration should find them, and the ball behind them.
+
+    The extinction ratio is drawn between 100 and 5000 where it is not given.
+    """
+    rng = np.random.default_rng(seed)
+    leds = tuple(k for k, led in enumerate(rig.leds) if led.band == "white")
+    angles = rng.normal(0.0, 1.0) + rng.normal(0.0, 1.0, len(rig.leds))
+    drawn = float(np.exp(rng.uniform(np.log(100.0), np.log(5000.0))))
+    extinction = drawn if extinction is None else extinction
+    ball = BlackBallScene(
+        camera=rig.camera,
+        leds=rig.leds,
+        bench=bench,
+        extinction=extinction,
+        angle_deg=tuple(float(angle) for angle in angles),
+    )
+    turns, leak = zip(*(ball.highlight(k) for k in leds), strict=True)
+    tint = rng.uniform(0.93, 1.02, 3) * rng.uniform(0.95, 1.05, (len(leds), 1))
+    x, y = rng.uniform(-2.0, 2.0, 2)
+    films = Films(
+        leds=leds,
+        leak=leak,
+        brightness=tuple((float(r), float(g), float(b)) for r, g, b in tint),
+        shift_px=(float(x), float(y)),
+        scale=float(1.0 + rng.normal(0.0, 5e-4)),
+        extinction_ratio=extinction,
+        angle_deg=turns,
+    )
+    return films, ball
+
+
+def behind_analyser(camera: Camera, films: Films) -> Camera:
+    """The camera whose image the turned analyser moves and stretches about its middle."""
+    assert camera.matrix is not None
+    middle = (np.array(camera.image_size[::-1]) - 1.0) / 2.0
+    moved = np.eye(3)
+    moved[[0, 1], [0, 1]] = films.scale
+    moved[:2, 2] = middle * (1.0 - films.scale) + films.shift_px
+    return replace(camera, matrix=moved @ camera.matrix)

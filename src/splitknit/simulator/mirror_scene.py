@@ -116,11 +116,7 @@ class MirrorScene:
         return band, glare, np.array(float(exposure))
 
     def _render(self, surface: SimulatedSurface, lights: Sequence[Sequence[Light]], name: str) -> BandLight:
-        """Light of a finger, or its reflection, in as many images as there are groups of `lights`.
-
-        With one light without a gate in each group it is that of
-        :func:`splitknit.simulator.light.renderer.render_band`.
-        """
+        """Light of a finger, or its reflection, in as many images as there are groups of `lights`."""
         skin, patch = self.skin.medium(name), cut_out(surface)
 
         def shine(k: int) -> tuple[FloatArray, FloatArray, None]:
@@ -271,13 +267,9 @@ class _Frame:
 def _mirror_frame(
     view: ReflectedView, mirrors: Sequence[Mirror], camera: Camera, views: MirrorSettings, rng: np.random.Generator
 ) -> _Frame:
-    """Lay out what surrounds the finger in and around one mirror.
-
-    `view`: of the mirror; `mirrors`: all, as they truly are; `camera`: of the rig; `views`: settings; the holders stand
-    where the drawing has them; `rng`: draws the dust.
-    """
+    """Lay out what surrounds the finger in and around one mirror; the holders stand where the drawing has them."""
     name, profile = view.mirror.name, HolderProfile(views.parts)
-    inwards = _inwards(name)
+    inwards = {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
 
     def plate(low: Array, high: Array, albedo: float) -> _Plate:
         corners = profile.quad(name, camera, low, high)
@@ -301,11 +293,6 @@ def _mirror_frame(
     wall = _Plate(view.coverage, middle, -inwards, _PLASTIC_ALBEDO)
     specks = BackgroundSettings(albedo=0.0, dust_per_cm2=views.dust_per_cm2)
     return _Frame(name, (glass, back), lip, shown, opposite, wall, background_albedo(camera, specks, rng))
-
-
-def _inwards(name: str) -> Array:
-    """(3,) horizontal direction from a mirror towards the finger and beyond."""
-    return {"left": np.array([1.0, 0, 0]), "right": np.array([-1.0, 0, 0]), "tip": np.array([0, -1.0, 0])}[name]
 
 
 def _face_normal(corners: Array, inwards: Array) -> Array:

@@ -79,23 +79,11 @@ class Drawn:
 def photograph_between_mirrors(
     drawn: Drawn, seed: int, settings: TwinSettings
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph a finger between the mirrors of a rig under every LED.
+    """Photograph a finger between the mirrors of a rig under every LED; the truth's arrays:
+    ``docs/explain/simulator.md``.
 
-    Parameters
-    ----------
-    drawn : what lies there, and the rig as it is drawn; the mirrors truly stand a little elsewhere
-    seed : of the mirrors' true poses
-    settings : of the twin
-
-    Returns
-    -------
-    capture : its rig has the mirrors as drawn
-    truth : arrays by name, see ``docs/explain/simulator.md``
-
-    Raises
-    ------
-    BadInput
-        If a mirror shows nothing of the finger, or the finger touches one.
+    The capture's rig has the mirrors as drawn; they truly stand a little elsewhere, by `seed`. Raises BadInput if a
+    mirror shows nothing of the finger, or the finger touches one.
     """
     finger, pose, rig, skin = drawn.finger, drawn.pose, drawn.rig, drawn.skin
     camera, views = rig.camera, settings.mirrors
@@ -169,9 +157,8 @@ _PROXIMAL_MM = 6.0
 
 
 def _view_truth(views: Sequence[ReflectedView], masks: Sequence[BoolArray]) -> dict[str, NDArray[Any]]:
-    """What each view shows, as it lies behind its mirror in the rig's frame, and the true mirrors.
-
-    `masks` (H, W): what of each is visible.
+    """What each view shows, where `masks` (H, W) leave it visible, behind its mirror in the rig's frame; the true
+    mirrors.
     """
     truth: dict[str, NDArray[Any]] = {"mirror_names": np.array([view.mirror.name for view in views])}
     for view, mask in zip(views, masks, strict=True):

@@ -202,19 +202,10 @@ class ReflectedView:
 
 
 def mirror_view(finger: PlacedFinger, camera: Camera, mirror: Mirror, *, workers: int = 2) -> ReflectedView:
-    """Show the finger's reflection to a camera.
+    """Show the finger's reflection in a mirror, as it truly is, to a camera; the result does not depend on `workers`,
+    threads.
 
-    Parameters
-    ----------
-    finger : itself
-    camera : of the rig
-    mirror : as it truly is
-    workers : threads; the result does not depend on them
-
-    Raises
-    ------
-    BadInput
-        If the mirror lies outside the picture, or no part of the finger is seen in it.
+    Raises BadInput if the mirror lies outside the picture, or no part of the finger is seen in it.
     """
     reflection = _Reflection.of(mirror)
     behind = replace(finger, placement=reflection.placement(finger.placement))

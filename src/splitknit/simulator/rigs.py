@@ -36,59 +36,42 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class _Tolerances(Checked):
+class _Tolerances:
     """How far a built rig is from its drawing: standard deviations, cut at 2.5 of them, unless another word is said."""
 
-    led_position_mm: Annotated[float, Limits(0.0, 10.0)] = 0.7
+    led_position_mm: float = 0.7
     """Per axis: a printed hole is 0.2 to 0.3 mm off, a 5 mm LED's collar rocks in its seat, and its die is up to 0.3 mm
     off its lens's axis and 1 mm along it from lot to lot."""
-    led_beam_deg: Annotated[float, Limits(0.0, 15.0)] = 2.0
+    led_beam_deg: float = 2.0
     """Per axis: data sheets of 5 mm LEDs allow the beam +-5 deg against the package (2 deg as a deviation); the seat
     adds half a degree."""
-    led_half_angle: Annotated[float, Limits(0.0, 0.3)] = 0.08
+    led_half_angle: float = 0.08
     """Relative, of the angle at which an LED has half its light: lots of one type differ by 5 to 10 %."""
-    led_intensity: Annotated[float, Limits(0.0, 0.3)] = 0.1
+    led_intensity: float = 0.1
     """Relative: one brightness bin of LEDs spans about a factor of 1.4, and 5 % resistors add to it."""
-    focal_length: Annotated[float, Limits(0.0, 0.2)] = 0.01
+    focal_length: float = 0.01
     """Relative: focal lengths of board lenses are stated to 1 or 2 %, and turning the lens for focus changes them."""
-    camera_height_mm: Annotated[float, Limits(0.0, 20.0)] = 0.5
+    camera_height_mm: float = 0.5
     """Of the lens's pupil: printed height 0.2 mm, and the pupil's place in the lens is not on its drawing."""
-    camera_tilt_deg: Annotated[float, Limits(0.0, 5.0)] = 0.3
+    camera_tilt_deg: float = 0.3
     """Per axis, of the camera against the base: 0.15 mm over a seat of 25 mm."""
-    camera_shift_mm: Annotated[float, Limits(0.0, 10.0)] = 0.3
+    camera_shift_mm: float = 0.3
     """Per axis, of the camera against the LEDs' circle: the play of its screws."""
-    principal_point: Annotated[float, Limits(0.0, 0.1)] = 0.005
+    principal_point: float = 0.005
     """Per axis, of the image's width: a lens holder is glued within 0.02 mm on a sensor 3.7 mm wide."""
-    corner_distortion: Annotated[float, Limits(0.0, 0.05)] = 0.005
+    corner_distortion: float = 0.005
     """Largest shift of the image's corners by distortion, relative (evenly drawn, either sign): long lenses distort by
     well below 1 %."""
-    corner_vignetting: Annotated[tuple[float, float], Limits(0.0, 0.8)] = (0.10, 0.20)
+    corner_vignetting: tuple[float, float] = (0.10, 0.20)
     """Light lost at the corners beside the cosine law (evenly drawn): small lenses cut oblique beams."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        low, high = self.corner_vignetting
-        require(low <= high, f"tolerances.corner_vignetting must be (low, high), but it is ({low}, {high}).")
 
 
 def built_rig(seed: int, *, scale: float = 1.0, tolerances: _Tolerances | None = None) -> Rig:
-    """Return the rig as a person builds it: the truth that calibration has to find.
+    """Return the rig as a person builds it: the truth that calibration has to find; one for each `seed`, the same at
+    every `scale` in (0, 1] of the full frame of 2200 x 3200 pixels.
 
-    Parameters
-    ----------
-    seed : one rig each, the same at every `scale`
-    scale : size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1]
-    tolerances : of parts and hands
-
-    Returns
-    -------
-    Rig in its own camera's frame: the camera stands on z and looks straight down it, so that an oblique camera moves
-    the LEDs. `provenance` has ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
-
-    Raises
-    ------
-    BadInput
-        If `scale` or `seed` is out of range.
+    The camera stands on z and looks straight down it, so that an oblique camera moves the LEDs. `provenance` has
+    ``base_tilt_deg``: how the base lies in this frame (`tilt_deg` of the bench's scenes).
     """
     require(seed >= 0, f"seed must not be negative, but it is {seed}.")
     tolerances = tolerances or _Tolerances()
@@ -172,18 +155,7 @@ CURRENTS = {"red": 1.0, "green": 1.6, "blue": 1.9}
 
 
 def coloured_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1, exposures: int = 2) -> Rig:
-    """Return the thesis's rig with 3 x `exposures` coloured LEDs on the circle of its seven white ones.
-
-    Parameters
-    ----------
-    scale, seed, intensity_spread : as of :func:`splitknit.model.default_rig`; the NIR LEDs are the same
-    exposures : 1 to 3
-
-    Raises
-    ------
-    BadInput
-        If one of them is out of range.
-    """
+    """Return the thesis's rig with 3 x `exposures` (1 to 3) coloured LEDs on the circle of its seven white ones."""
     plain = default_rig(scale, seed, intensity_spread)
     count = 3 * exposures
     colours = {place: c for triple in shared_exposures(exposures) for place, c in zip(triple, COLOURS, strict=True)}
@@ -209,11 +181,8 @@ _Length = Annotated[float, Limits(0.0, 200.0)]
 
 @dataclass(frozen=True, slots=True)
 class _MirrorParts(Checked):
-    """The printed parts that carry the mirrors: dimensions as ``splitknit rig cad`` draws them, mm.
-
-    The values are those of a rig whose mirrors show the whole side of most fingers: larger mirrors, and a finger plane
-    higher above the base, than the parts for a finger alone have (``docs/explain/simulator.md`` names the options of
-    ``rig cad``).
+    """The printed parts that carry the mirrors, mm: those of a rig whose mirrors show the whole side of most fingers,
+    larger than ``splitknit rig cad`` draws them by default (``docs/explain/simulator.md`` names its options).
     """
 
     _group = "mirrors.parts"

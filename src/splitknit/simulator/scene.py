@@ -289,14 +289,8 @@ class Scene:
         return np.stack([light * self.albedo[channels[min(c, len(channels) - 1)]] for c in range(3)], axis=-1)
 
     def exposed(self, light: BandLight, group: Sequence[int], leds: Sequence[Led], ambient: FloatArray) -> FloatArray:
-        """(H, W, 3) what the sensor's pixels see while the LEDs of a group are lit together, and the ambient light.
-
-        Parameters
-        ----------
-        light : of every one of `leds`
-        group : which of them share the exposure
-        leds : white or coloured
-        ambient : (H, W, 3)
+        """(H, W, 3) what the pixels see under the LEDs of a group together, and the `ambient` light; `light`: of all
+        `leds`.
         """
         mixing = self._mixing
         frame = ambient.copy()
@@ -384,14 +378,8 @@ class Scene:
         dark: FloatArray,
         seed: np.random.SeedSequence,
     ) -> Band:
-        """Take the images of one band and its ambient frame.
-
-        Parameters
-        ----------
-        name : of the band
-        groups : the rig's LEDs of every exposure
-        shoot : takes the image of an exposure with a seed of its noise
-        dark : (H, W, 3) light with all LEDs off
+        """Take one band's images, an exposure of each of `groups` of the rig's LEDs, and its ambient frame of `dark`
+        (H, W, 3).
         """
         rig, seeds = self.rig, seed.spawn(len(groups) + 1)
         leds = [rig.leds[k] for group in groups for k in group]

@@ -118,9 +118,7 @@ EXPOSURES = {"coloured": 2, "coloured9": 3}
 
 
 def _coloured_lights(lights: str, settings: TwinSettings) -> Rig:
-    """The rig with coloured LEDs in place of its white ones. Raises BadInput if something else is asked for that has
-    LEDs of its own, or takes them one by one.
-    """
+    """The rig with coloured LEDs in place of its white ones."""
     require(settings.rig is None, "a rig file says which LEDs there are; leave out --lights, or --rig.")
     require(not settings.mirrors.names, "mirrors have white LEDs in the twin; leave out --mirrors or --lights.")
     return coloured_rig(settings.scale, settings.rig_seed, settings.intensity_spread, EXPOSURES[lights])
@@ -172,21 +170,10 @@ def simulate_capture(
         drawn = _drawn(seed, pattern, settings, impression, finger)
         capture, truth = photograph_between_mirrors(drawn, seed, settings)
     else:
-        laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
-        capture, truth = photograph(laid.surface, laid.rig, laid.skin, laid.photo_seed, settings=settings)
+        surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        capture, truth = photograph(surface, drawn.rig, drawn.skin, drawn.photo_seed, settings=settings)
     subject = {"id": "anonymous", "finger": "simulated", "session": impression + 1}
     return replace(capture, subject=subject), truth
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LaidDown:
-    """A finger under a rig."""
-
-    surface: SimulatedSurface
-    rig: Rig
-    skin: SkinOptics
-    photo_seed: np.random.SeedSequence
-    """Of background and noise."""
 
 
 def lay_down(
@@ -196,7 +183,7 @@ def lay_down(
     *,
     impression: int = 0,
     finger: SimulatedFinger | None = None,
-) -> _LaidDown:
+) -> tuple[SimulatedSurface, Drawn]:
     """Draw a finger, its skin and its pose as :func:`simulate_capture` does, with the same arguments."""
     settings = settings or TwinSettings()
     drawn = _drawn(seed, pattern, settings, impression, finger)
@@ -207,7 +194,7 @@ def lay_down(
         surface = conditioned_surface(finger, pose, camera, skin, settings.condition, condition_seed, workers=workers)
     else:
         surface = finger_surface(finger, pose, camera, workers=workers)
-    return _LaidDown(surface, drawn.rig, skin, drawn.photo_seed)
+    return surface, drawn
 
 
 def _drawn(
@@ -242,25 +229,11 @@ def photograph(
     *,
     settings: TwinSettings | None = None,
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph `surface` under every LED of `rig`.
+    """Photograph `surface`, on the pixels of `rig.camera`, under every LED of `rig`; `seed`: of background and noise.
 
-    Parameters
-    ----------
-    surface : on the pixels of `rig.camera`
-    rig : LEDs of the bands ``white`` and ``nir``; each lights one image
-    skin : optics of the finger
-    seed : of background and noise
-    settings : only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here
-
-    Returns
-    -------
-    capture : as a camera would store it
-    truth : arrays by name, see ``docs/explain/simulator.md``
-
-    Raises
-    ------
-    BadInput
-        If the surface does not fit the camera or no part of it is in the picture.
+    Of `settings` only `render`, `background`, `sensor`, `sensor_scale` and `films` are used here. The truth's arrays by
+    name: see ``docs/explain/simulator.md``. Raises BadInput if the surface does not fit the camera or is not in the
+    picture.
     """
     settings = settings or TwinSettings()
     require(
@@ -341,10 +314,7 @@ class _Shot:
 
 
 def _moving_band(name: str, shots: Sequence[_Shot], exposed: Sequence[_Shot], seed: np.random.SeedSequence) -> Taken:
-    """Images of one band, the glare of each of its LEDs, and their exposure, as :meth:`Scene.photograph` gives them.
-
-    `exposed`: shots to which the exposure is set.
-    """
+    """Images of one band, as :meth:`Scene.photograph` gives them; the exposure is set to the shots `exposed`."""
     first = shots[0].scene
     rig = first.rig
     used = sorted(k for shot in shots for k in shot.leds)
@@ -384,15 +354,6 @@ def _smear_kernel(length_px: NDArray[np.float64]) -> FloatArray:
 HalfArray = NDArray[np.float16]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rendered:
-    """Light of one band's LEDs inside the finger's window; half floats, whose steps are a tenth of the noise."""
-
-    window: tuple[slice, slice]
-    planes: HalfArray
-    """(L, C, h, w) diffuse light and glare, C = 3 (white) or 1 (NIR)."""
-
-
 class FingerScene:
     """One finger, laid down once, under any LEDs of a rig.
 
@@ -410,30 +371,15 @@ class FingerScene:
         impression: int = 0,
         finger: SimulatedFinger | None = None,
     ) -> None:
-        """Lay a finger down.
-
-        Parameters
-        ----------
-        seed : of the person: finger, print and skin follow from it
-        pattern : class of the print; None draws it
-        settings : of the twin; `sensor` and `films` are not used here
-        impression : number of the capture of this finger: pose and dust change with it
-        finger : laid down instead of the one that `seed` draws
-
-        Raises
-        ------
-        BadInput
-            If no part of the finger is in the picture.
-        """
+        """Lay a finger down, drawn as by :func:`simulate_capture`; `sensor` and `films` are not used here."""
         settings = replace(settings or TwinSettings(), films=FilmSettings())
-        laid = lay_down(seed, pattern, settings, impression=impression, finger=finger)
-        self.settings = settings
-        self.rig: Rig = laid.rig
-        self.skin: SkinOptics = laid.skin
-        self.surface: SimulatedSurface = laid.surface
-        rng = np.random.default_rng(laid.photo_seed.spawn(1)[0])
+        self.surface, drawn = lay_down(seed, pattern, settings, impression=impression, finger=finger)
+        self.settings, self.rig, self.skin = settings, drawn.rig, drawn.skin
+        rng = np.random.default_rng(drawn.photo_seed.spawn(1)[0])
         self._scene = Scene((self.surface, self.rig, self.skin), settings, rng)
-        self._bands: dict[str, _Rendered] = {}
+        self._bands: dict[str, tuple[tuple[slice, slice], HalfArray]] = {}
+        """Window, and planes (L, C, h, w) of diffuse light and glare, C = 3 (white) or 1 (NIR); half floats, whose
+        steps are a tenth of the noise."""
         self._room: FloatArray | None = None
 
     @property
@@ -447,22 +393,11 @@ class FingerScene:
         return self.rig.leds
 
     def light(self, lit: Sequence[int]) -> FloatArray:
-        """Noise-free light with some LEDs on.
+        """Noise-free light (H, W, 3) with the LEDs `lit` on; none = the ambient light alone; BadInput if there is no
+        such LED.
 
-        Parameters
-        ----------
-        lit : numbers of the LEDs; none = the ambient light alone
-
-        Returns
-        -------
-        (H, W, 3) float32
-            White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity
-            one at 100 mm gives 1 / pi.
-
-        Raises
-        ------
-        BadInput
-            If there is no such LED.
+        White-balanced linear radiance in the rig's units: a white Lambertian card that faces an LED of intensity one at
+        100 mm gives 1 / pi.
         """
         for index in lit:
             require(0 <= index < len(self.leds), f"there is no LED {index} in the rig of {len(self.leds)}.")
@@ -470,14 +405,14 @@ class FingerScene:
             self._room = self._scene.ambient("white", self.leds)
         frame, scene = self._room.copy(), self._scene
         for index in lit:
-            band = self._rendered(self.leds[index].band)
+            window, all_planes = self._rendered(self.leds[index].band)
             members = [k for k, led in enumerate(self.leds) if led.band == self.leds[index].band]
             card = white_card(self.camera, self.leds[index], -BACKGROUND_MM)
             frame += scene.background(card, self.leds[index].band) * scene.shade[..., None]
-            planes = band.planes[members.index(index)]
-            shade = scene.shade[band.window[0]]
+            planes = all_planes[members.index(index)]
+            shade = scene.shade[window[0]]
             for c in range(3):
-                frame[band.window][..., c] += planes[min(c, len(planes) - 1)] * shade
+                frame[window][..., c] += planes[min(c, len(planes) - 1)] * shade
         return scene.through_lens(frame)
 
     def truth(self) -> dict[str, NDArray[Any]]:
@@ -485,12 +420,12 @@ class FingerScene:
         intensities = {"led_intensity": np.array([led.intensity for led in self.leds])}
         return surface_truth(self.surface) | optics_truth(self.skin) | intensities
 
-    def _rendered(self, name: str) -> _Rendered:
+    def _rendered(self, name: str) -> tuple[tuple[slice, slice], HalfArray]:
         if name not in self._bands:
             require(name in BAND_CHANNELS, f"the twin's LEDs are white or nir, not '{name}'.")
             light = self._scene.render(name, [led for led in self.leds if led.band == name])
             planes = np.empty(light.diffuse.shape, dtype=np.float16)
             for k, glare in enumerate(light.glare):
                 planes[k] = light.diffuse[k] + glare
-            self._bands[name] = _Rendered(light.window, planes)
+            self._bands[name] = light.window, planes
         return self._bands[name]

@@ -28,21 +28,10 @@ Float64Array = NDArray[np.float64]
 def unmixing_weights(transfer: Any, glare: Any, signal: Any, glare_power: Any, noise: Any) -> Float64Array:
     """Weights (C, n) by which the channels' slopes are summed to estimate the true slope at n frequencies.
 
-    Parameters
-    ----------
-    transfer : (C, n) transfer function of each channel
-    glare : (C, G) weight of each of G independent glares in each channel
-    signal : (n,) expected power of the true slope
-    glare_power : (n,) or (n, G) expected power of the glares
-    noise : (C,) power of the noise
-
-    Returns
-    -------
-    (C, n) float64: signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1
-
-    References
-    ----------
-    N. Wiener, "Extrapolation, Interpolation, and Smoothing of Stationary Time Series" (1949), for several channels.
+    signal M^T (signal M M^T + sum glare_power g g^T + noise)^-1 (N. Wiener 1949, "Extrapolation, Interpolation, and
+    Smoothing of Stationary Time Series", for several channels), of the `transfer` function M (C, n) of each channel,
+    the weights `glare` (C, G) of G independent glares in each channel, the expected powers `signal` (n,) of the true
+    slope and `glare_power` (n,) or (n, G), and the `noise` (C,).
     """
     m = np.asarray(transfer, dtype=np.float64).T  # (n, C)
     g = np.asarray(glare, dtype=np.float64).reshape(m.shape[1], -1)
@@ -74,22 +63,11 @@ class SpectralFit:
 def cross_spectra(
     slopes: list[tuple[FloatArray, FloatArray]], region: FloatArray, pitch_mm: float, bands: int = 28
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Radially averaged cross-spectra between the channels' slope fields.
+    """Radially averaged cross-spectra between the slope fields (dz/dx, dz/dy), y up, of C channels.
 
-    Parameters
-    ----------
-    slopes : C pairs (dz/dx, dz/dy) of (H, W), y up
-    region : (H, W) smooth window, zero outside the reliable surface
-    pitch_mm : float
-    bands : number of bands, equal on a logarithmic scale from a period of 1.25 mm to the finest
-
-    Returns
-    -------
-    omega_per_mm : (n,)
-    along : (n, C, C)
-        Of the slope along the wave vector: what a surface has.
-    across : (n, C)
-        Power across it: a surface has none, so this is noise (and glare).
+    `region` (H, W): smooth window, zero outside the reliable surface; `bands`: equal on a logarithmic scale from a
+    period of 1.25 mm to the finest. Returns omega_per_mm (n,), (n, C, C) of the slope along the wave vector: what a
+    surface has, and (n, C) the power across it: a surface has none, so this is noise (and glare).
     """
     highest = 0.95 * np.pi / pitch_mm
     edges = np.geomspace(min(5.0, highest / 4), highest, bands + 1)
@@ -122,16 +100,11 @@ def cross_spectra(
 def fit_spectra(
     omega_per_mm: Float64Array, along: Float64Array, across: Float64Array, transfer: Any, glare: Any
 ) -> SpectralFit:
-    """Split measured cross-spectra into relief, glare (correlated with it or not) and noise.
+    """Split measured :func:`cross_spectra` into relief, glare (correlated with it or not) and noise.
 
-    Per band, along = S M M^T + T g g^T + X (M g^T + g M^T) + noise in least squares over S, T and X; the noise is white
-    and taken from the finest bands of `across`. In a single channel they are indistinguishable: all is relief.
-
-    Parameters
-    ----------
-    omega_per_mm, along, across : from :func:`cross_spectra`
-    transfer : (C, n)
-    glare : (C,)
+    Per band, along = S M M^T + T g g^T + X (M g^T + g M^T) + noise in least squares over S, T and X, with the
+    `transfer` M (C, n) and the `glare` g (C,); the noise is white and taken from the finest bands of `across`. In a
+    single channel they are indistinguishable: all is relief.
     """
     noise = np.median(across[-2:], axis=0)
     m = np.asarray(transfer, dtype=np.float64)

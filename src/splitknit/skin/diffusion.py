@@ -95,21 +95,9 @@ class Diffusion:
 
 
 def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
-    """Transfer function of a half space with a refractive index of 1.42 and a rough boundary.
-
-    Parameters
-    ----------
-    scattering_per_mm : reduced scattering coefficient sigma_s'
-    absorption_per_mm : absorption coefficient sigma_a
-
-    Raises
-    ------
-    BadInput
-        If a coefficient is negative or not finite, or the scattering is zero.
-
-    References
-    ----------
-    S. Jacques, "Optical properties of biological tissues: a review", Phys. Med. Biol. 58 (2013).
+    """Transfer function of a half space with a refractive index of 1.42 and a rough boundary, by its reduced scattering
+    coefficient sigma_s', above zero, and its absorption coefficient sigma_a; S. Jacques, "Optical properties of
+    biological tissues: a review", Phys. Med. Biol. 58 (2013).
 
     Examples
     --------

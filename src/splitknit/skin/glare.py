@@ -19,11 +19,8 @@ INDEX = 1.42
 
 
 def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
-    """Unpolarised light that enters a dielectric at an angle with this cosine, over that at normal incidence.
-
-    References
-    ----------
-    M. Born and E. Wolf, "Principles of Optics", section 1.5.
+    """Unpolarised light that enters a dielectric at an angle with this cosine, over that at normal incidence (Born and
+    Wolf 1.5).
     """
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     return ((1.0 - fresnel_reflectance(cosine, index)) / np.float32(normal)).astype(np.float32)
@@ -41,15 +38,8 @@ def fresnel_reflectance(cosine: Any, index: float = INDEX) -> FloatArray:
 class MicrofacetGlare:
     """Glare under each light, for a viewer along z and an irradiance of one at normal incidence, by its roughness.
 
-    Parameters
-    ----------
-    normals : (..., 3)
-    lights : (L, 3, ...)
-        Direction towards the light times its irradiance.
-
-    References
-    ----------
-    B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
+    `normals` (..., 3); `lights` (L, 3, ...): direction towards the light times its irradiance. B. Walter et al.,
+    "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
     """
 
     def __init__(self, normals: FloatArray, lights: FloatArray) -> None:
@@ -96,19 +86,13 @@ def fit_glare(
     model: Callable[[float], FloatArray],
     roughnesses: tuple[float, ...] = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42),
 ) -> GlareFit:
-    """Fit strength and roughness of the glare in the images of one band.
+    """Fit strength and roughness of the glare in the images `stack` (L, n) of one band, four lights at least, at n
+    pixels that all lights (L, 3, n) reach; `model`: glare (L, n) of strength one, as a :class:`MicrofacetGlare` gives
+    it.
 
     At each pixel a matt surface's images lie in the space that its light vectors span. What is left of the images when
     that space is projected out is compared with what is left of the glare; roughness by search, strength by least
     squares.
-
-    Parameters
-    ----------
-    stack : (L, n), four lights at least
-        Images at n pixels that all lights reach.
-    lights : (L, 3, n)
-    model : glare (L, n) of strength one for a roughness, such as a :class:`MicrofacetGlare`
-    roughnesses : values to try
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:
         return GlareFit(roughnesses[0], 0.0, 0.0)

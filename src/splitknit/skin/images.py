@@ -115,13 +115,8 @@ def working_images(
 ) -> SkinImages:
     """Linear images on a grid that the networks can read, where there is one; and the networks.
 
-    Parameters
-    ----------
-    capture : Capture
-    bands : the white band, and the near-infrared one if there is one
-    window : rows and columns of the finger
-    inside : (h, w) pixels of the window that are reconstructed
-    settings : MetricSettings
+    `bands`: the white one, and the near-infrared one if there is one; `window`: of the finger; `inside`: (h, w) pixels
+    of it that are reconstructed.
     """
     rows, columns = bounding_box(inside, round(_MARGIN_MM * capture.rig.camera.px_per_mm))
     seen = _within(window[0], rows), _within(window[1], columns)

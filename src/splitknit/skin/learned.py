@@ -52,16 +52,11 @@ class Features:
 def features(
     band: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting, measured: FloatArray | None = None
 ) -> Features:
-    """Rig-independent description of the white band's light on a smooth surface.
+    """Rig-independent description of the white band's light on a smooth surface (h, w), finite, on the fine grid; three
+    channels, six lights at least.
 
-    Parameters
-    ----------
-    band : three channels, six lights at least
-    grid : fine grid
-    surface_mm : (h, w) the smooth shape, finite
-    light : of `band.rig` on that surface
-    measured : (C, h, w, 3) brightness times normal of ``band.stack / light.entering``, optional
-        By least squares over the lights where it is not given.
+    `light`: of `band.rig` on that surface; `measured`: (C, h, w, 3) brightness times normal of ``band.stack /
+    light.entering``, by least squares over the lights where it is not given.
     """
     g = measured
     if g is None:
@@ -213,14 +208,10 @@ def can_learn(band: BandImages, pitch_mm: float) -> bool:
 
 
 def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
-    """Relief as the network estimates it; :func:`glare_of` has the specular reflection that it estimates with it.
+    """Relief as the network estimates it on the fine grid; :func:`glare_of` has the specular reflection estimated with
+    it.
 
-    Parameters
-    ----------
-    given : of the white band on `smooth_mm`; their memory is used
-    grid : fine grid
-    smooth_mm : (h, w) the shape without the relief
-    network : see :data:`Network`
+    `given`: of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
     """
     output, levels = network(given.fields), given.level
     del given
@@ -331,19 +322,10 @@ _SLOPES = Symmetry(vectors=((0, 1),), second_harmonics=(), third_harmonics=())
 def _shape_features(
     bands: tuple[BandImages, ...], grid: Grid, height_mm: FloatArray, skin: Mapping[str, Diffusion], ridges: FloatArray
 ) -> FloatArray:
-    """How the images differ from what the shape predicts.
+    """(32, h, w) how the images on the coarse grid differ from what the shape predicts; zero outside the mask.
 
-    Parameters
-    ----------
-    bands : images on `grid`; the fields of a missing channel are zero
-    grid : coarse grid
-    height_mm : (h, w) the shape at its height above the finger plane, zero outside the mask
-    skin : transfer function of each channel
-    ridges : (3, h, w) of :func:`_ridge_tensor`
-
-    Returns
-    -------
-    (32, h, w) float32, zero outside the mask
+    The fields of a missing channel are zero. `height_mm`: above the finger plane, zero outside the mask; `skin`:
+    transfer function of each channel; `ridges`: (3, h, w) of :func:`_ridge_tensor`.
     """
     slope_x, slope_y = slopes_inside(height_mm, grid)
     normals = normals_from_gradients(slope_x, slope_y)

@@ -115,18 +115,11 @@ class SpecularImages:
 def specular_images(
     both: BandImages, crossed: BandImages, rig: Rig, grid: Grid, surface_mm: FloatArray
 ) -> SpecularImages:
-    """The difference of two polarised series.
+    """The difference of two polarised series, on a smooth surface (h, w): of `both`, their mean, and of the crossed
+    one.
 
-    Where the crossed series has LEDs of its own, beside those of the parallel one, it is taken as under the latter:
-    by the brightness of the matt surface under both.
-
-    Parameters
-    ----------
-    both : mean of the parallel and the crossed series
-    crossed : the crossed series
-    rig : `rig.leds[k]` lights parallel image k
-    grid : of the images
-    surface_mm : (h, w) smooth surface
+    Where the crossed series has LEDs of its own, beside those of the parallel one, it is taken as under the latter,
+    `rig.leds[k]` of image k: by the brightness of the matt surface under both.
     """
     stack = 2 * (both.stack - crossed.stack).mean(axis=0)
     if rig.leds != crossed.rig.leds:
@@ -147,14 +140,10 @@ def specular_images(
 def polarised_heights(
     images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray
 ) -> PolarisedHeights:
-    """Heights by the specular image, from a start whose shape and relief are about right.
+    """Heights by the specular image of the fine grid, from a finite start (h, w) whose shape and relief are about
+    right.
 
-    Parameters
-    ----------
-    images : of the fine grid
-    grid : fine grid
-    start_mm : (h, w) surface, finite
-    deviation_mm : (h, w) stated standard deviation of its ridges' heights
+    `deviation_mm`: (h, w) stated standard deviation of its ridges' heights.
     """
     difference, noise = images.stack, images.noise
     mask = grid.mask & (grid.depth_mm > 3 * grid.pitch_mm)

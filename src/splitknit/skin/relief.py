@@ -64,25 +64,8 @@ def _window_power(image: FloatArray, side: int) -> FloatArray:
 def _local_wiener(
     relief: FloatArray, noise_power: FloatArray, settings: LocalWienerSettings, pitch_mm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Denoise `relief`.
-
-    Parameters
-    ----------
-    relief : (H, W), finite everywhere
-    noise_power : (side, side // 2 + 1)
-        Of :func:`_window_power` for pure noise, in the relief's units squared; side = `settings.window_px(pitch_mm)`.
-    settings : LocalWienerSettings
-    pitch_mm : float
-
-    Returns
-    -------
-    denoised : (H, W) float32
-    deviation : (H, W) float32
-        Standard deviation of the error that is left: noise kept plus relief lost, in the relief's units.
-
-    References
-    ----------
-    J. S. Lim, "Two-Dimensional Signal and Image Processing" (1990), section 9.2.
+    """Denoise `relief` (H, W), and state what is left: noise kept plus relief lost (J. S. Lim, "Two-Dimensional Signal
+    and Image Processing", 1990, section 9.2). `noise_power`: of :func:`_window_power` for pure noise.
     """
     side = settings.window_px(pitch_mm)
     require(
@@ -422,13 +405,8 @@ def relief_by_colour(
 ) -> ReliefEstimate:
     """Relief that explains the slopes of all channels behind scattering and specular reflection.
 
-    Parameters
-    ----------
-    measured : of the white band, see :func:`measure`
-    grid : fine grid
-    smooth_mm : (h, w) the shape without the relief
-    other : transfer function of each channel one standard deviation of the scattering away
-    settings : ColourSettings
+    `measured`: of the white band on the fine grid; `smooth_mm`: (h, w) the shape without the relief; `other`: transfer
+    function of each channel one standard deviation of the scattering away.
     """
     relief = np.zeros(grid.shape, dtype=np.float32)
     for _ in range(settings.steps):

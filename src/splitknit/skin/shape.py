@@ -91,14 +91,9 @@ def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: i
 
     The regularised inverse W acts on everything that was measured, z <- W (p - F(z) + M z), so that repeating it
     settles. The ridges need not be known: as much light enters a ridged patch of skin and scatters below it as enters a
-    smooth one, because facets that lean away from the light are larger as they are darker.
-
-    Parameters
-    ----------
-    images : of all bands
-    optics : transfer function of each channel
-    steps : comparisons of prediction and images, one at least
-    prior : expected slopes of shape and specular reflection
+    smooth one, because facets that lean away from the light are larger as they are darker. `optics`: transfer function
+    of each channel; `steps`: comparisons of prediction and images, one at least; `prior`: expected slopes of shape and
+    specular reflection.
     """
     grid = images.grid
     start = _start_shape(images.bands[-1], grid, images.plane_mm)
@@ -175,14 +170,8 @@ class Residual:
 def residual_of(
     bands: Sequence[BandImages], grid: Grid, height_mm: FloatArray, optics: Mapping[str, Diffusion]
 ) -> Residual:
-    """Predict the images of all bands, fit the specular reflection, and measure the slopes that are left over.
-
-    Parameters
-    ----------
-    bands : images on `grid`, the white band first
-    grid : coarse grid
-    height_mm : (h, w), finite
-    optics : transfer function of each channel
+    """Predict the images of all bands, the white one first, from a finite surface (h, w) on the coarse grid and the
+    transfer function of each channel, fit the specular reflection, and measure the slopes that are left over.
     """
     normals = normals_from_gradients(*slopes_inside(height_mm, grid))
     slopes: dict[str, Slopes] = {}
@@ -242,13 +231,7 @@ def _wiener(
 ) -> Slopes:
     """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the minimum-mean-square-error W.
 
-    Parameters
-    ----------
-    residual : of :func:`residual_of`
-    added : slopes that earlier comparisons have put into the surface
-    optics : transfer function M of each channel
-    grid : coarse grid
-    prior : expected powers of shape, specular reflection and noise
+    `added`: slopes that earlier comparisons have put into the surface; `optics`: transfer function M of each channel.
     """
     names = list(residual.slopes)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)

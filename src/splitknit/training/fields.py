@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -172,13 +171,7 @@ class FieldsTrainer(Trainer):
         samples: Sequence[Sample],
         whole: Sequence[Sample] = (),
     ) -> None:
-        """Build the network, its first weights from the settings' seed.
-
-        A fraction of the patches is cut from the samples `whole`, if there are any.
-        """
-        check_channels(samples, task.channels)
-        if len(whole) > 0:
-            check_channels(whole, task.channels)
+        """Build the network; a fraction of the patches is cut from the samples `whole`, if there are any."""
         scale = field_scale(task, samples, settings, whole)
 
         def build() -> Any:
@@ -205,6 +198,12 @@ class FieldsTrainer(Trainer):
         """The weighted sum of the parts."""
         return sum(weight * parts[name] for name, weight in self._fields.loss_weights.items())
 
+    def packed(self, facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
+        """Network and card, see :func:`splitknit.training.trainer.packed`."""
+        task, widths = self._task, self._fields.widths
+        words = f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}"
+        return packed(task.kind, self.network, Architecture(words, (FIELDS, task.outputs), len(widths) - 1), facts)
+
 
 def draw_batch(
     task: FieldsTask, samples: Sequence[Sample], settings: FieldsSettings, iteration: int, whole: Sequence[Sample] = ()
@@ -228,13 +227,7 @@ def draw_patch(
     rng: np.random.Generator,
     whole: Sequence[Sample] = (),
 ) -> FloatArray:
-    """Cut a patch (channels, side, side) anywhere in any sample, as it is; zero where it reaches over the sample.
-
-    Raises
-    ------
-    BadInput
-        If patches with enough skin cannot be found.
-    """
+    """Cut a patch (channels, side, side) anywhere in any sample, as it is; zero where it reaches over the sample."""
     side, beyond = settings.patch_px, settings.beyond_px
     for _ in range(_TRIES):
         pool = whole if len(whole) > 0 and rng.random() < settings.whole_share else samples
@@ -267,77 +260,12 @@ def field_scale(
     return np.asarray(1.0 / np.maximum(deviation, task.min_deviation), dtype=np.float32)
 
 
-def check_channels(samples: Sequence[Sample], channels: int) -> None:
-    """Refuse samples of another shape.
-
-    Raises
-    ------
-    BadInput
-        If there are none, or one is not (channels, h, w).
-    """
-    require(len(samples) > 0, "there are no fingers to train on.")
-    for sample in samples:
-        require(
-            sample.ndim == 3 and sample.shape[0] == channels and min(sample.shape) > 0,
-            f"a finger to train on must have the shape ({channels}, h, w), but one has {sample.shape}.",
-        )
-
-
-def _packed_fields(kind: NetworkKind, state: Mapping[str, Any], facts: Mapping[str, Any]) -> tuple[bytes, bytes]:
-    """The files of a finished network, see :func:`splitknit.training.trainer.packed`.
-
-    Parameters
-    ----------
-    kind : NetworkKind
-    state : ``state_dict`` of a :func:`splitknit.training.networks.fields_network`
-    facts : what the card also contains: command, training, data, metrics
-
-    Raises
-    ------
-    BadInput
-        If `state` belongs to another network.
-    """
-    network = _network_from(state)
-    widths = [int(level[0].out_channels) for level in network.down]
-    channels = int(network.down[0][0].in_channels), int(network.out.out_channels)
-    words = f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}"
-    return packed(kind, network, Architecture(words, channels, len(widths) - 1), facts)
-
-
-def write_fields(out: Path, kind: NetworkKind, state: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Write network and card of a ``state_dict``, see :func:`splitknit.training.trainer.write_network`."""
-    files = _packed_fields(kind, state, facts)
-    stride, fields = stride_of(state), int(state["scale"].shape[0])
-    probe = np.random.default_rng(0).uniform(-0.3, 0.3, (fields, 8 * stride, 9 * stride)).astype(np.float32)
-    run = runner_of(state)
-    return write_network(out, kind.name, files, lambda images: run(images[0])[None], probe[None])
-
-
-def runner_of(state: Mapping[str, Any]) -> Callable[[FloatArray], FloatArray]:
-    """The network whose ``state_dict`` this is, as a function of fields (n, h, w), on the processor."""
-    torch = load_torch()
-    network = _network_from({name: part.cpu() for name, part in state.items()})
-
-    def run(fields: FloatArray) -> FloatArray:
-        with torch.no_grad():
-            made = network(torch.from_numpy(np.ascontiguousarray(fields[None])))[0]
-        return np.asarray(made.numpy(), dtype=np.float32)
-
-    return run
-
-
-def stride_of(state: Mapping[str, Any]) -> int:
-    """What the sides of that network's input are multiples of."""
-    return int(2 ** (len(_network_from(state).down) - 1))
-
-
-def network_metrics(task: FieldsTask, state: Mapping[str, Any], samples: Mapping[int, Sample]) -> dict[str, Any]:
-    """The card's figures of a network (its torch ``state_dict``) on fingers, by their numbers, not trained on."""
-    run, stride = runner_of(state), stride_of(state)
+def _network_metrics(task: FieldsTask, run: Run, stride: int, samples: Mapping[int, Sample]) -> dict[str, Any]:
+    """The card's figures of a network on fingers, by their numbers, not trained on."""
     figures = {number: task.in_units(task.judge(run, sample, stride)) for number, sample in samples.items()}
     return {
         "held_out": f"{len(figures)} simulated fingers not trained on, drawn from the same ranges{task.held_out}",
-        "mean": _rounded(mean_figures(list(figures.values()))),
+        "mean": _rounded(_mean_figures(list(figures.values()))),
         "fingers": [{"finger": number, **_rounded(entry)} for number, entry in figures.items()],
     }
 
@@ -345,10 +273,8 @@ def network_metrics(task: FieldsTask, state: Mapping[str, Any], samples: Mapping
 def train_fields(run: TrainingRun, task: FieldsTask, data: SceneRanges, settings: FieldsSettings) -> dict[str, Any]:
     """Simulate the fingers and train; return what came out.
 
-    Raises
-    ------
-    BadInput
-        If torch is missing, the folder is in use, what is there does not fit the settings, or no finger can be used.
+    Raises BadInput if torch is missing, the folder is in use, what is there does not fit the settings, or no finger can
+    be used.
     """
     started = time.perf_counter()
     require_torch(settings)
@@ -372,21 +298,22 @@ def train_fields(run: TrainingRun, task: FieldsTask, data: SceneRanges, settings
     trainer = FieldsTrainer(task, settings, samples, list(fingers.values()) if pieces else ())
     curve = LearningCurve(
         settings.report_every,
-        lambda: mean_figures([task.judge(trainer.run, sample, settings.stride) for sample in judges.values()]),
+        lambda: _mean_figures([task.judge(trainer.run, sample, settings.stride) for sample in judges.values()]),
         task.lines,
         task.unit,
     )
     train_in_folder(run, trainer, settings.iterations, curve)
     run.progress("exporting", 1.0)
-    state = trainer.network.state_dict()
     used = {"pieces_used": len(crops), "whole_fingers_used": len(fingers)} if pieces else {"fingers_used": len(fingers)}
     facts = {
         "command": run.command,
         "training": {**asdict(settings), "iterations_done": trainer.done},
         "data": {**asdict(data), **used, "fingers_refused": len(refused)},
-        "metrics": network_metrics(task, state, judges),
+        "metrics": _network_metrics(task, trainer.run, settings.stride, judges),
     }
-    written = write_fields(run.out, task.kind, state, facts)
+    sides = (1, FIELDS, 8 * settings.stride, 9 * settings.stride)
+    probe = np.random.default_rng(0).uniform(-0.3, 0.3, sides).astype(np.float32)
+    written = write_network(run.out, task.kind.name, trainer.packed(facts), trainer.run, probe)
     return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
 
 
@@ -395,30 +322,10 @@ def _rounded(entry: Mapping[str, float]) -> dict[str, float | None]:
     return {name: round(value, 4) if math.isfinite(value) else None for name, value in entry.items()}
 
 
-def mean_figures(figures: Sequence[Mapping[str, float]]) -> Entry:
+def _mean_figures(figures: Sequence[Mapping[str, float]]) -> Entry:
     """Mean of each figure over the fingers that have one."""
     found = {}
     for name in figures[0]:
         values = [entry[name] for entry in figures if math.isfinite(entry[name])]
         found[name] = float(np.mean(values)) if values else math.nan
     return found
-
-
-def _network_from(state: Mapping[str, Any]) -> Any:
-    """The network whose ``state_dict`` this is; widths follow from the weights' shapes.
-
-    Raises
-    ------
-    BadInput
-        If it is not the state of a :func:`fields_network`.
-    """
-    try:
-        levels = sum(name.startswith("down.") and name.endswith(".0.weight") for name in state)
-        widths = [int(state[f"down.{number}.0.weight"].shape[0]) for number in range(levels)]
-        fields, outputs = int(state["down.0.0.weight"].shape[1]), int(state["out.weight"].shape[0])
-        network = fields_network(widths, fields, outputs)
-        network.load_state_dict(dict(state))
-    except (KeyError, AttributeError, IndexError, RuntimeError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise BadInput(f"these are not the weights of a relief or shape network ({reason}).") from error
-    return network.eval()

@@ -22,13 +22,7 @@ _OPSET = 17
 
 
 def load_torch() -> Any:
-    """Import torch, which only training needs.
-
-    Raises
-    ------
-    BadInput
-        If it is not installed.
-    """
+    """Import torch, which only training needs, or raise BadInput."""
     with importing(
         "training needs torch, which cannot be imported ({error}); in splitknit's folder: make install EXTRAS=train."
     ):
@@ -38,19 +32,11 @@ def load_torch() -> Any:
 def unet(
     width: int = 64, depth: int = 3, dropout: float = 0.5, start_fraction: float = 0.0, *, channels: int = 3
 ) -> Any:
-    """Build the U-Net of the thesis, its weights drawn after He et al. 2015 from torch's current random state.
+    """Build the U-Net of the thesis from (N, channels, H, W), H and W multiples of 2^depth, to the same shape.
 
-    Parameters
-    ----------
-    width : channels of the first block; they double from block to block
-    depth : encoder blocks, and decoder blocks
-    dropout : fraction dropped after the last encoder block and the bridge
-    start_fraction : the untrained network returns this fraction of its image; 0: all weights are random
-    channels : of the image
-
-    Returns
-    -------
-    torch.nn.Module from (N, channels, H, W) to the same shape; H and W are multiples of 2^depth
+    Weights are drawn after He et al. 2015 from torch's current random state. `width`: channels of the first block,
+    doubling from block to block; `dropout`: fraction dropped after the last encoder block and the bridge;
+    `start_fraction`: the untrained network returns this fraction of its image; 0: all weights are random.
     """
     torch = load_torch()
     nn = torch.nn
@@ -119,25 +105,13 @@ def _begin_with_fraction(network: Any, width: int, start_fraction: float, channe
 
 
 def fields_network(widths: Sequence[int], fields: int, outputs: int) -> Any:
-    """Build the U-Net of the `metric` networks, its weights drawn from torch's current random state.
+    """Build the U-Net (Ronneberger et al. 2015) of the `metric` networks from (N, fields, H, W), H and W multiples of
+    2^(levels - 1), to (N, outputs, H, W), its weights drawn from torch's current random state.
 
-    Every level is two 3 x 3 convolutions with ReLUs. On the way down, maxima over 2 x 2 pixels go on to the next level;
-    on the way up, pixels are doubled and put beside what the level had on the way down. The outputs come from a last
-    1 x 1 convolution.
-
-    Parameters
-    ----------
-    widths : channels of each level, the finest first
-    fields : channels of the input; each is first multiplied by the network's ``scale``
-    outputs : channels of the output
-
-    Returns
-    -------
-    torch.nn.Module from (N, fields, H, W) to (N, outputs, H, W); H and W are multiples of 2^(levels - 1)
-
-    References
-    ----------
-    Ronneberger et al. 2015, U-Net.
+    Every level, of `widths` channels, the finest first, is two 3 x 3 convolutions with ReLUs. On the way down, maxima
+    over 2 x 2 pixels go on to the next level; on the way up, pixels are doubled and put beside what the level had on
+    the way down. The outputs come from a last 1 x 1 convolution; fields are first multiplied by the network's
+    ``scale``.
     """
     torch = load_torch()
     nn = torch.nn

@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.networks.augmentation import Symmetry
 from splitknit.settings import Limits
@@ -77,14 +76,12 @@ class ReliefSettings(FieldsSettings):
 
 
 def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
-    """The parts of the loss, each a mean over the pixels that count.
+    """The parts of the loss of what the network `made` (B, 9, h, w), each a mean over the pixels that count.
 
-    `made`: (B, 9, h, w) torch.Tensor, the network's result; `batch`: (B, 41, h, w) torch.Tensor, samples, see
-    :mod:`splitknit.training.relief_data`. Returns dict of torch scalars by the names of :data:`PARTS`: ``relief``, the
-    mean squared error of the heights; ``slope``, that of their differences from pixel to pixel, where ridges outweigh
-    what is wide; ``likelihood``, the negative logarithm of the likelihood of the error under the estimated variance
-    (the error is taken as given here, so that no height is made worse for it); ``glare``, the mean squared error of its
-    waves.
+    ``relief``: the mean squared error of the heights; ``slope``: that of their differences from pixel to pixel, where
+    ridges outweigh what is wide; ``likelihood``: the negative logarithm of the likelihood of the error under the
+    estimated variance (the error is taken as given here, so that no height is made worse for it); ``glare``: the mean
+    squared error of its waves.
     """
     weight = batch[:, WEIGHT]
     count = weight.sum() + 1.0
@@ -104,7 +101,6 @@ def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
 def _judge_middle(run: Run, sample: Sample, stride: int) -> dict[str, float]:
     """Figures of :func:`_judged` for the middle of a finger, as `run` turns its fields (32, h, w) into (9, h, w)."""
     limits = [min(JUDGED_PX, length // stride * stride) for length in sample.shape[1:]]
-    require(min(limits) > 0, f"a finger of {sample.shape[1]} x {sample.shape[2]} pixels is too small to be judged.")
     first = [(length - side) // 2 for length, side in zip(sample.shape[1:], limits, strict=True)]
     rows, columns = (slice(start, start + side) for start, side in zip(first, limits, strict=True))
     middle = np.asarray(sample[:, rows, columns], dtype=np.float32)
@@ -114,9 +110,9 @@ def _judge_middle(run: Run, sample: Sample, stride: int) -> dict[str, float]:
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
     """Figures of a result (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2.
 
-    Returns dict of ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the
-    network's unit; ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the
-    part of the glare's power that is explained, all waves together. NaN where the sample holds no skin, or no glare.
+    ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the network's unit;
+    ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the part of the
+    glare's power that is explained. NaN where the sample holds no skin, or no glare.
     """
     counts = sample[WEIGHT] > 0.5
     if not counts.any():

@@ -138,17 +138,9 @@ def _draw_scene(number: int, data: ReliefData) -> TrainingScene:
 
 
 def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16], dict[str, Any]]:
-    """Photograph the finger `number` and turn it into a sample (41, h, w), see :mod:`splitknit.training.fields`.
-
-    Returns
-    -------
-    sample : (41, h, w) float16
-    facts : what was drawn
-
-    Raises
-    ------
-    BadInput
-        If the reconstruction would refuse the capture.
+    """Photograph the finger `number` and turn it into a sample (41, h, w) float16, see
+    :mod:`splitknit.training.fields`, and the facts of what was drawn; BadInput if the reconstruction would refuse the
+    capture.
     """
     scene = _draw_scene(number, data)
     capture, truth = photograph_scene(scene)
@@ -157,11 +149,7 @@ def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16],
 
 
 def _sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], mix: float) -> NDArray[np.float16]:
-    """Fields, relief, glare and weight (41, h, w) of one capture with its truth.
-
-    `capture`, `truth`: of the simulator; `mix`: fraction of the reconstruction's smooth shape in [0, 1]; the rest is
-    the true shape.
-    """
+    """Fields, relief, glare and weight (41, h, w) of a capture; `mix`: the reconstruction's part of the shape."""
     settings = preset_settings("metric")
     finger = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
@@ -214,10 +202,7 @@ def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: flo
 def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
     """Samples (n, 41, h, w) of pieces of the finger `number`, see :mod:`splitknit.training.fields`.
 
-    Raises
-    ------
-    BadInput
-        If the images are smaller than a piece, or not one piece holds enough skin.
+    Raises BadInput if the images are smaller than a piece, or not one piece holds enough skin.
     """
     rng = np.random.default_rng([number, 78])
     usual = rng.random() < data.crop_usual_share

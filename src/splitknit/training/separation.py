@@ -14,11 +14,10 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from splitknit.errors import require
 from splitknit.finger.contrast import ClaheSettings, clahe
 from splitknit.model import BoolArray, FloatArray
 from splitknit.separation.direct import local_level
-from splitknit.settings import Limits, check_fields
+from splitknit.settings import Limits
 from splitknit.training.networks import unet
 from splitknit.training.separation_data import (
     CHANNELS,
@@ -67,7 +66,7 @@ class SeparationSettings(TrainerSettings):
     """Channels of the first block; they double from block to block. The thesis: 64."""
     depth: Annotated[int, Limits(1, 6)] = 3
     """Encoder blocks, and decoder blocks."""
-    dropout: Annotated[float, Limits(0, 1)] = 0.5
+    dropout: Annotated[float, Limits(0, 1, below=True)] = 0.5
     """Fraction dropped after the last encoder block and the bridge, while training; below 1."""
     start_fraction: Annotated[float, Limits(0, 1)] = 0.0
     """The untrained network gives this fraction of its image: a better start than noise. 0 = all random."""
@@ -77,10 +76,6 @@ class SeparationSettings(TrainerSettings):
     """Over this last part of the training the learning rate falls to zero along a cosine; the thesis keeps it."""
     border_px: Annotated[int, Limits(0, 512)] = 0
     """Pixels at a patch's border that the loss leaves out: there the network sees zeros where an image would go on."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        require(self.dropout < 1, "training.dropout must be below 1.")
 
     @property
     def stride(self) -> int:
@@ -150,10 +145,7 @@ def _learning_factor(done: float, decay: float) -> float:
 def train_separation(run: TrainingRun, data: SeparationData, settings: SeparationSettings) -> dict[str, Any]:
     """Build the data set and train; return what came out.
 
-    Raises
-    ------
-    BadInput
-        If torch is missing, the folder is in use, or what is there does not fit the settings.
+    Raises BadInput if torch is missing, the folder is in use, or what is there does not fit the settings.
     """
     started = time.perf_counter()
     require_torch(settings)

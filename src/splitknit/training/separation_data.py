@@ -106,19 +106,9 @@ class Photograph:
 
 
 def photographs(kind: str, index: int, seed: int, settings: SeparationData, enhance: Enhance) -> list[Photograph]:
-    """Take all views of one palm or finger.
+    """Take all views of the palm or finger `index`, which follows from it and the data set's `seed`.
 
-    Parameters
-    ----------
-    kind : ``palm`` or ``finger``
-    index : of the palm; everything follows from it and `seed`
-    seed : of the data set
-    settings : of the data set
-    enhance : the contrast enhancement of the thesis's presets, :func:`enhanced_contrast`
-
-    Returns
-    -------
-    list of Photograph, `settings.views` long
+    `enhance`: the contrast enhancement of the thesis's presets, :func:`enhanced_contrast`.
     """
     surface = drawn_surface(kind, index, seed, settings)
     view_seeds = _root(kind, index, seed).spawn(1 + settings.views)[1:]
@@ -230,9 +220,7 @@ def _record(
 
 
 def _patch_corners(mask: BoolArray, settings: SeparationData, rng: np.random.Generator) -> NDArray[np.int32]:
-    """Draw the upper left corners (n, 2) of patches that hold skin. Raises BadInput if the image is smaller than a
-    patch, or no patch holds enough skin.
-    """
+    """Draw the upper left corners (n, 2) of patches that hold skin."""
     side = PATCH_PX
     require(
         min(mask.shape) >= side,

@@ -76,14 +76,13 @@ class ShapeNetSettings(FieldsSettings):
     """By which weights shrink, times the learning rate."""
     beyond_px: Annotated[int, Limits(0)] = 20
     """How far a patch may reach over a finger's edge, where the shape errs most."""
-    no_nir_share: Annotated[float, Limits(0, 1)] = 0.15
+    no_nir_share: Annotated[float, Limits(0, 1, below=True)] = 0.15
     """Fraction of the patches without near-infrared fields; below 1."""
     wide_share: Annotated[float, Limits(0)] = 1.0
     """Weight of the mean slopes of blocks in the loss, beside the slopes with weight one."""
 
     def __post_init__(self) -> None:
         FieldsSettings.__post_init__(self)
-        require(self.no_nir_share < 1, "training.no_nir_share must be below 1.")
         require(
             max(self.beyond_px + 1, _WIDE_PX) <= self.patch_px,
             f"training.patch_px must be larger than beyond_px ({self.beyond_px}) and {_WIDE_PX - 1}, "
@@ -97,13 +96,11 @@ class ShapeNetSettings(FieldsSettings):
 
 
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
-    """The parts of the loss, each a mean over the pixels that count.
+    """The parts of the loss of the slopes `made` (B, 2, h, w), each a mean over the pixels that count.
 
-    `made`: (B, 2, h, w) torch.Tensor, the network's slopes; `batch`: (B, 35, h, w) torch.Tensor, samples, see
-    :mod:`splitknit.training.fields`; `wide_px`: side of the blocks of ``wide``. Returns dict of torch scalars by the
-    names of :data:`PARTS`: ``slope``, the mean square of the error (both slopes together); ``wide``, that of its means
-    over blocks: what is wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel
-    does not.
+    ``slope``: the mean square of the error (both slopes together); ``wide``: that of its means over blocks of
+    `wide_px`: what is wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel does
+    not.
     """
     pooled = load_torch().nn.functional.avg_pool2d
     weight = batch[:, WEIGHT : WEIGHT + 1]
@@ -114,22 +111,20 @@ def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, A
 
 
 def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`_judged` for a finger, as `run` turns its fields (32, h, w) into (2, h, w).
-
-    The last rows and columns are left out where the sides are no multiples of `stride`.
+    """Figures of :func:`_judged` for a finger, without the last rows and columns where the sides are no multiples of
+    `stride`.
     """
     rows, columns = (length // stride * stride for length in sample.shape[1:])
-    height, width = sample.shape[1:]
-    require(min(rows, columns) > 0, f"a finger of {height} x {width} pixels is too small to be evaluated.")
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
     return _judged(run(seen[:FIELDS]), seen)
 
 
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
-    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit.
+    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit; NaN where there is
+    no skin.
 
-    Returns dict of ``before`` and ``after``, the shape's slope error (rms of one slope, weighted) without and with
-    them; ``wide_before`` and ``wide_after``, the same of means over squares of 17 pixels. NaN where there is no skin.
+    ``before`` and ``after``: the shape's slope error (rms of one slope, weighted) without and with them;
+    ``wide_before`` and ``wide_after``: the same of means over squares of 17 pixels.
     """
     weight = np.asarray(sample[WEIGHT], dtype=np.float64)
     wanted = np.asarray(sample[SLOPES], dtype=np.float64)

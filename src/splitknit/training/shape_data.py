@@ -98,17 +98,9 @@ def _draw_shape_scene(number: int, data: ShapeData) -> tuple[TrainingScene, floa
 
 
 def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dict[str, Any]]:
-    """Photograph the finger `number` and turn it into a sample (35, h, w), see :mod:`splitknit.training.fields`.
-
-    Returns
-    -------
-    sample : (35, h, w) float16
-    facts : what was drawn
-
-    Raises
-    ------
-    BadInput
-        If the reconstruction would refuse the capture.
+    """Photograph the finger `number` and turn it into a sample (35, h, w) float16, see
+    :mod:`splitknit.training.fields`, and the facts of what was drawn; BadInput if the reconstruction would refuse the
+    capture.
     """
     scene, gain = _draw_shape_scene(number, data)
     capture, truth = photograph_scene(scene)
@@ -116,8 +108,8 @@ def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dic
 
 
 def _shape_sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], gain: float) -> NDArray[np.float16]:
-    """Fields, missing slopes and weight (35, h, w) of one capture with its truth. `capture`, `truth`: of the simulator;
-    `gain`: height of the relief that the reconstruction is given, over the true one.
+    """Fields, missing slopes and weight (35, h, w) of one capture; `gain`: of the relief that the reconstruction is
+    given.
     """
     settings = preset_settings("metric")
     finger = find_finger(capture, settings)
@@ -155,11 +147,8 @@ def _split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArra
 def _assembled_shape(
     fields: FloatArray, true_mm: FloatArray, known: BoolArray, low: Grid, factor: int
 ) -> NDArray[np.float16]:
-    """The sample (35, h, w) of one finger.
-
-    `fields`: (32, h, w) of :func:`splitknit.skin.learned`; `true_mm`: (H, W) true shape on the fine
-    grid; `known`: (H, W) where it is known; `low`: coarse grid; `factor`: pixels of the fine grid along one of the
-    coarse grid.
+    """The sample (35, h, w) of one finger, whose true shape on the fine grid is `known` somewhere; `factor`: fine
+    pixels a coarse one.
     """
     rows, columns = low.shape
 

@@ -102,13 +102,7 @@ class Trainer(ABC):
     """Longer gradients are shortened to this."""
 
     def __init__(self, settings: TrainerSettings, build: Callable[[], Any], weight_decay: float = 0.0) -> None:
-        """Build the network with weights drawn from the settings' seed.
-
-        Raises
-        ------
-        BadInput
-            If torch is missing, or there is no such device.
-        """
+        """Build the network with weights drawn from the settings' seed."""
         self.torch, self.settings = require_torch(settings), settings
         self.device = self.torch.device(settings.device)
         self.torch.set_num_threads(settings.threads)
@@ -135,12 +129,8 @@ class Trainer(ABC):
         """The weighted sum of the parts."""
 
     def train(self, count: int, tick: Callable[[float], None] | None = None) -> dict[str, float]:
-        """Go on by `count` epochs or iterations and return the mean of each part of the loss.
-
-        Raises
-        ------
-        BadInput
-            If the loss is not finite.
+        """Go on by `count` epochs or iterations; return the mean of each part of the loss, or BadInput if one is not
+        finite.
         """
         self.network.train()
         sums: dict[str, float] = {}
@@ -199,13 +189,7 @@ class Trainer(ABC):
         return buffer.getvalue()
 
     def restore(self, state: bytes) -> None:
-        """Go on from where `state` was taken.
-
-        Raises
-        ------
-        BadInput
-            If it is damaged or of a training with other settings.
-        """
+        """Go on from where `state` was taken; BadInput if it is damaged or of a training with other settings."""
         settings = asdict(self.settings)
         with refusing("the checkpoint is damaged; train anew in another folder."):
             document = self.torch.load(io.BytesIO(state), map_location=self.device, weights_only=True)
@@ -225,13 +209,7 @@ class Trainer(ABC):
 
 
 def require_torch(settings: TrainerSettings) -> Any:
-    """Torch, if it is installed and has the device of the settings.
-
-    Raises
-    ------
-    BadInput
-        Otherwise, with the remedy.
-    """
+    """Torch, if it is installed and has the device of the settings."""
     torch = load_torch()
     require(
         settings.device != "cuda" or bool(torch.cuda.is_available()),
@@ -271,18 +249,11 @@ def files_of(network: str, photographed: str) -> dict[str, str]:
 def open_folder(
     run: TrainingRun, data: DataclassInstance, settings: DataclassInstance, free: Sequence[str] = FREE
 ) -> None:
-    """Make the folder, or check that it holds this training.
+    """Make the folder, or check that it holds this training; settings named in `free` may differ from those that are
+    there.
 
-    Parameters
-    ----------
-    run : with the folder, and whether a training may be there already
-    data, settings : dataclasses of the data set and the training
-    free : settings that may differ from those of the training that is there
-
-    Raises
-    ------
-    BadInput
-        If it is a file or holds something else, a training that shall not be resumed, or one with other settings.
+    Raises BadInput if it is a file or holds something else, a training that shall not be resumed, or one with other
+    settings.
     """
     out = run.out
     wanted = _plain({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)})
@@ -337,12 +308,7 @@ def make_data(
 ) -> list[str]:
     """Photograph the subjects that are not there yet; return those that cannot be used, with the reason.
 
-    Parameters
-    ----------
-    run : with the folder of the training
-    subjects : palms and fingers
-    shoot : takes their photographs
-    views : endings of the files' names, one for each photograph of a subject
+    `views`: endings of the files' names, one for each photograph of a subject.
     """
     refused = []
     for done, (kind, number) in enumerate(subjects):
@@ -359,15 +325,7 @@ def make_data(
 def load_data(
     out: Path, kind: str, numbers: Iterable[int], fits: Fits, views: Sequence[str] = _ONE_VIEW
 ) -> dict[int, list[Sample]]:
-    """Samples of the subjects that were not refused, by their numbers.
-
-    Arrays are mapped: a data set may be larger than the memory.
-
-    Raises
-    ------
-    BadInput
-        If a file is damaged.
-    """
+    """Samples of the subjects that were not refused, by their numbers; mapped, as they may be larger than memory."""
     found: dict[int, list[Sample]] = {}
     for number in numbers:
         for view in views:
@@ -386,13 +344,7 @@ def load_data(
 
 
 def require_subjects(count: int, purpose: str, refused: Sequence[str]) -> None:
-    """Refuse a data set without subjects, with the reasons.
-
-    Raises
-    ------
-    BadInput
-        If `count` is zero.
-    """
+    """Refuse a data set without subjects, with the reasons."""
     require(count > 0, f"not one finger to {purpose} could be used ({'; '.join(refused)}); take more fingers.")
 
 
@@ -441,14 +393,8 @@ class LearningCurve:
 
 
 def train_in_folder(run: TrainingRun, trainer: Trainer, end: int, curve: LearningCurve) -> None:
-    """Train to the end, from the checkpoint in the folder if there is one; keep checkpoint and learning curve.
-
-    Parameters
-    ----------
-    run : with the folder of the training
-    trainer : what is trained
-    end : epochs or iterations in all
-    curve : what is measured on the way
+    """Train to the end, in epochs or iterations, from the folder's checkpoint if there is one; keep checkpoint and
+    curve.
     """
     out, progress = run.out, run.progress
     checkpoint = out / "checkpoint.pt"
@@ -505,14 +451,7 @@ class Architecture:
 def packed(
     kind: NetworkKind, network: Any, architecture: Architecture, facts: Mapping[str, Any]
 ) -> tuple[bytes, bytes]:
-    """The files of a finished network: ONNX, with weights in half precision, and card.
-
-    Parameters
-    ----------
-    kind, network : what it is, and torch's module
-    architecture : of the network
-    facts : what the card also contains: command, training, data, metrics
-    """
+    """The files of a finished network: ONNX, with weights in half precision, and card with `facts`."""
     channels, depth = architecture.channels, architecture.depth
     weights = export_onnx(network, channels[0], 2**depth)
     head = {
@@ -531,18 +470,10 @@ def packed(
 def write_network(
     out: Path, name: str, files: tuple[bytes, bytes], run: Callable[[FloatArray], FloatArray], probe: FloatArray
 ) -> dict[str, Any]:
-    """Write network and card, read them back, and check that onnxruntime computes what torch does.
+    """Write network and card, read them back, and check that onnxruntime computes what torch does on `probe` (1, n, H,
+    W).
 
-    Parameters
-    ----------
-    out, name : folder, and name of the network
-    files : of :func:`packed`
-    run : the network in torch
-    probe : (1, n, H, W) input that both are compared on
-
-    Returns
-    -------
-    dict : the card, the weights' bytes, and the difference relative to the output's range
+    Returns the card, the weights' bytes, and the difference relative to the output's range.
     """
     file = out / f"{name}.onnx"
     for path, content in zip((file, file.with_suffix(".json")), files, strict=True):

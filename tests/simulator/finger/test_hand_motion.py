@@ -34,7 +34,7 @@ def moved():
 @pytest.mark.parametrize("seed", range(4))
 def test_the_amplitude_is_the_largest_distance_between_shots(seed):
     settings = HandMotion(amplitude_mm=0.4)
-    path = draw_path(np.random.default_rng(seed), 14, settings)
+    path = draw_path(np.random.default_rng(seed), 14, settings, 3)
     between = np.linalg.norm(path.shift_mm[:, None] - path.shift_mm[None], axis=-1)
     assert between.max() == pytest.approx(0.4)
     assert path.reference == 3
@@ -45,7 +45,7 @@ def test_the_amplitude_is_the_largest_distance_between_shots(seed):
 
 
 def test_twice_the_amplitude_is_twice_the_motion():
-    one, two = (draw_path(np.random.default_rng(1), 14, HandMotion(amplitude_mm=a)) for a in (0.2, 0.4))
+    one, two = (draw_path(np.random.default_rng(1), 14, HandMotion(amplitude_mm=a), 3) for a in (0.2, 0.4))
     np.testing.assert_allclose(two.shift_mm, 2 * one.shift_mm)
     np.testing.assert_allclose(two.speed_mm_per_s, 2 * one.speed_mm_per_s)
     np.testing.assert_allclose(two.yaw_rad, 2 * one.yaw_rad)

@@ -175,8 +175,6 @@ def test_checks_of_a_pixel_and_unknown_phases_are_refused(palm):
         _truth(palm, LED, check_mm=0.08)
     with pytest.raises(BadInput, match="larger checks"):
         next(checkerboard_images(palm, LED, SKIN, Checkerboard(0.08)))
-    with pytest.raises(BadInput, match="phases"):
-        _truth(palm, LED, phases="some")
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.4])

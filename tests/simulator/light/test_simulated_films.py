@@ -163,4 +163,4 @@ def test_what_films_do_not_go_with_is_refused():
 
 
 def test_without_films_a_rig_has_none():
-    assert len(lay_down(1, "whorl", TwinSettings(scale=0.08)).rig.leds) == 14
+    assert len(lay_down(1, "whorl", TwinSettings(scale=0.08))[1].rig.leds) == 14

@@ -23,7 +23,7 @@ from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera import lens
 from splitknit.simulator.camera.device import LitScene
 from splitknit.simulator.camera.lens import blur_sigma_px, defocus, fall_off, px_per_mm_at
-from splitknit.simulator.camera.sensor import RESPONSE, SensorSettings, binning_scale, record
+from splitknit.simulator.camera.sensor import SensorSettings, binning_scale, record
 from splitknit.simulator.light.lighting import irradiance
 
 Array = NDArray[np.float64]
@@ -90,19 +90,11 @@ def facing_plane(rotation_vector: Any, middle_mm: Any) -> PlaneFrame:
     """Return a plane that faces the camera, turned by `rotation_vector` (rad, right-handed) about `middle_mm`."""
     rotation = np.asarray(rotation_vector, dtype=np.float64)
     middle = np.asarray(middle_mm, dtype=np.float64)
-    require(
-        rotation.shape == (3,) and middle.shape == (3,) and bool(np.isfinite([rotation, middle]).all()),
-        "a pose needs a rotation vector and a translation of three finite numbers each.",
-    )
     return PlaneFrame(middle, np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64))
 
 
 def base_plane(tilt_deg: tuple[float, float], height_mm: float = 0.0) -> PlaneFrame:
     """Return the rig's base at `height_mm`, turned by two small angles about x and y."""
-    require(
-        bool(np.isfinite(tilt_deg).all()) and max(abs(t) for t in tilt_deg) <= 45.0,
-        f"tilt_deg must be two angles of at most 45 deg, but it is {tuple(tilt_deg)}.",
-    )
     return facing_plane((*np.deg2rad(tilt_deg), 0.0), (0.0, 0.0, height_mm))
 
 
@@ -121,18 +113,11 @@ def steps(length: Array) -> Steps:
 
 
 def edge_coverage(distance: Array, step: Steps | None = None, blur: float = 0.0) -> Array:
-    """Fraction of each pixel that lies inside a straight edge, whose distance inwards from the pixel's middle is given.
+    """Fraction of each pixel that lies inside a straight edge, whose `distance` (h, w) inwards from the pixel's middle
+    is given, with its `step` where it was measured, and the standard deviation `blur` of the edge itself in its unit.
 
-    Parameters
-    ----------
-    distance : (h, w), positive inside
-    step : of `distance`; by default it is measured
-    blur : standard deviation of the edge itself, in the unit of `distance`
-
-    Returns
-    -------
-    (h, w) in [0, 1]: the edge averaged over the square pixel. The longer of the pixel's two steps is averaged exactly
-    and the shorter one as a Gaussian of the same variance, so that edges along rows or columns are exact.
+    The edge is averaged over the square pixel: the longer of the pixel's two steps exactly and the shorter one as a
+    Gaussian of the same variance, so that edges along rows or columns are exact.
     """
     step = step or steps(distance)
     column, row = np.abs(step.column), np.abs(step.row)
@@ -186,9 +171,6 @@ class GroundScene(ABC):
     leds: tuple[Led, ...]
     bench: BenchSettings = field(default_factory=BenchSettings)
 
-    def __post_init__(self) -> None:
-        require(len(self.leds) > 0, "a scene needs at least one LED.")
-
     @property
     @abstractmethod
     def plane(self) -> PlaneFrame:
@@ -203,21 +185,10 @@ class GroundScene(ABC):
         return 1.0
 
     def light(self, lit: Sequence[int]) -> FloatArray:
-        """Noise-free linear light at the sensor with some LEDs on.
+        """Noise-free linear light (H, W, 3) at the sensor with the LEDs `lit` on, the lens's fall-off included.
 
-        Parameters
-        ----------
-        lit : indices of LEDs; none gives the ambient light alone
-
-        Returns
-        -------
-        (H, W, 3) float32, white-balanced, in the rig's units (a facing white card 100 mm from an LED of intensity one
-        is 1/pi), the lens's fall-off included
-
-        Raises
-        ------
-        BadInput
-            If `lit` names an LED that the rig does not have.
+        White-balanced, in the rig's units: a facing white card 100 mm from an LED of intensity one is 1/pi. Raises
+        BadInput if `lit` names an LED that the rig does not have.
         """
         grey = self._grey(tuple(_switched_on(self.leds, lit)))
         image = np.repeat(grey.astype(np.float32)[..., None], 3, axis=2)
@@ -313,15 +284,7 @@ class DarkScene:
 
 
 def well_exposed(scene: LitScene, lit: Sequence[Sequence[int]], level: float = 0.7) -> float:
-    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale.
-
-    Parameters
-    ----------
-    scene : photographed
-    lit : the LEDs of each image
-    level : fraction of full scale
-    """
-    require(len(lit) > 0, "exposing needs at least one image.")
+    """Exposure at which the 99.9th percentile of the brightest of some images is at `level` of full scale."""
     brightest = max(float(np.percentile(scene.light(leds)[::4, ::4], 99.9)) for leds in lit)
     require(brightest > 0.0, "exposing needs some light, but all images are black.")
     return level / brightest
@@ -336,28 +299,11 @@ def photograph_bench(
     sensor: SensorSettings | None = None,
     band: str = "white",
 ) -> PixelArray:
-    """Photograph a scene.
+    """Photograph a scene, (H, W, 3) uint8 or uint16, with the LEDs `lit` on; `sensor.exposure` is not used.
 
-    Parameters
-    ----------
-    scene : of the bench, or any other with `camera` and `light`
-    lit : indices of the LEDs that are on
-    seed : of the noise
-    exposure : full scales per unit of light; :func:`well_exposed` finds one
-    sensor : the camera's; its own `exposure` is not used here
-    band : ``white`` or ``nir``: how the sensor responds
-
-    Returns
-    -------
-    (H, W, 3) uint8 or uint16
-
-    Raises
-    ------
-    BadInput
-        If `exposure`, `band` or `lit` cannot be.
+    `exposure`: full scales per unit of light, see :func:`well_exposed`; `band`: how the sensor responds. Raises
+    BadInput if `exposure`, `band` or `lit` cannot be.
     """
-    require(bool(np.isfinite(exposure)) and exposure > 0.0, f"exposure must be a positive number, but is {exposure}.")
-    require(band in RESPONSE, f"band must be one of {', '.join(RESPONSE)}, but it is '{band}'.")
     seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence([seed, 0xB2])
     light = scene.light(lit) * np.float32(exposure)
     return record(light, band, seeds, sensor, binning_scale(scene.camera))

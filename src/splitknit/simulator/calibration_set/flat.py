@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -35,15 +35,6 @@ class CardScene(GroundScene):
     """z of its middle."""
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     """Turned about x, then y."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_fraction(self.reflectance, "card's reflectance")
-        require(
-            -100.0 <= self.height_mm < self.camera.height_mm,
-            f"the card's height_mm must lie below the camera (-100 to {self.camera.height_mm:g}), "
-            f"but it is {self.height_mm}.",
-        )
 
     @property
     def plane(self) -> PlaneFrame:
@@ -98,7 +89,6 @@ class BoardScene(GroundScene):
     """Reflectance beside the paper."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         width, height = self.board.size_mm
         reach = self.plane.points(*np.meshgrid((-width / 2, width / 2), (-height / 2, height / 2)))
         top = float(reach[..., 2].max())
@@ -146,16 +136,6 @@ class DiscScene(GroundScene):
     white: float = 0.85
     """Reflectances."""
     black: float = 0.05
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_fraction(self.white, "disc's white")
-        _check_fraction(self.black, "disc's black")
-        require(
-            0.0 < self.dot_mm < self.spacing_mm <= self.radius_mm,
-            f"the disc's dots must be smaller than their spacing, and that no larger than the disc's radius, but they "
-            f"are {self.dot_mm}, {self.spacing_mm} and {self.radius_mm} mm.",
-        )
 
     @property
     def plane(self) -> PlaneFrame:
@@ -206,10 +186,6 @@ class _Axis:
         return edge_coverage(0.5 * width_mm - np.abs(self.along), self.step, blur)
 
 
-def _check_fraction(value: float, name: str) -> None:
-    require(bool(np.isfinite(value)) and 0.0 <= value <= 1.0, f"the {name} must lie in [0, 1], but it is {value}.")
-
-
 _TRIES = 200
 _TILT_DEG = (10.0, 35.0)
 """Range of the board's tilt against the finger plane, about any axis in it; this and the next are drawn evenly."""
@@ -223,38 +199,15 @@ _EDGE = 0.02
 
 # How a person holds a checkerboard under the rig.
 
-
-@dataclass(frozen=True, slots=True)
-class _BoardPose:
-    """One pose of a board."""
-
-    rotation_vector: tuple[float, float, float]
-    translation_mm: tuple[float, float, float]
+_Pose = dict[str, Any]
+"""`rotation_vector` and `translation_mm` of a :class:`BoardScene`."""
 
 
-def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | None = None) -> list[_BoardPose]:
-    """Draw poses of a board, all of its squares in the picture.
-
-    Parameters
-    ----------
-    seed : the same seed gives the same poses; more poses begin with the same ones
-    count : of poses
-    camera : that looks on
-    board : None takes the default one
-
-    Returns
-    -------
-    poses for :class:`splitknit.simulator.calibration_set.flat.BoardScene`
-
-    Raises
-    ------
-    BadInput
-        If the board does not fit into the picture.
-    """
-    require(seed >= 0 and count >= 1, "seed must not be negative and count must be at least one.")
+def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | None = None) -> list[_Pose]:
+    """Draw poses of a board, all of its squares in the picture, or BadInput; more poses begin with the same ones."""
     board = board or PrintedBoard()
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0]))
-    poses: list[_BoardPose] = []
+    poses: list[_Pose] = []
     for _ in range(_TRIES * count):
         pose = _draw(rng, camera, board)
         if pose is not None:
@@ -268,7 +221,7 @@ def board_poses(seed: int, count: int, camera: Camera, board: PrintedBoard | Non
     )
 
 
-def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _BoardPose | None:
+def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Pose | None:
     """One pose, or None where so turned a board does not fit."""
     tilt, turn, height = (low + (high - low) * rng.random() for low, high in (_TILT_DEG, _TURN_DEG, _MIDDLE_MM))
     axis = 2.0 * np.pi * rng.random()
@@ -289,7 +242,10 @@ def _draw(rng: np.random.Generator, camera: Camera, board: PrintedBoard) -> _Boa
     if slack < 0.0:
         return None
     x, y, z = (float(v) for v in middle)
-    return _BoardPose((float(rotation[0]), float(rotation[1]), float(rotation[2])), (x, y, z))
+    return {
+        "rotation_vector": (float(rotation[0]), float(rotation[1]), float(rotation[2])),
+        "translation_mm": (x, y, z),
+    }
 
 
 def _outer_corners(

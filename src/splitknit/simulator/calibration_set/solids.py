@@ -48,13 +48,6 @@ class NailScene(GroundScene):
     """Reflectance of the base."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        require(
-            0.0 < self.tip_radius_mm <= self.base_radius_mm,
-            f"the nail's tip must not be wider than its base, but the radii are {self.tip_radius_mm} mm and "
-            f"{self.base_radius_mm} mm.",
-        )
-        require(self.nail_mm > 0.0, f"the nail's height must be positive, but it is {self.nail_mm} mm.")
         heights = self.plane.own(_positions_of(self.leds, "a nail"))[:, 2]
         lowest = float(heights.min())
         require(
@@ -155,9 +148,8 @@ class NailScene(GroundScene):
         return self.pixels_between(ends.min(axis=0) - widest, ends.max(axis=0) + widest)
 
     def _inside(self, window: Window, cast: tuple[NDArray[np.float64], float]) -> Array:
-        """Fraction of each pixel of the window inside the hull of the nail's foot and of its tip's shadow.
-
-        The shadow of a cone on the plane on which it stands is that hull, and the shadow of its flat tip a circle.
+        """Fraction of each pixel of the window inside the cone's shadow: the hull of the nail's foot and of its tip's
+        shadow.
         """
         u, v = self._hit[0][window], self._hit[1][window]
         foot = np.asarray(self.position_mm, dtype=np.float64)
@@ -232,10 +224,6 @@ class SphereScene(GroundScene):
     chrome mirrors beside the LEDs and the base."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, value in (("reflectance", self._reflectance), ("ground", self.ground), ("surround", self.surround)):
-            require(0.0 <= value <= 1.0, f"the ball's {name} must lie in [0, 1], but it is {value}.")
-        require(self.radius_mm > 0.0, f"the ball's radius must be positive, but it is {self.radius_mm} mm.")
         room = float(_positions_of(self.leds, "a ball")[:, 2].min())
         room = min(room, self.camera.height_mm)
         require(

@@ -124,18 +124,7 @@ class TwinCamera(Closing):
         sensor_scale: float | None = None,
         seed: int = 0,
     ) -> None:
-        """Start the camera.
-
-        Parameters
-        ----------
-        scene : what it looks at
-        lights : LEDs of the same scene
-        clock : of both
-        settings : of timing and sensitivity
-        sensor : noise and bits; its `exposure` is not used: the exposure is what was locked
-        sensor_scale : see :class:`splitknit.simulator.scene.TwinSettings`
-        seed : of the noise; every frame has its own
-        """
+        """Start the camera that looks at the scene of `lights`; what was locked replaces `sensor.exposure`."""
         self._scene, self._lights, self._clock = scene, lights, clock
         self._settings, self._sensor = settings or TwinDeviceSettings(), sensor or SensorSettings()
         require(self._sensor.encoding == "linear", "the twin's camera gives linear images; leave sensor.encoding so.")

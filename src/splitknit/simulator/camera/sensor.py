@@ -79,22 +79,9 @@ def record(
     settings: SensorSettings | None = None,
     scale: float = 1.0,
 ) -> PixelArray:
-    """Record one image.
+    """Record white-balanced linear `light` (H, W, 3), 1 = full scale, as uint8 or uint16; `scale`: of the image
+    relative to the full frame, for binning.
 
-    Parameters
-    ----------
-    light : (H, W, 3) white-balanced linear light, 1 = full scale
-    band : ``white`` or ``nir``: the channels' sensitivity
-    seed : of this image's noise
-    settings : of the sensor
-    scale : of the image relative to the full frame (for binning)
-
-    Returns
-    -------
-    (H, W, 3) uint8 or uint16
-
-    Notes
-    -----
     The variance of a signal of n electrons is n + read noise squared; the shot noise is taken as Gaussian. Channels of
     low response are noisier, because the white balance amplifies them.
     """

@@ -337,17 +337,9 @@ def conditioned_surface(  # noqa: PLR0917
 ) -> SimulatedSurface:
     """Show a posed finger whose skin is in some condition, with its coat.
 
-    Parameters
-    ----------
-    finger, pose, camera, workers : as :func:`splitknit.simulator.finger.finger.finger_surface` takes them
-    skin : optics of the finger
-    condition : an active one
-    seed : of what changes from one capture to the next; scars follow from the finger instead
-
-    Notes
-    -----
-    Dry and scarred skin *is* different: the truth's relief is that of the changed skin. Water and dust lie on the skin:
-    the truth stays the skin below them.
+    `seed`: of what changes from one capture to the next; scars follow from the finger instead. Dry and scarred skin
+    *is* different: the truth's relief is that of the changed skin. Water and dust lie on the skin: the truth stays the
+    skin below them.
     """
     require(condition.active, "there is no condition to show; use finger_surface.")
     master = finger.master()

@@ -69,20 +69,10 @@ class Deformation:
 def draw_deformation(
     rng: np.random.Generator, master: MasterPrint, amplitude_mm: float, smooth_mm: float = 5.0, stretch: float = 0.0
 ) -> Deformation:
-    """Draw a smooth shift over the whole map of a print.
+    """Draw a smooth shift over the whole map of a print, of `amplitude_mm` at most; BadInput if it could fold the skin.
 
-    Parameters
-    ----------
-    rng : of the shift
-    master : whose map it covers
-    amplitude_mm : length of the largest shift
-    smooth_mm : standard deviation of the Gaussian that smooths it; its correlation falls to exp(-1/4) over that length
-    stretch : see :class:`Deformation`
-
-    Raises
-    ------
-    BadInput
-        If the shift could fold the skin.
+    `smooth_mm`: standard deviation of the Gaussian that smooths it; its correlation falls to exp(-1/4) over that
+    length.
     """
     require(
         0 <= amplitude_mm <= 0.15 * smooth_mm,

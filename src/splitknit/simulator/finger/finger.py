@@ -181,20 +181,11 @@ def relief_of(trait: Callable[[str], float], creases: tuple[FlexionCrease, ...])
 def draw_finger(
     seed: int, pattern: str | None = None, *, print_settings: MasterPrintSettings | None = None
 ) -> SimulatedFinger:
-    """Draw one finger of the population.
+    """Draw one finger of the population; `pattern` as in :func:`splitknit.simulator.finger.master_print.master_print`,
+    None draws it with its natural frequency.
 
-    Parameters
-    ----------
-    seed
-        Everything follows from it.
-    pattern
-        Class of the print, as in :func:`splitknit.simulator.finger.master_print.master_print`; None draws it with its
-        natural frequency.
-
-    References
-    ----------
-    Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal phalanx).
-    Maeno et al. 1998; Misumi and Akiyoshi 1984 (ridge height).
+    Greiner 1991, Hand anthropometry of US Army personnel (breadth and length of the distal phalanx). Maeno et al. 1998;
+    Misumi and Akiyoshi 1984 (ridge height).
     """
     draws = [np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0xF1]).spawn(3)]
     if pattern is None:
@@ -231,26 +222,15 @@ def finger_surface(
     workers: int = 2,
     skin: SkinMap | None = None,
 ) -> SimulatedSurface:
-    """Show one posed finger to a camera.
+    """Show one posed finger to a camera, with `skin` over the body instead of the finger's own where it is given.
 
     The rays of an orthographic camera are parallel; those of a perspective one start at (0, 0, height_mm) and go
     through the pixels, lens distortion included. Every pixel's ray is intersected with the smooth body and then with
     the displaced skin (distance from the body equal to the displacement at that point of the chart); normals are the
     gradient of that implicit skin, so they are those of the heights, exact at steep slants too, not differences of
-    neighbours. The finger's frame and the pose are those of :class:`FingerPose` and
-    :mod:`splitknit.simulator.finger.shape`; a print made of this finger is the mirror image of what the camera sees.
-
-    Parameters
-    ----------
-    workers
-        Threads; the result does not depend on them.
-    skin
-        Laid over the body instead of the finger's own.
-
-    Raises
-    ------
-    BadInput
-        If the camera sees nothing of the finger, or a perspective camera does not stand above it.
+    neighbours. The result does not depend on `workers`, threads. A print made of this finger is the mirror image of
+    what the camera sees. Raises BadInput if the camera sees nothing of the finger, or a perspective camera does not
+    stand above it.
     """
     body = FingerBody(finger.shape)
     finger = replace(finger, printed=finger.master())

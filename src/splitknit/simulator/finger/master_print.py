@@ -41,11 +41,8 @@ def scatter_pores(
     """Return (H, W) pore depth in [0, 1] on the grid of `wave`; `pores_mm`: their spacing and their diameter.
 
     Candidates lie on a jittered grid, climb onto the nearest crest of `wave`, and are thinned so that neighbours keep
-    more than half of the spacing. Sizes vary by a quarter.
-
-    References
-    ----------
-    Roddy and Stosz 1997, Fingerprint features: 9 to 18 pores per centimetre of ridge, 60 to 250 um across.
+    more than half of the spacing. Sizes vary by a quarter (Roddy and Stosz 1997, Fingerprint features: 9 to 18 pores
+    per centimetre of ridge, 60 to 250 um across).
     """
     spacing_mm, diameter_mm = pores_mm
     rows, columns = wave.shape
@@ -172,20 +169,10 @@ class MasterPrint:
 
 
 def master_print(pattern: str, seed: int, settings: MasterPrintSettings | None = None) -> MasterPrint:
-    """Draw one finger's master print.
+    """Draw one finger's master print; the same seed gives the same bytes whatever the number of threads.
 
-    Parameters
-    ----------
-    pattern
-        ``arch``, ``tented_arch``, ``left_loop``, ``right_loop``, ``whorl``, ``twin_loop``, or ``loop`` (the seed
-        decides its side). Sides are those of the inked print.
-    seed
-        Everything follows from it: the same seed gives the same bytes whatever the number of threads.
-
-    Raises
-    ------
-    BadInput
-        If `pattern` is not known.
+    `pattern`: ``arch``, ``tented_arch``, ``left_loop``, ``right_loop``, ``whorl``, ``twin_loop``, or ``loop`` (the seed
+    decides its side), else BadInput. Sides are those of the inked print.
 
     Examples
     --------
@@ -296,23 +283,11 @@ def master_of_print(
 ) -> MasterPrint:
     """The master print of a finger that left a real print: its own forks, breaks, scars, pores and widths.
 
-    Parameters
-    ----------
-    image : (H, W) a print as ink or a scanner shows it, mirrored against the finger, tip up, ridges dark
-    seed : of the ridges' profile, which a print does not show
-    resolution_ppi : pixels per inch
-    settings : profile, extent, and about the period; ridges lie where the print has them, whatever it says
-
-    Returns
-    -------
-    MasterPrint
-        The print's middle lies where a pad is pressed down, 13.5 mm above the first crease. Beyond the print the skin
-        is smooth, at the mean height of its ridges. Class, cores, deltas and minutiae are not known and left empty.
-
-    Raises
-    ------
-    BadInput
-        If the image is not grey, shows no ridges, or is larger than a finger.
+    `image` (H, W): as ink or a scanner shows it, mirrored against the finger, tip up, ridges dark; `seed`: of the
+    ridges' profile, which a print does not show; `settings`: profile, extent, and about the period; ridges lie where
+    the print has them. The print's middle lies where a pad is pressed down, 13.5 mm above the first crease. Beyond the
+    print the skin is smooth, at the mean height of its ridges. Class, cores, deltas and minutiae are not known and left
+    empty. Raises BadInput if the image is not grey, shows no ridges, or is larger than a finger.
 
     Examples
     --------
@@ -373,13 +348,6 @@ def ink_print(master: MasterPrint, resolution_ppi: float = 500.0, *, half_width_
     """Print the distal pad as ink on paper: mirrored against the skin frame, ridges dark, 8 bit.
 
     The contact patch is an ellipse from 3 to 24 mm above the first crease, as a finger laid flat leaves it.
-
-    Parameters
-    ----------
-    resolution_ppi
-        Pixels per inch of the image.
-    half_width_mm
-        Half the width of the contact patch.
     """
     step = 25.4 / resolution_ppi
     top, bottom = 24.0, 3.0

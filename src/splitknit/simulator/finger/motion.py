@@ -13,14 +13,12 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import require
 from splitknit.model import Camera
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.camera.lens import pixels_of_points
 from splitknit.simulator.finger.deformation import Deformation, deformed, draw_deformation
 from splitknit.simulator.finger.finger import FingerPose, SimulatedFinger, finger_surface, placement_of
 from splitknit.simulator.finger.master_print import MasterPrint
-from splitknit.simulator.finger.raycast import Placement
 from splitknit.simulator.finger.shape import FingerBody
 from splitknit.simulator.surface import SimulatedSurface
 
@@ -74,15 +72,8 @@ class _MotionPath:
     reference: int
 
 
-def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int | None = None) -> _MotionPath:
-    """Draw a path.
-
-    `rng`: of the path; `shots`: N, in the order in which they are taken; `settings`: of the motion; `reference`: shot
-    in which the path is zero; None: the middle one of the first half, which is that of the white band.
-    """
-    require(shots >= 2, f"motion needs at least 2 shots, but there are {shots}.")
-    reference = shots // 4 if reference is None else reference
-    require(0 <= reference < shots, f"the reference shot must lie in 0 to {shots - 1}, but it is {reference}.")
+def draw_path(rng: np.random.Generator, shots: int, settings: HandMotion, reference: int) -> _MotionPath:
+    """Draw a path of N shots that is zero in the shot `reference`."""
     time: Array = np.asarray(np.arange(shots) * _SHOT_S, dtype=np.float64)
     drift = _walk(rng, shots, 2)
     frequency = rng.uniform(*_TREMOR_HZ, (3, 2))
@@ -185,7 +176,8 @@ class _MovingFinger:
         on_finger = np.stack(placement_of(body, self.pose, self.camera).to_finger(*points))
         for shot in range(len(path.time_s)):
             slipped = on_finger + _slip(body, on_finger, self.slip_of(shot))
-            there = _in_camera(placement_of(body, self.pose_of(shot), self.camera), slipped)
+            placed = placement_of(body, self.pose_of(shot), self.camera)
+            there = np.einsum("ij,jn->in", placed.rotation, slipped) + placed.shift[:, None]
             flow[shot][:, inside] = np.stack(pixels_of_points(self.camera, *there)) - here
         return {
             "motion_time_s": path.time_s,
@@ -202,14 +194,7 @@ class _MovingFinger:
 def moving_finger(
     finger: SimulatedFinger, pose: FingerPose, camera: Camera, path: _MotionPath, seed: np.random.SeedSequence
 ) -> _MovingFinger:
-    """Draw the motion of a finger that lies in `pose` in its reference shot.
-
-    Parameters
-    ----------
-    finger, pose, camera : as for :func:`splitknit.simulator.finger.finger.finger_surface`
-    path : where it is in each shot, see :func:`draw_path`
-    seed : of the slip
-    """
+    """Draw the motion of a finger that lies in `pose` in its reference shot; `seed`: of the slip."""
     master = finger.master()
     rng = np.random.default_rng(seed)
     unit_mm = 0.1 * _SLIP_SMOOTH_MM
@@ -245,7 +230,3 @@ def _slip(body: FingerBody, points: Array, slip: Deformation) -> Array:
     wanted = np.concatenate([np.zeros((1, points.shape[1])), moved])
     matrices = np.moveaxis(turn / (2 * step), (0, 1), (2, 1))  # (N, chart, space)
     return np.asarray(np.linalg.solve(matrices, wanted.T[..., None])[..., 0].T)
-
-
-def _in_camera(placement: Placement, points: Array) -> Array:
-    return np.asarray(np.einsum("ij,jn->in", placement.rotation, points) + placement.shift[:, None])

@@ -58,11 +58,8 @@ def _draw_lines(
     principal_depth_mm: float,
     wrinkle_depth_mm: float,
 ) -> tuple[_PalmLine, ...]:
-    """Draw the lines of one palm, each through a place inside the map, branches after their stems.
-
-    `rng`: source of all draws; `half_size_mm`: half width and half height of the map; `principal`, `wrinkles`: how many
-    stems of each kind; `principal_depth_mm`, `wrinkle_depth_mm`: typical depths; every line varies about them by about
-    a third.
+    """Draw the lines of one palm, each through a place inside the map, branches after their stems; `principal` and
+    `wrinkles` count the stems, and every line varies about the typical depths by about a third.
     """
     lines: list[_PalmLine] = []
     main = rng.uniform(0.0, np.pi)
@@ -278,8 +275,6 @@ class _Palm:
 def draw_palm(seed: int, settings: PalmSettings | None = None) -> _Palm:
     """Draw one patch of a palm; the same seed and settings give the same bytes.
 
-    References
-    ----------
     Ashbaugh 1999, Quantitative-qualitative friction ridge analysis (palmar ridges, flexion creases, white lines).
     """
     settings = settings or PalmSettings()
@@ -333,11 +328,6 @@ def palm_surface(palm: _Palm, camera: Camera) -> SimulatedSurface:
     """Show a palm to an orthographic camera, the middle of the patch in the middle of the picture.
 
     Normals are the derivatives of the splines that the heights are drawn from.
-
-    Raises
-    ------
-    BadInput
-        If the camera is not orthographic.
     """
     require(camera.model == "orthographic", "the simulated palm needs an orthographic camera.")
     rows, columns = camera.image_size

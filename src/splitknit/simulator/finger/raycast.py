@@ -48,10 +48,7 @@ class _Rays:
         return self.x - self.slopes[0] * z, self.y - self.slopes[1] * z, z
 
     def rise(self, rotation: Array, gx: Array, gy: Array, gz: Array) -> Array:
-        """(N,) change of a function per mm of height along the rays, from its gradient in the finger's frame.
-
-        `rotation` (3, 3) takes that frame to the camera's.
-        """
+        """(N,) change of a function per mm of height along the rays, from its gradient in the finger's frame."""
         up = gx * rotation[2, 0] + gy * rotation[2, 1] + gz * rotation[2, 2]
         if self.slopes is None:
             return np.asarray(up)
@@ -220,14 +217,10 @@ Cast = Callable[[NDArray[np.intp]], tuple[NDArray[np.intp], Sequence[Array | Arr
 
 
 def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: int) -> SimulatedSurface:
-    """Show what the rays of a part of the camera's pixels meet, with its chart.
+    """Show what the rays of the rows and columns `box` of the camera's pixels meet, with its chart.
 
-    Parameters
-    ----------
-    box : rows and columns
-    cast : takes rows; gives the places, among their pixels of the box, whose rays meet skin, and for those what
-        :func:`cast_rays` returns
-    workers : threads; the result does not depend on them
+    `cast` takes rows; it gives the places, among their pixels of the box, whose rays meet skin, and for those what
+    :func:`cast_rays` returns. The result does not depend on `workers`, threads.
     """
     perspective = camera.model == "perspective"
     arrays = [
@@ -255,13 +248,7 @@ def fill_surface(camera: Camera, box: tuple[slice, slice], cast: Cast, workers: 
 
 
 def finger_in_view(finger: PlacedFinger, camera: Camera, workers: int) -> SimulatedSurface:
-    """The first points of a placed finger on the rays of all pixels.
-
-    Raises
-    ------
-    BadInput
-        If the camera sees nothing of the finger.
-    """
+    """The first points of a placed finger on the rays of all pixels; BadInput if the camera sees nothing of it."""
     body, placement = finger.body, finger.placement
     box = _hits(body, placement, camera)
 

@@ -59,30 +59,13 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], sigma_px: flo
 
 
 def orientation_field(pattern: str, rng: np.random.Generator, u_mm: Array, v_mm: Array) -> OrientationField:
-    """Draw the orientation field of one finger.
+    """Draw the orientation field of one finger on a grid of the skin frame; `u_mm` (W,), `v_mm` (H,), falling with the
+    row.
 
-    The zero-pole model places cores and deltas; each singularity bends its own angle (after Vizcaya and Gerhardt),
-    an envelope lays the upper ridges along the outline of the tip, and smooth noise warps the plane and the angle.
-    Below the first crease the field relaxes to the slightly oblique transverse ridges of the middle phalanx.
-
-    Parameters
-    ----------
-    pattern
-        One of `PATTERNS`.
-    rng
-        Source of all draws.
-    u_mm, v_mm
-        (W,) and (H,) regular coordinates of the grid in the skin frame; v falls with the row.
-
-    Raises
-    ------
-    BadInput
-        If `pattern` is not known.
-
-    References
-    ----------
-    Sherlock and Monro 1993, A model for interpreting fingerprint topology, eq. 5.
-    Vizcaya and Gerhardt 1996, A nonlinear orientation model for global description of fingerprints.
+    The zero-pole model (Sherlock and Monro 1993, eq. 5) places cores and deltas; each singularity bends its own angle
+    (after Vizcaya and Gerhardt 1996, A nonlinear orientation model), an envelope lays the upper ridges along the
+    outline of the tip, and smooth noise warps the plane and the angle. Below the first crease the field relaxes to the
+    slightly oblique transverse ridges of the middle phalanx.
     """
     require(pattern in PATTERNS, f"pattern '{pattern}' is not known; choose one of {', '.join(PATTERNS)}.")
     pitch = float(u_mm[1] - u_mm[0])
@@ -183,13 +166,9 @@ def _unwarp(point: Point, wu: Array, wv: Array, u_mm: Array, v_mm: Array) -> Poi
 def fan_log_period(angle_rad: Array, pitch_mm: float, *, stiffness: float = 0.02) -> Array:
     """Logarithm of the ridge period that lets ridges fan out with the fewest new ones, smooth and zero on average.
 
-    A pattern of period p across unit normals n has no minutiae where curl(n / p) = 0: along a ridge, log p grows by
-    the divergence of the ridges. The least-squares solution, held small by `stiffness`, is found on a coarse grid.
-
-    References
-    ----------
-    Larkin and Fletcher 2007, A coherent framework for fingerprint analysis: are fingerprints holograms? (the curl of
-    the phase gradient is the density of minutiae)
+    A pattern of period p across unit normals n has no minutiae where curl(n / p) = 0 (Larkin and Fletcher 2007: the
+    curl of the phase gradient is the density of minutiae): along a ridge, log p grows by the divergence of the ridges.
+    The least-squares solution, held small by `stiffness`, is found on a coarse grid.
     """
     step = max(1, round(0.5 / pitch_mm))
     rows, columns = (size // step + 1 for size in angle_rad.shape)
@@ -249,30 +228,15 @@ def grow_ridges(
     *,
     iterations: int = 5,
 ) -> Array32:
-    """Grow a ridge pattern from `noise` by an iterated, spatially varying Gabor-like filter.
+    """Grow a ridge pattern (H, W) from seeded `noise` by an iterated, spatially varying Gabor-like filter.
 
-    Every pass smooths along the ridges (a kernel bent along the streamlines of `angle_rad`), keeps the local
-    frequency (a bank of ring filters, blended by `period_px`) and limits the amplitude.
+    Every pass smooths along the ridges (a kernel bent along the streamlines of `angle_rad`, counter-clockwise from the
+    columns' direction, rows pointing down), keeps the local frequency (a bank of ring filters, blended by `period_px`)
+    and limits the amplitude; fewer passes leave more defects (minutiae). The wave has about unit amplitude and no
+    harmonics, and is positive on ridges.
 
-    Parameters
-    ----------
-    noise
-        (H, W) starting values; any seeded noise.
-    angle_rad
-        (H, W) ridge direction, counter-clockwise from the columns' direction, rows pointing down.
-    period_px
-        (H, W) ridge period.
-    iterations
-        Number of passes; fewer leave more defects (minutiae).
-
-    Returns
-    -------
-    (H, W) float32, a wave of about unit amplitude without harmonics, positive on ridges.
-
-    References
-    ----------
-    Cappelli, Maio and Maltoni 2000, Synthetic fingerprint-database generation (iterated contextual filtering).
-    Cabral and Leedom 1993, Imaging vector fields using line integral convolution.
+    Cappelli, Maio and Maltoni 2000, Synthetic fingerprint-database generation (iterated contextual filtering). Cabral
+    and Leedom 1993, Imaging vector fields using line integral convolution.
     """
     mean_period = float(np.median(period_px))
     # Passes of (3, 4, 3) / 10 at distances d, 2 d and 4 d make a bell along the streamline; d is too short to alias.
@@ -342,21 +306,11 @@ def _ring_bank(
 
 
 def phase_singularities(wave: Array32, angle_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Find the minutiae of a ridge pattern: the points about which its phase turns by 2 pi.
+    """Find the minutiae of a zero-mean ridge pattern (H, W): the points about which its phase turns by 2 pi.
 
-    Parameters
-    ----------
-    wave
-        (H, W) ridges, zero mean.
-    angle_rad
-        (H, W) ridge direction, counter-clockwise from the columns' direction, rows pointing down.
+    `angle_rad`: ridge direction, counter-clockwise from the columns' direction, rows pointing down. Returns (N, 3):
+    column, row, and the direction (rad, likewise) towards the side with one more ridge.
 
-    Returns
-    -------
-    (N, 3): column, row, and the direction (rad, counter-clockwise, rows down) towards the side with one more ridge.
-
-    References
-    ----------
     Larkin, Bone and Oldfield 2001, Natural demodulation of two-dimensional fringe patterns (spiral phase quadrature).
     Larkin and Fletcher 2007, A coherent framework for fingerprint analysis: are fingerprints holograms?
     """

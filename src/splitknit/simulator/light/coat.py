@@ -35,14 +35,9 @@ ALBEDO = (0.08, 0.6)
 
 
 def draw_grains(rng: np.random.Generator, mask: BoolArray, nz: FloatArray, camera: Camera, severity: float) -> Grains:
-    """Strew grains evenly over the skin that the camera sees.
+    """Strew grains evenly over the skin that the camera sees, `severity` times `MAX_MG_PER_CM2`.
 
-    Parameters
-    ----------
-    mask, nz : (H, W)
-        The finger, and the z component of its shape's normals: a pixel on a slant shows more skin.
-    severity : 0 to 1
-        Fraction of `MAX_MG_PER_CM2`.
+    `nz` (H, W): z component of the shape's normals: a pixel on a slant shows more skin.
     """
     spread = float(np.log(SPREAD))
     volume = np.pi / 6.0 * (1e-3 * MEDIAN_UM) ** 3 * float(np.exp(4.5 * spread**2))
@@ -256,12 +251,9 @@ def _reflected(
 ) -> Values:
     """(h, w) radiance towards `view` per unit of irradiance that a surface facing the light receives: D G F / (4 n.v).
 
-    `normal`, `light`, `view`: three (h, w) arrays each, unit vectors; out of the surface, towards the light, towards
-    the camera; `across`: (h, w) or float, GGX alpha across `along`, and everywhere where there is no direction;
-    `index`: float, refractive index of what reflects; `along`: three (h, w) arrays, optional, unit vectors in the
-    surface, along which the roughness is `roughness_along`; `roughness_along`: (h, w) or float, optional. Source:
-    Walter et al. 2007, equations (20), (33), (34); Burley 2012 and Heitz 2014, equations (85) and (86), for two
-    roughnesses.
+    Vectors are three (h, w) arrays, unit, out of the surface; the GGX alpha is `across` across `along` and everywhere
+    where there is no direction, and `roughness_along` along it. Walter et al. 2007, equations (20), (33), (34); Burley
+    2012 and Heitz 2014, equations (85) and (86), for two roughnesses.
     """
     nl, nv = _dot(normal, light), np.clip(_dot(normal, view), 1e-3, 1.0)
     lv = _dot(light, view)

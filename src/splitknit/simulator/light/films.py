@@ -145,11 +145,8 @@ def with_crossed_leds(rig: Rig, distance_mm: float) -> Rig:
 def once_scattered(patch: Patch, led: Led, optics: Sequence[ChannelOptics]) -> Iterator[FloatArray]:
     """Yield for each channel the (h, w) radiance of light that the skin scattered once, refracted in and out.
 
-    It is blurred by half a mean free path, about as far as this light goes sideways.
-
-    References
-    ----------
-    Chandrasekhar 1960, Radiative Transfer, section 47: a half-space that scatters once, evenly in all directions.
+    It is blurred by half a mean free path, about as far as this light goes sideways (Chandrasekhar 1960, Radiative
+    Transfer, section 47: a half-space that scatters once, evenly in all directions).
     """
     lx, ly, lz, strength = towards(led, patch.x, patch.y, patch.z)
     cosine = np.maximum(lx * patch.nx + ly * patch.ny + lz * patch.nz, 0.0)
@@ -176,20 +173,10 @@ def moved(frame: FloatArray, shift_px: Array) -> FloatArray:
 def reflected_through(light: Vectors, view: Vectors, polariser_rad: float, analyser_rad: float, leak: float) -> Array:
     """What a facet that mirrors the LED to the camera reflects through both films, of light polarised by the first.
 
-    Parameters
-    ----------
-    light, view : unit vectors from the facet to the LED and to the camera
-    polariser_rad, analyser_rad : axes of the films as the camera sees them
-    leak : transmission across a film's axis over that along it
-
-    Returns
-    -------
-    array
-        Sum over both fields behind the first film (of weight 1 and `leak`) and both axes of the second.
-
-    References
-    ----------
-    Born and Wolf, Principles of Optics, section 1.5.2, equation (21): the signed amplitudes.
+    `light`, `view`: unit vectors from the facet to the LED and to the camera; the axes are those of the films as the
+    camera sees them; `leak`: transmission across a film's axis over that along it. Summed over both fields behind the
+    first film (of weight 1 and `leak`) and both axes of the second. Born and Wolf, Principles of Optics, 1.5.2,
+    equation (21): the signed amplitudes.
     """
     cosine = np.sqrt(0.5 + 0.5 * _dot(light, view))
     across, along = fresnel_amplitudes(cosine)

@@ -209,27 +209,12 @@ def irradiance(led: Led, points: Sequence[Any] | NDArray[Any], normal: Sequence[
 def render_opaque(
     surface: SimulatedSurface, leds: Sequence[Led], albedo: float = 0.5
 ) -> tuple[tuple[slice, slice], FloatArray]:
-    """Photograph a Lambertian finger under each of `leds`, without noise.
+    """Photograph a Lambertian finger of an albedo under each of L `leds`, without noise; what shares an exposure
+    (`also`) adds.
 
-    Parameters
-    ----------
-    surface : the finger on the camera's pixels
-    leds : L lights; what shares an exposure (`also`) adds
-    albedo : diffuse reflectance, 0 to 1
-
-    Returns
-    -------
-    window : rows and columns of the finger in the frame
-    light : (L, h, w) radiance inside the window, in the units of the rig's intensities; zero outside the finger
-
-    Notes
-    -----
-    Attached shadows are black; cast shadows are not modelled (a finger pad casts none on itself but in its creases).
-
-    References
-    ----------
-    J. H. Lambert, Photometria, 1760: radiance = albedo / pi times irradiance, and irradiance = intensity times the
-    cosine of incidence over the squared distance.
+    Returns the rows and columns of the finger in the frame, and (L, h, w) radiance in them, in the units of the rig's
+    intensities; zero outside the finger. Attached shadows are black; cast shadows are not modelled (a finger pad casts
+    none on itself but in its creases). J. H. Lambert, Photometria, 1760.
     """
     require(0.0 < albedo <= 1.0, f"the albedo must lie in (0, 1], but it is {albedo}.")
     patch = cut_out(surface)

@@ -77,15 +77,6 @@ def render_band(
 ) -> BandLight:
     """Render the finger under each of `leds`, one image a light.
 
-    Parameters
-    ----------
-    surface : the finger on the camera's pixels
-    leds : L lights
-    skin : as the band's light meets it
-    settings : what of the light is modelled
-
-    References
-    ----------
     Jensen et al. 2001, equation (5), for the subsurface term; Walter et al. 2007, equations (20), (33), (34), for the
     surface reflection.
     """

@@ -71,13 +71,10 @@ class Checkerboard(Checked):
         return np.asarray(np.stack([first.ravel(), second.ravel()], axis=1) + np.asarray(self.phase_mm))
 
     def state(self, x: Array, y: Array, shift_mm: tuple[float, float] | Array, pitch_mm: float) -> FloatArray:
-        """Light of the projector, in [dark, 1], at points of the finger plane.
+        """Light of the projector, in [dark, 1], at points of the finger plane; edges are averaged over a pixel of
+        `pitch_mm`.
 
-        Parameters
-        ----------
-        x, y : coordinates in mm, any shape
-        shift_mm : displacement of the pattern along its own axes
-        pitch_mm : size of a pixel, over which an edge is averaged
+        `x`, `y`: mm, any shape; `shift_mm`: of the pattern along its own axes.
         """
         u, v = _turn(x, y, self.angle_rad)
         u, v = u - shift_mm[0], v - shift_mm[1]
@@ -140,14 +137,8 @@ def _projected(patch: Patch, led: Led) -> tuple[Array, Array]:
 
 
 def pattern_states(surface: SimulatedSurface, led: Led, pattern: Checkerboard) -> FloatArray:
-    """(N, H, W) the projector's light on every camera pixel in each shift, in [dark, 1]; zero beside the surface.
-
-    The camera is orthographic: a pixel's state is that of the surface point it sees.
-
-    Raises
-    ------
-    BadInput
-        If the camera is not orthographic.
+    """(N, H, W) the projector's light on every pixel of an orthographic camera in each shift, in [dark, 1]; zero beside
+    the surface. A pixel's state is that of the surface point it sees.
     """
     _check_camera(surface)
     patch = cut_out(surface)
@@ -196,8 +187,6 @@ def separate_truth(
 
     Parameters
     ----------
-    surface : on the camera's pixels
-    led : where the projector stands
     skin : the finger's, or a medium of the light's band
     check_mm : side of the checks on the finger plane, at least two pixels
     settings : what of the light is modelled (defocus is not)
@@ -207,13 +196,10 @@ def separate_truth(
         profile times a checkerboard, c^2 times faster; it neglects that checks lie askew on slanted skin, and that a
         light gradient can make another phase the brightest one.
 
-    References
-    ----------
     Nayar, Krishnan, Grossberg and Raskar 2006, Fast separation of direct and global components of a scene using high
     frequency illumination, equations (3) and (4).
     """
     _check_size(check_mm, surface)
-    require(phases in ("all", "centred"), f"phases must be 'all' or 'centred', but it is '{phases}'.")
     scene = _Scene(surface, led, skin, settings)
     white = scene.image(None)
     direct = scene.largest_difference(check_mm) if phases == "all" else scene.centred_difference(check_mm)

@@ -275,8 +275,6 @@ RADIUS_EDGES = np.concatenate([[0.0], np.geomspace(1e-3, 250.0, 101)])
 def fresnel(cosine: NDArray[np.floating], ratio: float = REFRACTIVE_INDEX) -> NDArray[np.floating]:
     """Unpolarised Fresnel reflectance at `cosine` of incidence in [0, 1]; `ratio` is n behind / n before the surface.
 
-    References
-    ----------
     Born and Wolf, Principles of Optics, section 1.5.2, equation (21).
     """
     c = np.clip(cosine, 0.0, 1.0)
@@ -367,15 +365,9 @@ def diffusion_profile(scattering_per_mm: float, absorption_per_mm: float, walks:
     """Return the profile of a medium with reduced scattering and absorption in 1/mm, by the shipped table of walks or
     by another one.
 
-    Raises
-    ------
-    BadInput
-        If scattering is not positive, absorption is negative, or absorption is so weak (below 0.2 % of scattering)
-        that walks longer than the table would matter.
-
-    References
-    ----------
-    Wang, Jacques and Zheng 1995, MCML; Zijp and ten Bosch 1998 on the scaling of one simulation to other optics.
+    Raises BadInput if scattering is not positive, absorption is negative, or absorption is so weak (below 0.2 % of
+    scattering) that walks longer than the table would matter. Wang, Jacques and Zheng 1995, MCML; Zijp and ten Bosch
+    1998 on the scaling of one simulation to other optics.
     """
     require(scattering_per_mm > 0, f"scattering must be positive, but it is {scattering_per_mm} per mm.")
     ratio = absorption_per_mm / scattering_per_mm

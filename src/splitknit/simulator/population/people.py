@@ -159,19 +159,7 @@ class Person:
 
 
 def draw_person(seed: int, number: int, ranges: PeopleRanges | None = None) -> Person:
-    """Draw a person of the population `seed`.
-
-    Parameters
-    ----------
-    seed : of the population
-    number : of the person, from 1; the others are not drawn for it
-    ranges : from what
-
-    Raises
-    ------
-    BadInput
-        If `seed` or `number` is negative.
-    """
+    """Draw person `number`, from 1, of the population `seed`; the others are not drawn for it."""
     ranges = ranges or PeopleRanges()
     require(seed >= 0 and number >= 1, "seeds of populations are not negative, and people are numbered from 1.")
     rng = np.random.default_rng(np.random.SeedSequence([seed, 0xB0D1, number]))

@@ -51,12 +51,8 @@ class RealPrints:
     """By the finger's name in the world, such as ``S01/right_index``."""
 
     def master(self, name: str, finger: SimulatedFinger) -> tuple[MasterPrint, str]:
-        """The master print of a finger, and the real print that it is from: '' where it is drawn.
-
-        Raises
-        ------
-        BadInput
-            If the print's file is not there, or not what it was.
+        """The master print of a finger, and the real print that it is from: '' where it is drawn; BadInput if that
+        changed.
         """
         if name not in self.of_finger:
             return finger.master(), ""
@@ -84,27 +80,14 @@ def choose_prints(
 ) -> RealPrints:
     """Deal real prints out to a third of a population's fingers, as evenly over people as their number allows.
 
-    Files are named ``FINGER_IMPRESSION.png``: what stands before the last underscore is one real finger, and it becomes
-    one finger of the population, in all sessions, by the first of its impressions in the order of names. Where there
-    are fewer real fingers than a third, their mirror images are others (no matcher mirrors); where these are too few
-    as well, fewer fingers than a third have a real print's ridges.
+    Files of `folder` (PNG, TIFF or JPEG of 500 pixels an inch, tip up, ridges dark) are named
+    ``FINGER_IMPRESSION.png``: what stands before the last underscore is one real finger, and it becomes one finger of
+    the population, in all sessions, by the first of its impressions in the order of names. Where there are fewer real
+    fingers than a third, their mirror images are others (no matcher mirrors); where these are too few as well, fewer
+    fingers than a third have a real print's ridges.
 
-    Parameters
-    ----------
-    folder : of prints of 500 pixels an inch, tip up, ridges dark (PNG, TIFF or JPEG)
-    seed : of the population
-    subjects, fingers : the plan
-    dealt : what was dealt out when the population was begun; then that is kept, and the files are compared
-
-    Raises
-    ------
-    BadInput
-        If the folder holds no prints, one of those chosen shows no ridges, or one is not what it was.
-
-    Examples
-    --------
-    >>> choose_prints(Path("prints"), 1, ("S01", "S02"), ("right_index",))  # doctest: +SKIP
-    RealPrints(folder=PosixPath('prints'), of_finger={'S02/right_index': RealPrint(file='101_1.png', ...)})
+    `dealt`: what was dealt out when the population was begun; then that is kept, and the files are compared. Raises
+    BadInput if the folder holds no prints, one of those chosen shows no ridges, or one is not what it was.
     """
     if dealt is not None:
         require(len(dealt) > 0, "the population was begun without real prints; leave them out, or name another folder.")

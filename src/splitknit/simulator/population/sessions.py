@@ -233,21 +233,7 @@ class _Shown:
 def population_capture(
     settings: PopulationSettings, person: Person, finger: str, session: int, *, master: MasterPrint | None = None
 ) -> _Shown:
-    """Simulate one capture.
-
-    Parameters
-    ----------
-    settings : of the population
-    person : as :meth:`PopulationSettings.person` draws them
-    finger : ``right_thumb`` ... ``left_little``
-    session : from 1
-    master : of this finger where it was drawn already, else it is drawn
-
-    Raises
-    ------
-    BadInput
-        If there is no such finger or session.
-    """
+    """Simulate one capture; `session` from 1, `master` of this finger where it was drawn already."""
     require(finger in person.fingers, f"'{finger}' is no finger; fingers are {', '.join(FINGERS)}.")
     own = person.fingers[finger]
     rig = settings.rig()

@@ -1,0 +1,84 @@
+"""The thesis's experiment at a tenth of its size, its table of claims, and the rule of roll by estimates."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from script_folder import Script, scripts_of
+
+THESIS = Path(__file__).resolve().parents[2] / "validation" / "thesis"
+PAGE = THESIS.parents[1] / "docs" / "experiments" / "claims.md"
+
+
+@pytest.fixture
+def thesis() -> Iterator[Script]:
+    """Import a script of validation/thesis by its name."""
+    with scripts_of(THESIS) as named:
+        yield named
+
+
+def test_the_dry_run_lists_the_steps_and_makes_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "again"
+    listed = subprocess.run(
+        [THESIS / "reproduce.sh", "--dry-run", out], capture_output=True, text=True, check=True, timeout=20
+    ).stdout
+    steps = [
+        "simulate population",
+        " batch ",
+        "run.py cases",
+        "run.py fusion",
+        "run.py rolls",
+        "run.py figures",
+        "claims",
+    ]
+    assert [word for word in steps if word in listed] == steps
+    assert not out.exists()
+
+
+def test_the_claims_of_the_committed_tables_are_those_of_the_page(thesis: Script) -> None:
+    claims, report = thesis("claims"), thesis("report")
+    names = {part[1] for parts in claims.CLAIMS.values() for part in parts}
+    lines = claims.table({name: report.read(THESIS / f"{name}.csv") for name in names}, PAGE.read_text("utf-8"))
+    assert "not measured" not in lines
+    first = next(line for line in lines.splitlines() if line.startswith("| 1 |"))
+    page, here = first.split(" | ")[2:4]
+    assert here == f"snk {page}"
+    assert re.search(r"not measured", claims.table({name: [] for name in names}, PAGE.read_text("utf-8"))) is not None
+
+
+def test_figure_5_6_has_the_thesis_s_bars_beside_ours(thesis: Script) -> None:
+    figures, plots, report = thesis("figures"), thesis("plots"), thesis("report")
+    groups = figures.accuracies(report.read(THESIS / "cases.csv"))
+    assert [[name for name, *_ in bars] for _, bars in groups] == [["ea", "snk", "ea, thesis", "snk, thesis"]] * 3
+    assert plots.bars_figure(groups).count("<rect") == 4 + 6 + 12 + 6  # legend, lines, bars, intervals
+    assert plots.bars_figure(figures.accuracies([])).count("<rect") == 2 + 6 + 6
+
+
+def test_pairs_and_fingers_are_discarded_by_estimated_roll(thesis: Script) -> None:
+    trials, variants = thesis("trials"), thesis("variants")
+    names = np.array([f"S01/session_{k}/left_thumb" for k in (1, 2, 3)])
+    captures = trials.Captures(
+        names, np.array(["S01"] * 3), np.array(["S01/left_thumb"] * 3), np.array(["1", "2", "3"])
+    )
+    pairs = trials.Pairs(captures, np.array([0, 0, 1]), np.array([1, 2, 2]))
+    truth = {str(name): {"roll_deg": 0.0} for name in names}
+    assert not variants.known_of(pairs, truth).discarded.any()
+    estimated = {(str(names[0]), str(names[2])): -16.0, (str(names[1]), str(names[0])): 4.0}
+    known = variants.known_of(pairs, truth, estimated)
+    np.testing.assert_array_equal(known.roll_difference_deg, [4.0, 16.0, np.nan])
+    assert known.discarded.all()
+    agreement = thesis("rolls").agreement(
+        [
+            {"a": names[k], "b": names[2], "true_deg": true, "roll_deg": true + 1.0, "deviation_deg": 1.0}
+            for k, true in ((0, -12.0), (1, 3.0), (0, 11.0))
+        ],
+        seed=0,
+    )
+    assert agreement["rms_deg"][0] == 1.0
+    assert agreement["above_10_deg"] == {"by truth": 2, "by estimate": 2, "by both": 2}

@@ -1,0 +1,165 @@
+"""Contactless prints of simulated fingers against presses of the same fingers on six models of sensors.
+
+    python validation/match/contactless.py --work FOLDER                   # 24 fingers, a table
+    python validation/match/contactless.py --work FOLDER --fingers 3       # a quick look, three at least
+
+Contactless: one capture of each finger in a pose of its own, and of it four prints: the relief of ``metric``, on the
+plane and unrolled, and the photograph, on the plane and unrolled. Contact: one press of each finger on each sensor. A
+sensor is a range of areas, of moisture and of stretch; its range of areas is chosen so that presses show about the
+area that that set's prints show (`area` in ``contactless.json``, mm2, 10th, 50th and 90th percentile of both),
+the other ranges follow from what FVC says of the set (small, large, distorted, wet and dry). All pairs are compared by
+the default matcher. Both sides are our simulator's. Intervals of 95 % draw fingers. FOLDER keeps what is made, so an
+interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import pickle
+from collections.abc import Iterable
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from fvc import FAR_0, REAL, Job, kept, made, prints
+from pressed_prints import PressRanges, press
+
+from splitknit import reconstruct, simulate_capture
+from splitknit.errors import BadInput
+from splitknit.evaluation.intervals import BootstrapSettings, bootstrap
+from splitknit.evaluation.scores import Scores, ids_of
+from splitknit.matching.fusion import fused_match
+from splitknit.matching.inputs import print_template
+from splitknit.matching.ridge import Prepared
+from splitknit.matching.template import Template
+from splitknit.prints.make import make_print
+from splitknit.prints.sources import Source, source_of, source_of_capture
+from splitknit.simulator.finger.finger import draw_finger
+
+OUT = Path(__file__).with_suffix(".json")
+SEED = 96_000
+KINDS = {
+    "relief": ("relief", None),
+    "relief, unrolled": ("unroll", None),
+    "photograph": ("photo", None),
+    "photograph, unrolled": ("photo", "free"),
+}
+DEFAULT = PressRanges()
+SENSORS = {
+    "fvc2000_db2b": replace(DEFAULT, half_width_mm=(6.0, 7.5), half_height_mm=(8.0, 9.5)),
+    "fvc2000_db3b": replace(DEFAULT, half_width_mm=(7.5, 11.0), half_height_mm=(9.6, 16.0)),
+    "fvc2002_db2b": replace(DEFAULT, half_width_mm=(5.0, 9.0), half_height_mm=(6.5, 11.5)),
+    "fvc2004_db1b": replace(
+        DEFAULT, half_width_mm=(4.5, 9.0), half_height_mm=(6.0, 11.5), stretch_mm=0.6, turn_deg=15.0
+    ),
+    "fvc2004_db2b": replace(
+        DEFAULT, half_width_mm=(5.0, 8.5), half_height_mm=(6.5, 10.0), moisture=(0.3, 0.95), dropouts=(0.1, 0.6),
+        patches=0.2,
+    ),
+    "fvc2004_db3b": replace(
+        DEFAULT, half_width_mm=(4.8, 8.5), half_height_mm=(6.0, 10.5), noise_grey=(2.0, 6.0)
+    ),
+}  # fmt: skip
+
+
+def captured(number: int, folder: Path, scale: float) -> dict[str, Template]:
+    """Templates of a finger's contactless prints; those that cannot be made are missing."""
+    file = folder / f"finger_{number}_{scale:g}.pickle"
+    if not file.is_file():
+        capture, _ = simulate_capture(SEED + number, settings={"scale": scale})
+        result = reconstruct(capture)
+        of_surface = source_of(result)
+        photo = source_of_capture(capture, surface=False, photo=True).photo
+        source: Source = replace(of_surface, photo=photo)
+        found = {}
+        for kind, (method, surface) in KINDS.items():
+            try:
+                found[kind] = print_template(make_print(source, method, surface).image)
+            except BadInput as error:
+                print(f"finger {number}, {kind}: {error}", flush=True)
+        kept(file, found)
+    templates: dict[str, Template] = pickle.loads(file.read_bytes())
+    return templates
+
+
+def pressed(number: int, folder: Path) -> dict[str, Template]:
+    """Templates of a finger's presses."""
+    file = folder / f"presses_{number}.pickle"
+    if not file.is_file():
+        master = draw_finger(SEED + number).master()
+        kept(file, {name: print_template(press(master, k, SENSORS[name])) for k, name in enumerate(SENSORS)})
+    templates: dict[str, Template] = pickle.loads(file.read_bytes())
+    return templates
+
+
+def area(templates: Iterable[Template]) -> list[float]:
+    """10th, 50th and 90th percentile of what prints show, mm2."""
+    shown = [float(one.valid.sum()) * one.pitch_mm**2 for one in templates]
+    return [round(float(part)) for part in np.percentile(shown, (10, 50, 90))]
+
+
+def rates(one: Scores, settings: BootstrapSettings) -> dict[str, Any]:
+    """EER and GAR with intervals by finger, percent."""
+    found = bootstrap(one, "finger", settings).figures
+    names = {"eer": "eer", "gar_far_1": "gar@0.01", "gar_far_0.1": "gar@0.001"}
+    row = {name: [round(100 * v, 1) for v in (found[of].value, found[of].low, found[of].high)]
+           for name, of in names.items()}  # fmt: skip
+    return {**row, "genuine": int(one.genuine.size), "impostors": int(one.impostor.size),
+            "far_at_0": round(100 * float(np.nanmean(one.impostor >= 0)), 2)}  # fmt: skip
+
+
+def main() -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--fingers", type=int, default=24)
+    parser.add_argument("--scale", type=float, default=0.3, help="of the camera")
+    parser.add_argument("--replicates", type=int, default=300)
+    parser.add_argument("--cache", type=Path, help="of fvc.py: the areas of real prints are added")
+    parser.add_argument("--write", action="store_true", help=f"write {OUT.name}")
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    settings = BootstrapSettings(replicates=options.replicates, targets=(0.01, 0.001, FAR_0), curve_points=0)
+    options.work.mkdir(parents=True, exist_ok=True)
+    fingers = range(options.fingers)
+    presses = [pressed(k, options.work) for k in fingers]
+    captures = [captured(k, options.work, options.scale) for k in fingers]
+    facts: dict[str, Any] = {"fingers": options.fingers, "scale": options.scale, "area": {}, "rates": {}}
+    for name in SENSORS:
+        facts["area"][name] = {"simulated": area(one[name] for one in presses)}
+        if options.cache is not None:
+            job = Job(options.cache, "1")
+            facts["area"][name]["real"] = area(made(image, "template", job) for image in prints(name, job)[0])
+        print(name, facts["area"][name], flush=True)
+    ready = {name: [Prepared(one[name]) for one in presses] for name in REAL}
+    for kind in KINDS:
+        probes = [Prepared(one[kind]) if kind in one else None for one in captures]
+        parts: dict[str, tuple[list[str], list[str], list[float]]] = {}
+        for name in REAL:
+            pairs = [(i, j) for i in fingers for j in fingers]
+            score = [float("nan") if probes[i] is None else _score(probes[i], ready[name][j]) for i, j in pairs]
+            parts[name] = [f"{i}" for i, _ in pairs], [f"{j}" for _, j in pairs], score
+        left, right, score = zip(*(parts[name] for name in REAL), strict=True)
+        parts["all"] = [*chain(*left)], [*chain(*right)], [*chain(*score)]
+        facts["rates"][kind] = {}
+        for name, (own, other, similarity) in parts.items():
+            ids = ids_of(own, other)
+            row = rates(Scores(ids.same, np.array(similarity), finger=ids, name=f"{kind} {name}"), settings)
+            facts["rates"][kind][name] = row
+            print(f"{kind:22s}{name:14s}", row, flush=True)
+    if options.write:
+        OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+
+
+def _score(a: Prepared | None, b: Prepared) -> float:
+    assert a is not None
+    found = fused_match(a, b)
+    return found.similarity if found.compared else float("nan")
+
+
+if __name__ == "__main__":
+    main()
