@@ -277,8 +277,9 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
 
 
 def run_normals(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
-    """Normals of the surface and normals as measured, by case, on two fingers of each person."""
-    from normals import FINGERS, normals_table
+    """Normals of the surface and normals as measured, by case, on four fingers of each person."""
+    from neighbours import FINGERS
+    from normals import normals_table
 
     table = normals_table(options.population, options.scratch / "normals", FINGERS, options.jobs)
     work = _work(options, table, truth)

@@ -1,6 +1,6 @@
 """Both readings of the thesis's "normals": of the integrated surface, and as photometric stereo measured them.
 
-The text says neither. The same captures of a population, two fingers of each person, are reconstructed by each case,
+The text does not say which. The same captures of a population, four fingers of each person, are reconstructed by each case,
 and compared by local binary patterns of either field of normals.
 """
 
@@ -26,7 +26,6 @@ from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 
 CASES = ("snk", "pr", "ea")
-FINGERS = ("right_index", "left_thumb")
 MEASURED = tuple(f"measured_{name}" for name in NORMALS)
 WAYS = (
     Way("of the surface", lbp_features, "normals", NORMALS),
