@@ -4,9 +4,9 @@
 
 One capture each of the fingers with seeds from 6001, scale 0.5 and 1 (26 and 13 um). Pores are sought on the true
 relief, on the reliefs of ``metric`` and ``snk``, and as dark dots on the mean white photograph (crests of ``metric``).
-A pore is found if one lies within 0.1 mm of it. Skin counts that faces the camera within 45 deg, 0.5 mm inside the mask.
-Chance: the same pores, all shifted by 0.45 mm. Intervals of 95 % draw fingers. A finger that is in FOLDER is not made
-again; ``--write`` writes ``pores.json``. The threshold of `find_pores` was chosen on seed 6101.
+A pore is found if one lies within 0.1 mm of it. Skin counts that faces the camera within 45 deg, 0.5 mm inside the
+mask. Chance: the same pores, all shifted by 0.45 mm. Intervals of 95 % draw fingers. A finger that is in FOLDER is not
+made again; ``--write`` writes ``pores.json``. The threshold of `find_pores` was chosen on seed 6101.
 """
 
 from __future__ import annotations

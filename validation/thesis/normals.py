@@ -1,7 +1,7 @@
 """Both readings of the thesis's "normals": of the integrated surface, and as photometric stereo measured them.
 
-The text does not say which. The same captures of a population, four fingers of each person, are reconstructed by each case,
-and compared by local binary patterns of either field of normals.
+The text does not say which. The same captures of a population, four fingers of each person, are reconstructed by each
+case, and compared by local binary patterns of either field of normals.
 """
 
 from __future__ import annotations
