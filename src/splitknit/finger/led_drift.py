@@ -191,24 +191,18 @@ class _LedDrift:
 def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None) -> _LedDrift:
     """Relative brightness of every LED against its calibration, from one capture of any matt surface.
 
+    Raises BadInput if shapes disagree, the lights are fewer than five (four without a degree of freedom to spare), or
+    hardly any pixel is lit by all of them. Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the
+    variable projection method", Inverse Problems 19 (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
+    bas-relief ambiguity", IJCV 35 (1999), for what lights of unknown strength leave open.
+
     Parameters
     ----------
     stack : (L, H, W) linear light, five images at least
-    light_vectors : (L, 3) or (L, 3, H, W)
-        Towards the lights, of the length of their calibrated irradiance.
+    light_vectors : (L, 3) or (L, 3, H, W), towards the lights, of the length of their calibrated irradiance
     mask : (H, W) bool, optional
     normals : (H, W, 3), optional
         Where the surface is known. All patterns but the common factor are then determined.
-
-    Returns
-    -------
-    _LedDrift
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the lights are fewer than five (four without a degree of freedom to spare), or hardly any
-        pixel is lit by all of them.
 
     Notes
     -----
@@ -217,12 +211,6 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
     and m_p = A_p b_p the matrix of information of the relative gains is
     M = sum_p diag(m_p) (W_p - W_p A_p (A_p^T W_p A_p)^-1 A_p^T W_p) diag(m_p), against M_0 = sum_p diag(m_p^2 w_p) for
     a known surface; the eigenvalues of M_0^-1/2 M M_0^-1/2 are the fractions of information.
-
-    References
-    ----------
-    G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method", Inverse Problems 19
-    (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999), for what
-    lights of unknown strength leave open.
     """
     samples = _drift_samples(stack, light_vectors, mask, normals)
     gain = np.ones(len(samples.light))

@@ -95,10 +95,7 @@ class Finger:
 def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
     """The capture under the camera model and the lights that the settings require, and notes on it.
 
-    Raises
-    ------
-    BadInput
-        If coloured exposures are to be composed from white images that are grey or too few.
+    Raises BadInput if coloured exposures are to be composed from white images that are grey or too few.
     """
     bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
     if any(band is not capture.bands[name] for name, band in bands.items()):
@@ -114,12 +111,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
     An opaque thing is no finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
-    capture gives a `tip_direction_deg`.
-
-    Raises
-    ------
-    BadInput
-        If there is no finger, or it touches three borders.
+    capture gives a `tip_direction_deg`. Raises BadInput if there is no finger, or it touches three borders.
     """
     px_per_mm = capture.rig.camera.px_per_mm
     white = capture.bands["white"]

@@ -243,27 +243,18 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     the largest component kept and its holes (specular reflection) filled. Before a bright,
     coloured background all this is done on the sum of the channels in which the background's own colour vanishes.
 
+    Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
+    3.3.1.1, eqs. 3.58-3.63 (3.61 corrected). Lloyd's algorithm has a fixed start, so the same image gives the same
+    mask.
+
     Parameters
     ----------
     mean_image : (H, W, 3) or (H, W) float32
         Mean of the white frames, linear, ambient removed; any scale. Small negative values are noise and harmless.
-    px_per_mm : float
-    settings : MaskSettings, optional
 
     Returns
     -------
-    mask : (H, W) bool
-        One component without holes.
-
-    Raises
-    ------
-    BadInput
-        If there is no finger, or it touches three borders of the image.
-
-    References
-    ----------
-    The thesis, section 3.3.1.1, eqs. 3.58-3.63 (3.61 corrected). Lloyd's algorithm has a fixed start, so the same
-    image gives the same mask.
+    mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
     image = _check_image(mean_image)
@@ -353,12 +344,8 @@ def touched_borders(mask: BoolArray) -> tuple[str, ...]:
 def check_borders(mask: BoolArray) -> tuple[str, ...]:
     """Return the borders that `mask` touches; three or more are refused.
 
-    A finger enters through one side, or across a corner through two. With three, too much of it is out of view.
-
-    Raises
-    ------
-    BadInput
-        If `mask` touches three or four borders.
+    A finger enters through one side, or across a corner through two. With three, too much of it is out of view. Raises
+    BadInput if `mask` touches three or four borders.
     """
     touched = touched_borders(mask)
     require(
@@ -528,25 +515,18 @@ def finger_outline(
 ) -> BoolArray:
     """Find the outline of a finger that is roughly known, as :func:`finger_mask` does in the end.
 
+    Raises BadInput if nothing stands out from the background there.
+
     Parameters
     ----------
     mean_image : (H, W, 3) or (H, W) float32
         The finger and at least three times ``edge_margin_mm`` of background around it, save where it leaves the image.
-    rough : (h, w) bool
-        The finger on the same piece of the scene, at any scale.
-    px_per_mm : float
-        Of `mean_image`.
-    settings : MaskSettings, optional
+    rough : (h, w) bool, the finger on the same piece of the scene, at any scale
+    px_per_mm : of `mean_image`
 
     Returns
     -------
-    mask : (H, W) bool
-        One component without holes.
-
-    Raises
-    ------
-    BadInput
-        If nothing stands out from the background there.
+    mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
     image = _check_image(mean_image)

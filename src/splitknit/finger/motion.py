@@ -72,26 +72,20 @@ def shot_motion(
     """Measure by how much the finger shifted in each shot against the others.
 
     Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
-    with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each
-    shot (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion.
-    At least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring
-    is underestimated.
+    with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each shot
+    (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion. At
+    least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring is
+    underestimated. Source: Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
 
     Parameters
     ----------
     stack : (L, H, W) float32 linear
     mask : (H, W) bool
-    px_per_mm : float
-    settings : MotionSettings, optional
 
     Returns
     -------
     _ShotMotion
         With fewer than five shots all zero, reliability zero.
-
-    References
-    ----------
-    Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
     """
     settings = settings or MotionSettings()
     stack = check_stack(stack)

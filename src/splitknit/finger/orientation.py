@@ -78,7 +78,8 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
 
     A straight line is fitted to the midpoints of the rows in which the finger has its full width, robustly (Tukey's
     biweight), leaving out the tip and every row whose end is cut by the image's border; this is repeated in the frame
-    turned by the angle found until it no longer changes.
+    turned by the angle found until it no longer changes. Source: the thesis, section 3.3.1.1, "Orientation Correction":
+    midpoints of the mask's rows and a line through them.
 
     Parameters
     ----------
@@ -92,10 +93,6 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
     Upright
         With `reliable` false, and the reason in `note`, where the mask has no measurable axis; with `clear` false where
         several directions fit as well, of which that nearest to up was taken.
-
-    References
-    ----------
-    The thesis, section 3.3.1.1, "Orientation Correction": midpoints of the mask's rows and a line through them.
     """
     array = np.asarray(mask)
     mask = check_mask(array, (array.shape[0], array.shape[1]))

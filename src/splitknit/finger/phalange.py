@@ -76,15 +76,14 @@ def find_crease(
     every place whether it is darker than the skin on *both* sides along the finger (so the edge of a shadow, which is
     a step, and a smooth gradient never count), and rows may lean. A crease must be seen along most of the width.
 
-    Where several qualify, the verification rule weighs their clearness by how usual their distance from the tip is;
-    two lines of one joint count as one, cut at the upper unless it is the fainter.
+    Where several qualify, the verification rule weighs their clearness by how usual their distance from the tip is; two
+    lines of one joint count as one, cut at the upper unless it is the fainter. Source: the thesis, section 3.3.1.1,
+    "Phalange Segmentation", steps 1-5.
 
     Parameters
     ----------
     mean_grey : (H, W) float32 linear
     mask : (H, W) bool
-    upright : Upright
-    px_per_mm : float
     equalised : bool
         The thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds nor the
         width of the blur; three and 0.5 mm here.
@@ -93,10 +92,6 @@ def find_crease(
     -------
     Crease
         `found` is false, with the reason in `verdict`, where no crease is in view: the visible finger is then kept.
-
-    References
-    ----------
-    The thesis, section 3.3.1.1, "Phalange Segmentation", steps 1-5.
     """
     grey = check_image(mean_grey, name="the mean grey image")
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))

@@ -175,17 +175,16 @@ def capture_quality(
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
+    Source: Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
+
     Parameters
     ----------
     stack : (L, H, W) float32 linear grey, ambient removed
-    mask : (H, W) bool
-        The finger.
-    px_per_mm : float
-        Of the stack that is given.
+    mask : (H, W) bool, the finger
+    px_per_mm : of the stack that is given
     lights : (L, 3), optional
         Light vectors whose length is the relative irradiance the rig promises (``Rig.light_vectors``).
-    ambient : (H, W), optional
-        Linear image with all LEDs off.
+    ambient : (H, W), optional; linear image with all LEDs off
     saturation : float or (L,), optional
         Value at which each image saturates.
 
@@ -198,10 +197,6 @@ def capture_quality(
         ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
         ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
         median one; or None).
-
-    References
-    ----------
-    Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
     """
     stack = check_stack(stack)
     shape = (stack.shape[1], stack.shape[2])
@@ -368,28 +363,19 @@ def photometric_mask(
     """Drop pixels that too few lights reach; keep one component without pinholes. At full resolution.
 
     The thesis drops pixels that no light makes brighter than a threshold; here the threshold follows the finger's own
-    brightness, and three lights must pass it.
+    brightness, and three lights must pass it. Raises BadInput if nothing is left. Source: the thesis, section 3.3.1.5
+    (refined mask).
 
     Parameters
     ----------
     stack : (L, H, W) float32 linear
     finger : (H, W) bool
-    px_per_mm : float
     saturation : float or (L,), optional
         Value at which each image saturates on the stack's scale (after exposures were made equal).
 
     Returns
     -------
     mask : (H, W) bool, inside `finger`
-
-    Raises
-    ------
-    BadInput
-        If nothing is left.
-
-    References
-    ----------
-    The thesis, section 3.3.1.5 (refined mask).
     """
     stack = check_stack(stack)
     finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")

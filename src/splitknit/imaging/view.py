@@ -174,19 +174,15 @@ def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | Non
 def plane_points(camera: Camera, pixels: Any) -> Points:
     """Points of the finger plane that pixels look at.
 
+    Raises BadInput if `pixels` has another shape or is not finite.
+
     Parameters
     ----------
-    camera : Camera
     pixels : (N, 2) columns and rows, fractions allowed; the centre of the first pixel is (0, 0)
 
     Returns
     -------
     (N, 2) x and y in mm on the plane z = 0
-
-    Raises
-    ------
-    BadInput
-        If `pixels` has another shape or is not finite.
     """
     places = _pairs(pixels, "pixels")
     if camera.model == "orthographic":
@@ -204,10 +200,8 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
 def pixels_of(camera: Camera, points_mm: Any) -> Points:
     """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
 
-    Raises
-    ------
-    BadInput
-        If `points_mm` has another shape, is not finite, or holds a point at or beyond a perspective camera's height.
+    Raises BadInput if `points_mm` has another shape, is not finite, or holds a point at or beyond a perspective
+    camera's height.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     require(

@@ -383,10 +383,8 @@ def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: Floa
 
     Parameters
     ----------
-    gradient_x, gradient_y : (H, W) float32
-        dz/dx and dz/dy, y up.
-    weights : (H, W) float32
-        Trust in each pixel's gradient, in [0, 1].
+    gradient_x, gradient_y : (H, W) float32, dz/dx and dz/dy, y up
+    weights : (H, W) float32, trust in each pixel's gradient, in [0, 1]
 
     Returns
     -------

@@ -118,10 +118,8 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     """Return the capture as taken by the rig of another file, such as a later calibration of the same rig.
 
-    Raises
-    ------
-    BadInput
-        If the file is not a rig's, its camera has another image size, or it lacks LEDs or has them in another band.
+    Raises BadInput if the file is not a rig's, its camera has another image size, or it lacks LEDs or has them in
+    another band.
     """
     rig = read_rig(path)
     name, size = os.fspath(path), capture.rig.camera.image_size

@@ -75,10 +75,7 @@ class _Entry:
 def read_plan(document_file: Path) -> CapturePlan:
     """Read ``capture.json`` and its rig file.
 
-    Raises
-    ------
-    BadInput
-        Naming the file and the field.
+    Raises BadInput naming the file and the field.
     """
     folder, name = document_file.parent, str(document_file)
     document, data = read_json(document_file)
@@ -267,10 +264,6 @@ def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], wh
     band : name of the band
     leds : the LEDs of every image
     where : file and field, for messages
-
-    Raises
-    ------
-    BadInput
     """
     for k, group in enumerate(leds):
         for index in group:

@@ -164,10 +164,7 @@ class ViewCodes:
 def encode_views(views: tuple[FingerView, ...], codes: ViewCodes) -> bytes:
     """Bytes of all views.
 
-    Raises
-    ------
-    BadInput
-        If the standard cannot represent what a view holds.
+    Raises BadInput if the standard cannot represent what a view holds.
     """
     return b"".join(_encode_view(view, codes) for view in views)
 
@@ -177,10 +174,7 @@ def decode_views(
 ) -> tuple[FingerView, ...]:
     """Read `count` views, which must fill the rest of the record.
 
-    Raises
-    ------
-    BadInput
-        If they are truncated or hold what the standard does not allow.
+    Raises BadInput if they are truncated or hold what the standard does not allow.
     """
     views = []
     for number in range(1, count + 1):

@@ -37,16 +37,13 @@ Grid = tuple[FloatArray, tuple[float, float]]
 def read_x3p(path: str | os.PathLike[str]) -> Grid:
     """Read the surface of an X3P file, the first layer of several.
 
+    Raises BadInput if the package x3pio is missing, the file is damaged, too large, or holds a profile, a cloud of
+    points or a grid of uneven steps.
+
     Returns
     -------
     height_mm : (H, W) float32, z towards the observer, row 0 at the largest y
     steps_mm : along x and y
-
-    Raises
-    ------
-    BadInput
-        If the package x3pio is missing, the file is damaged, too large, or holds a profile, a cloud of points or a grid
-        of uneven steps.
 
     Examples
     --------
@@ -74,17 +71,14 @@ def read_x3p(path: str | os.PathLike[str]) -> Grid:
 def x3p_bytes(height_mm: FloatArray, pitch_mm: float, comment: str, date: datetime.date | None = None) -> bytes:
     """Bytes of an X3P file (ISO 25178-72:2017, metres, NaN where nothing was measured) of a surface (H, W).
 
+    Raises BadInput if the package x3pio is missing.
+
     Parameters
     ----------
     height_mm : (H, W), row 0 at the top
     pitch_mm : step along both axes
     comment : one line
     date : of the measurement; the standard asks for one, so where it is not known 1980-01-01 is written
-
-    Raises
-    ------
-    BadInput
-        If the package x3pio is missing.
     """
     with importing(_NEEDS_X3PIO):
         import x3pio
@@ -101,10 +95,7 @@ def x3p_bytes(height_mm: FloatArray, pitch_mm: float, comment: str, date: dateti
 def read_tmd(path: str | os.PathLike[str]) -> Grid:
     """Read a TMD file (TrueMap, GelSight): heights in mm on a grid; as :func:`read_x3p`.
 
-    Raises
-    ------
-    BadInput
-        If the file is damaged or too large.
+    Raises BadInput if the file is damaged or too large.
     """
     name = os.fspath(path)
     data = read_bytes(path, _MAX_BYTES)

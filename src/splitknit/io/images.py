@@ -67,13 +67,8 @@ STACK_BYTES = 4_000_000_000
 def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> PixelArray:
     """Read a PNG, TIFF or JPEG file as (H, W, C) uint8 or uint16 in RGB order, C = 1 (grey) or 3.
 
-    Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is dropped, a PNG palette
-    is expanded.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, truncated, damaged, too large, or not 8- or 16-bit grey or RGB.
+    Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is dropped, a PNG palette is
+    expanded. Raises BadInput if the file is missing, truncated, damaged, too large, or not 8- or 16-bit grey or RGB.
 
     Examples
     --------
@@ -199,10 +194,7 @@ class StackReader:
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
     """Write (H, W), (H, W, 1) or (H, W, 3) uint8 or uint16, RGB order, as PNG or TIFF (by the suffix), losslessly.
 
-    Raises
-    ------
-    BadInput
-        If the array or the suffix is of another kind, or the file cannot be written.
+    Raises BadInput if the array or the suffix is of another kind, or the file cannot be written.
     """
     write_file(path, encode_image(pixels, Path(path).suffix.lower()))
 

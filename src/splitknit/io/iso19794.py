@@ -56,12 +56,7 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
     """Bytes of a record.
 
     Contactless prints are written as live-scan plain (or rolled) ones: the standard has no code of their own for them.
-    Directions are rounded to 1.40625 deg.
-
-    Raises
-    ------
-    BadInput
-        If the standard cannot represent what the record holds.
+    Directions are rounded to 1.40625 deg. Raises BadInput if the standard cannot represent what the record holds.
     """
     check_writable(record, ISO_2005, 12, 4)
     (rows, columns), resolution = common_image(record, ISO_2005)
@@ -78,15 +73,12 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
 def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record; writing it again gives the same bytes.
 
+    Raises BadInput if it is truncated, of another standard, or holds what the standard does not allow.
+
     Parameters
     ----------
     data : the whole file
     name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is truncated, of another standard, or holds what the standard does not allow.
     """
     require_standard(data, ISO_2005, MAGIC_20, name)
     cursor = Cursor(data, name)

@@ -218,10 +218,8 @@ _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
 def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record of ISO/IEC 19794-2:2005 or ANSI/INCITS 378-2004 or -2009.
 
-    Raises
-    ------
-    BadInput
-        If it is of no such standard (the message names what it is), truncated, or does not conform to its standard.
+    Raises BadInput if it is of no such standard (the message names what it is), truncated, or does not conform to its
+    standard.
     """
     standard = standard_of(data)
     if standard in _READERS:

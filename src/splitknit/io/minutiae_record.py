@@ -64,10 +64,7 @@ IMPRESSIONS = tuple(ITL_IMPRESSIONS)
 def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
     """Name of a `code` of the table `codes`; `what` it is, for messages.
 
-    Raises
-    ------
-    BadInput
-        If the table does not have it.
+    Raises BadInput if the table does not have it.
 
     Examples
     --------
@@ -83,10 +80,7 @@ def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
 def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
     """Code of a `name` in the table `codes`; `what` it is, for messages.
 
-    Raises
-    ------
-    BadInput
-        If the table does not have it.
+    Raises BadInput if the table does not have it.
     """
     require(name in codes, f"the {what} '{name}' has no code here; choose one of {', '.join(codes)}.")
     return codes[name]

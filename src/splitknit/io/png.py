@@ -80,11 +80,8 @@ class _PngHeader:
 def png_header(data: bytes, name: str) -> _PngHeader:
     """Read the IHDR chunk of `data`; `name` is for messages.
 
-    Raises
-    ------
-    BadInput
-        If `data` does not begin with a sound IHDR chunk, or the image that it claims is too large to be decoded, or to
-        be in the file.
+    Raises BadInput if `data` does not begin with a sound IHDR chunk, or the image that it claims is too large to be
+    decoded, or to be in the file.
     """
     damaged = f"{name} is not a sound PNG file (its header is damaged); capture or export it again."
     require(len(data) >= 33 and data[:8] == SIGNATURE and data[8:16] == b"\0\0\0\rIHDR", damaged)
@@ -119,16 +116,13 @@ def check_size(decoded_bytes: int, name: str, words: str) -> None:
 def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """Decode a PNG file to (H, W, C) uint8 or uint16 in RGB order, C = 1 or 3; alpha is dropped, palettes expanded.
 
+    Raises BadInput if the file is truncated or damaged anywhere.
+
     Parameters
     ----------
     data : bytes of the whole file
     name : what to call the file in messages
     out : (H, W, C) array of the header's size, channels and type to decode into, or None
-
-    Raises
-    ------
-    BadInput
-        If the file is truncated or damaged anywhere.
     """
     header = png_header(data, name)
     palette, compressed = _walk(data, name)

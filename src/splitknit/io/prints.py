@@ -61,16 +61,13 @@ def write_print_png(
 ) -> None:
     """Write a print as an 8-bit grey PNG.
 
+    Raises BadInput if the image, the resolution or a keyword is of another kind, or the file cannot be written.
+
     Parameters
     ----------
     image : (H, W) uint8, ridges dark
     ppi : pixels per inch, stored in whole pixels per metre (500 ppi: 19685)
     text : keyword (1 to 79 printable ASCII characters) to text, such as the provenance
-
-    Raises
-    ------
-    BadInput
-        If the image, the resolution or a keyword is of another kind, or the file cannot be written.
     """
     write_file(path, encode_print_png(image, ppi, text))
 
@@ -96,10 +93,7 @@ def png_with_texts(data: bytes, text: Mapping[str, str], *chunks: bytes) -> byte
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey PNG with its resolution and texts.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or not 8-bit grey.
+    Raises BadInput if the file is missing, damaged, or not 8-bit grey.
     """
     data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
     pixels = decode_png(data, name)
@@ -109,6 +103,8 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
     """Read a PNG, TIFF, JPEG or BMP file as a print, turned upright as its EXIF data say.
+
+    Raises BadInput if the file is damaged, too large, of colour or of another kind, or its pixels are not square.
 
     Parameters
     ----------
@@ -121,11 +117,6 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     PrintFile
         Its resolution is that of pHYs, of the JFIF header or the EXIF data, of the TIFF tags, or of the BMP header;
         None where it is stated nowhere.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged, too large, of colour or of another kind, or its pixels are not square.
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
     pixels = decode_photo(data, name).pixels

@@ -65,10 +65,7 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
     """Return the rig as the document that :func:`rig_from_json` reads.
 
-    Raises
-    ------
-    BadInput
-        If LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
+    Raises BadInput if LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
     """
     camera = rig.camera
     leds: list[JsonValue] = []
@@ -118,12 +115,8 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
 
     ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
     ``intensity`` (1), ``lobe_exponent`` (0), ``mirrors`` (none) and ``films`` (ideal). A ``px_per_mm`` of null is a
-    scale that nobody has measured. Fields that the format does not know are ignored.
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the field.
+    scale that nobody has measured. Fields that the format does not know are ignored. Raises BadInput naming the file
+    and the field.
     """
     fields = Fields(document, name)
     fields.format(RIG_FORMAT, RIG_VERSION)

@@ -190,11 +190,9 @@ def heights_on(
 
     Returns
     -------
-    x_mm, y_mm, z_mm : (h, w)
-        Finite everywhere; beside the body its outline's z goes on.
+    x_mm, y_mm, z_mm : (h, w), finite everywhere; beside the body its outline's z goes on
     on_body : (h, w)
-    known : (h, w)
-        Rows of the finger that the outlines reach.
+    known : (h, w), rows of the finger that the outlines reach
     """
     view = view_of(camera, rows, columns, binning=binning)
     plane_x, plane_y = view.on_plane()

@@ -57,9 +57,6 @@ def mirror_shape_of(
 
     Parameters
     ----------
-    finger : Finger
-    seen : SeenInMirrors
-    settings : MirrorShapeSettings
     detail_mm : (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
         and what no smooth section has; None: nothing is
 
@@ -125,10 +122,7 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture.
 
-    Raises
-    ------
-    BadInput
-        If the rig has no mirrors, or they do not show one finger.
+    Raises BadInput if the rig has no mirrors, or they do not show one finger.
     """
     rig = capture.rig
     require(
@@ -149,10 +143,7 @@ def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeS
 def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray]:
     """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
 
-    Raises
-    ------
-    BadInput
-        See :func:`splitknit.mirrors.views.find_views`.
+    Raises BadInput as :func:`splitknit.mirrors.views.find_views`.
     """
     rig = capture.rig
     binning = view_binning(rig.camera.px_per_mm)
@@ -181,9 +172,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
 
     Parameters
     ----------
-    capture : Capture
     grey : (L, h, w) white images on the views' grid
-    views : Views
     shape : a first one: it gives where each light reaches the skin
     """
     camera = capture.rig.camera

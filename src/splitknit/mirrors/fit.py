@@ -361,7 +361,6 @@ def fit_body(
     ----------
     start : a first guess
     outlines : of all views
-    settings : MirrorShapeSettings
     slopes : of the skin, optional
     sure_from : corrections before points of an outline may be left out altogether
     """

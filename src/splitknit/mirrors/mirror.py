@@ -265,22 +265,15 @@ def mirror_shape(
 ) -> MirrorShape:
     """Find the finger's shape.
 
+    Raises BadInput if the views do not fit one finger. Source: the thesis, section 3.3.2.3. Cipolla and Giblin 2000,
+    Visual Motion of Curves and Surfaces (frontier points).
+
     Parameters
     ----------
     views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.find_views`
     rig : its camera, and where its mirrors nominally are
-    settings : MirrorShapeSettings, optional
     tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
     slopes : of the skin in the front view, optional: they determine the sections' form and roll
-
-    Raises
-    ------
-    BadInput
-        If the views do not fit one finger.
-
-    References
-    ----------
-    The thesis, section 3.3.2.3. Cipolla and Giblin 2000, Visual Motion of Curves and Surfaces (frontier points).
     """
     settings = settings or MirrorShapeSettings()
     require(bool(views.mirrors), "no mirror shows the finger; the shape needs one beside it at least.")

@@ -40,7 +40,6 @@ def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> 
 
     Parameters
     ----------
-    camera : Camera
     places_mm : (n, 2) where the outline's pixels look on the finger plane
     along : (n, 2) direction of the outline there
     outward : (n, 2) any direction on the finger plane that leaves the finger

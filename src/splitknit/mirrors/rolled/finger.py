@@ -61,18 +61,15 @@ def rolled_finger(
 ) -> Rolled:
     """One finger from its front and its mirrors.
 
+    Raises BadInput if the front or every mirror beside the finger is missing, or they do not show the same part of the
+    finger.
+
     Parameters
     ----------
     capture : with the white band; the camera's rays are parallel
     views : the front and one mirror beside the finger at least, where each shows the finger and how the mirrors lie,
         and the smooth finger
     settings : of the views' relief
-    rolled : RolledSettings
-
-    Raises
-    ------
-    BadInput
-        If the front or every mirror beside the finger is missing, or they do not show the same part of the finger.
     """
     chosen = rolled or RolledSettings()
     report = progress or (lambda stage, fraction: None)

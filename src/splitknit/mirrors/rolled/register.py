@@ -132,17 +132,14 @@ def align(
 
     Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
     correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
-    within a quarter of a period to begin with: see :func:`search`.
+    within a quarter of a period to begin with: see :func:`search`. Source: Lucas and Kanade 1981, An iterative image
+    registration technique; Baker and Matthews 2004, eq. 10.
 
     Parameters
     ----------
     chart, radius_mm : the surface (n, m)
     front, mirrors : the views; the mirrors' are brought onto the front's
     pose_free : whether mirrors may move
-
-    References
-    ----------
-    Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
     """
     every, knots = _knots(chart)
     count = knots[0] * knots[1]
@@ -346,7 +343,6 @@ def search(
     ----------
     chart, radius_mm : surface (n, m)
     front, mirror : the two views
-    settings : RidgeSearchSettings, optional
     """
     chosen = settings or RidgeSearchSettings()
     nothing = _ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)

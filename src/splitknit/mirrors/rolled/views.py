@@ -48,10 +48,7 @@ def _check_mirrors(capture: Capture) -> None:
 def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
     """Views of the finger in one picture, and mirrors where the views' outlines have them.
 
-    Raises
-    ------
-    BadInput
-        If there are no mirrors beside the finger, or fewer than two views can be used.
+    Raises BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
     """
     _check_mirrors(capture)
     camera = capture.rig.camera
