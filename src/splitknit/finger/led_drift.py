@@ -231,10 +231,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
 def drift_words(drift: _LedDrift, names: Sequence[str]) -> list[str]:
     """Report in sentences what departs; none where nothing does.
 
-    Parameters
-    ----------
-    drift : _LedDrift
-    names : of the LEDs, such as ``white 3``
+    `drift`: _LedDrift; `names`: of the LEDs, such as ``white 3``.
     """
     limit = _LIMIT_PERCENT
     if drift.suspect is not None:

@@ -155,15 +155,8 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
 
     The finger is a strip of the mask's own width with one round end, which may lie beyond the border of the image; the
     other end leaves the image or is cut off straight. Only what the image shows of it is compared, so the border's cut,
-    at whatever slant, is no evidence, and an end in view is.
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-
-    Returns
-    -------
-    list of (direction in radians, counter-clockwise from up; area by which they differ, in squared widths)
+    at whatever slant, is no evidence, and an end in view is. `mask`: (H, W) bool. Returns list of (direction in
+    radians, counter-clockwise from up; area by which they differ, in squared widths).
     """
     scale = min(1.0, _SEARCHED_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale) > 0.5

@@ -363,19 +363,10 @@ def photometric_mask(
     """Drop pixels that too few lights reach; keep one component without pinholes. At full resolution.
 
     The thesis drops pixels that no light makes brighter than a threshold; here the threshold follows the finger's own
-    brightness, and three lights must pass it. Raises BadInput if nothing is left. Source: the thesis, section 3.3.1.5
-    (refined mask).
-
-    Parameters
-    ----------
-    stack : (L, H, W) float32 linear
-    finger : (H, W) bool
-    saturation : float or (L,), optional
-        Value at which each image saturates on the stack's scale (after exposures were made equal).
-
-    Returns
-    -------
-    mask : (H, W) bool, inside `finger`
+    brightness, and three lights must pass it. `stack`: (L, H, W) float32 linear; `finger`: (H, W) bool; `saturation`:
+    float or (L,), optional, value at which each image saturates on the stack's scale (after exposures were made equal).
+    Returns `mask`, (H, W) bool, inside `finger`. Raises BadInput if nothing is left. Source: the thesis, section
+    3.3.1.5 (refined mask).
     """
     stack = check_stack(stack)
     finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")

@@ -46,12 +46,8 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> _RidgePeriod:
 
     The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must hold most of the
     power. The size in which such waves cover most of the surface counts. Periods are corrected for the surface's slant.
-    Raises BadInput if no ridges are found.
-
-    Parameters
-    ----------
-    normals : (H, W, 3) unit normals, x right, y up, z to the camera
-    mask : (H, W) bool
+    `normals`: (H, W, 3) unit normals, x right, y up, z to the camera; `mask`: (H, W) bool. Raises BadInput if no ridges
+    are found.
 
     Examples
     --------

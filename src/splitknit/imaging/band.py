@@ -225,12 +225,8 @@ def linear_stack(
 def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:
     """Mean over all images with all their channels, and every image in grey, without ever holding both for all.
 
-    The mean of a band of coloured LEDs is grey: its colours came from different sides.
-
-    Returns
-    -------
-    mean : (h, w, C) float32
-    grey : (L, h, w) float32, as :func:`linear_stack` gives it
+    The mean of a band of coloured LEDs is grey: its colours came from different sides. Returns `mean`, (h, w, C)
+    float32; `grey`, (L, h, w) float32, as :func:`linear_stack` gives it.
     """
     if band.colours:
         grey = linear_stack(band, encoding, "grey", binning=binning)

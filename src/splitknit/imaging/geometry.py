@@ -109,11 +109,7 @@ def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Gaussian mean (H, W) over what lies inside the mask; zero outside it.
 
-    Parameters
-    ----------
-    values : (H, W) float32, ignored outside `mask`
-    mask : (H, W) bool
-    sigma_px : float, positive
+    `values`: (H, W) float32, ignored outside `mask`; `mask`: (H, W) bool; `sigma_px`: float, positive.
     """
 
     def blurred(image: FloatArray) -> FloatArray:

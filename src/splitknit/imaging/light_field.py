@@ -149,12 +149,8 @@ def few_lights(vectors: NDArray[np.float64], name: str = "") -> list[str]:
     """A warning where three or four lights leave little to check, with the error that noise then causes.
 
     Least squares give the normal times the albedo with the covariance s^2 (L'L)^-1 of noise s in the images: for a
-    surface that faces the camera, its x and y parts are the normal's tilt.
-
-    Parameters
-    ----------
-    vectors : (L, 3) light vectors, the mean length one
-    name : of what they light, for the message, such as ``white band``
+    surface that faces the camera, its x and y parts are the normal's tilt. `vectors`: (L, 3) light vectors, the mean
+    length one; `name`: of what they light, for the message, such as ``white band``.
     """
     if len(vectors) > FEW_LIGHTS:
         return []

@@ -174,15 +174,8 @@ def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | Non
 def plane_points(camera: Camera, pixels: Any) -> Points:
     """Points of the finger plane that pixels look at.
 
-    Raises BadInput if `pixels` has another shape or is not finite.
-
-    Parameters
-    ----------
-    pixels : (N, 2) columns and rows, fractions allowed; the centre of the first pixel is (0, 0)
-
-    Returns
-    -------
-    (N, 2) x and y in mm on the plane z = 0
+    `pixels`: (N, 2) columns and rows, fractions allowed; the centre of the first pixel is (0, 0). Returns (N, 2) x and
+    y in mm on the plane z = 0. Raises BadInput if `pixels` has another shape or is not finite.
     """
     places = _pairs(pixels, "pixels")
     if camera.model == "orthographic":

@@ -27,13 +27,8 @@ class KnitSettings(Checked):
 def add(ridge_mm: Any, shape_mm: Any, mask: Any = None) -> FloatArray:
     """Sum of relief and shape, pixel by pixel; NaN outside the mask.
 
-    Frequencies that both parts contain count twice (see :func:`crossover`). Source: the thesis, section 3.3.3 and
-    figure 3.27.
-
-    Parameters
-    ----------
-    ridge_mm, shape_mm : (H, W), in the same unit
-    mask : (H, W) bool, optional
+    Frequencies that both parts contain count twice (see :func:`crossover`). `ridge_mm`, `shape_mm`: (H, W), in the same
+    unit; `mask`: (H, W) bool, optional. Source: the thesis, section 3.3.3 and figure 3.27.
     """
     ridge, shape, inside = _checked(ridge_mm, shape_mm, mask)
     return np.where(inside, ridge + shape, np.float32(np.nan)).astype(np.float32)

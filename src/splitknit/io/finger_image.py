@@ -61,12 +61,9 @@ _NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other
 def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none") -> bytes:
     """Bytes of a record of ISO/IEC 19794-4:2005.
 
-    Raises BadInput if there are none, or the standard has no way to state what they are.
-
-    Parameters
-    ----------
-    prints : at least one, all of 500 or all of 1000 ppi
-    compression : ``none``, ``png`` or ``wsq`` (which loses a little, and is for 500 ppi alone)
+    `prints`: at least one, all of 500 or all of 1000 ppi; `compression`: ``none``, ``png`` or ``wsq`` (which loses a
+    little, and is for 500 ppi alone). Raises BadInput if there are none, or the standard has no way to state what they
+    are.
 
     Examples
     --------
@@ -105,13 +102,9 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
     """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
 
-    Raises BadInput if it is no such record, truncated or damaged, claims more than 64 million pixels, or an image is
-    not 8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG or PNG.
-
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is no such record, truncated or
+    damaged, claims more than 64 million pixels, or an image is not 8-bit grey, has no square pixels, or is compressed
+    otherwise than by WSQ, JPEG or PNG.
     """
     require(data[:4] == MAGIC, f"{name} is no finger image record (it does not begin with 'FIR'); name another file.")
     if data[4:8] == _V2011:

@@ -37,13 +37,9 @@ Grid = tuple[FloatArray, tuple[float, float]]
 def read_x3p(path: str | os.PathLike[str]) -> Grid:
     """Read the surface of an X3P file, the first layer of several.
 
+    Returns `height_mm`, (H, W) float32, z towards the observer, row 0 at the largest y; `steps_mm`, along x and y.
     Raises BadInput if the package x3pio is missing, the file is damaged, too large, or holds a profile, a cloud of
     points or a grid of uneven steps.
-
-    Returns
-    -------
-    height_mm : (H, W) float32, z towards the observer, row 0 at the largest y
-    steps_mm : along x and y
 
     Examples
     --------
@@ -132,12 +128,8 @@ def ptm_chunks(normals: FloatArray, albedo: NDArray[np.uint8]) -> Iterator[bytes
     """Yield the bytes of a polynomial texture map (PTM 1.2, LRGB) of a matt surface, for RTIViewer, Relight, OpenLIME.
 
     Per pixel, brightness under a light from (u, v) is a0 u^2 + a1 v^2 + a2 u v + a3 u + a4 v + a5, which is fitted to
-    max(0, n . l) over the hemisphere (equal areas of the disc) by least squares.
-
-    Parameters
-    ----------
-    normals : (H, W, 3), x right, y up, z to the camera; zero where there is no surface
-    albedo : (H, W) grey value
+    max(0, n . l) over the hemisphere (equal areas of the disc) by least squares. `normals`: (H, W, 3), x right, y up, z
+    to the camera; zero where there is no surface; `albedo`: (H, W) grey value.
     """
     disc = (np.arange(_LIGHTS) + 0.5) / _LIGHTS  # sunflower: radius sqrt(k / n), steps of the golden angle
     radius, angle = np.sqrt(disc), np.arange(_LIGHTS) * np.pi * (3.0 - np.sqrt(5.0))

@@ -146,11 +146,8 @@ class StackReader:
     def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
         """Return the stack (L, H, W, C) that :meth:`finish` will have filled.
 
-        Parameters
-        ----------
-        files : the images, all of one size, colour and depth
-        size : rows, columns that every image must have
-        expected_by : who expects it, for the message
+        `files`: the images, all of one size, colour and depth; `size`: rows, columns that every image must have;
+        `expected_by`: who expects it, for the message.
         """
         first = read_bytes(files[0], self._settings.max_bytes)
         info = _image_info(first, str(files[0]), self._settings)

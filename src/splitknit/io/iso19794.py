@@ -73,12 +73,8 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
 def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record; writing it again gives the same bytes.
 
-    Raises BadInput if it is truncated, of another standard, or holds what the standard does not allow.
-
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
+    or holds what the standard does not allow.
     """
     require_standard(data, ISO_2005, MAGIC_20, name)
     cursor = Cursor(data, name)

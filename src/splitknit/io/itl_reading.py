@@ -110,13 +110,8 @@ class _Transaction:
 def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFacts) -> bytes:
     """Bytes of a transaction.
 
-    Raises BadInput if there are none or too many, one cannot be compressed so, or the package `nistitl` is not
-    installed.
-
-    Parameters
-    ----------
-    prints : 1 to 98; the k-th gets the information designation character k
-    facts : of the whole transaction
+    `prints`: 1 to 98; the k-th gets the information designation character k; `facts`: of the whole transaction. Raises
+    BadInput if there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
     """
     require(1 <= len(prints) <= MAX_PRINTS, f"a transaction takes 1 to {MAX_PRINTS} prints, not {len(prints)}.")
     nistitl = _itl_package()
@@ -185,13 +180,9 @@ _INCH_MM, _CM_MM = 25.4, 10.0
 def decode_transaction(data: bytes, name: str = "the transaction") -> _Transaction:
     """Read the prints (Type-14 records) of a transaction; records of other types are passed over.
 
-    Raises BadInput if it is no transaction in the traditional encoding, truncated or damaged, holds no print, or one
-    that is not 8-bit grey or compressed otherwise than ``NONE``, ``WSQ20`` or ``PNG``.
-
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is no transaction in the
+    traditional encoding, truncated or damaged, holds no print, or one that is not 8-bit grey or compressed otherwise
+    than ``NONE``, ``WSQ20`` or ``PNG``.
     """
     _check_frame(data, name)
     nistitl = _itl_package()

@@ -115,13 +115,9 @@ def stl_size(faces: int) -> int:
 def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
     """Yield the bytes of a file, in order.
 
-    Raises BadInput if the shapes do not fit or a face refers to a vertex that is not there.
-
-    Parameters
-    ----------
-    vertices_mm : (N, 3), mm
-    faces : (M, 3) indices of vertices, counter-clockwise seen from outside
-    title : what the header has behind ``splitknit, unit mm``
+    `vertices_mm`: (N, 3), mm; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside; `title`: what
+    the header has behind ``splitknit, unit mm``. Raises BadInput if the shapes do not fit or a face refers to a vertex
+    that is not there.
     """
     require(vertices_mm.ndim == 2 and vertices_mm.shape[1] == 3, f"vertices must be (N, 3), not {vertices_mm.shape}.")
     require(faces.ndim == 2 and faces.shape[1] == 3, f"faces must be (M, 3), not {faces.shape}.")

@@ -52,13 +52,9 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
     """Read a photograph, turned upright as its EXIF data say.
 
     RAW is demosaiced to linear 16-bit light in the camera's own colours, black level taken off: no white balance, no
-    tone curve, no automatic brightness. Raises BadInput if the file is missing, damaged, too large, of another kind, or
-    of a kind whose package is not installed.
-
-    Parameters
-    ----------
-    path : JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file
-    room : bytes that the pixels may take, at most 400 MB
+    tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file;
+    `room`: bytes that the pixels may take, at most 400 MB. Raises BadInput if the file is missing, damaged, too large,
+    of another kind, or of a kind whose package is not installed.
 
     Examples
     --------
@@ -98,12 +94,8 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[
 
     Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP state. Of other files
     those of 16 bits and of floats are linear, and those of 8 bits too unless their shading fits sRGB clearly better.
-    Raises BadInput if some have a tone curve and some have none.
-
-    Parameters
-    ----------
-    files : photographs
-    by_shading : whether it does, see :func:`splitknit.imaging.band.shading_is_srgb`; called where it decides
+    `files`: photographs; `by_shading`: whether it does, see :func:`splitknit.imaging.band.shading_is_srgb`; called
+    where it decides. Raises BadInput if some have a tone curve and some have none.
     """
     found = {_stated_encoding(file) for file in files}
     require(

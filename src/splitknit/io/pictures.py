@@ -82,10 +82,8 @@ def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
 def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
     """Average `field` (H, W) or (H, W, C) over the picture's pixels, `mask` aware.
 
-    Returns
-    -------
-    values : (h, w) or (h, w, C) float32, zero where the weight is zero
-    weight : (h, w) float32 in [0, 1], the fraction of the pixel inside the mask
+    Returns `values`, (h, w) or (h, w, C) float32, zero where the weight is zero; `weight`, (h, w) float32 in [0, 1],
+    the fraction of the pixel inside the mask.
     """
     (values,), weight = fields_to_frame([field], mask, frame)
     return values, weight

@@ -517,13 +517,9 @@ def _flat_of(
 def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
     """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s.
 
-    Raises BadInput if they are not there, not as many, or black in places.
-
-    Parameters
-    ----------
-    folder : of the photographs, in the order of the lights by their names
-    count : of lights; one colour photograph serves three
-    encoding : of the photographs
+    `folder`: of the photographs, in the order of the lights by their names; `count`: of lights; one colour photograph
+    serves three; `encoding`: of the photographs. Raises BadInput if they are not there, not as many, or black in
+    places.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
     files, _, _ = photographs_in(folder, folder / "lights.txt")

@@ -61,13 +61,9 @@ def write_print_png(
 ) -> None:
     """Write a print as an 8-bit grey PNG.
 
-    Raises BadInput if the image, the resolution or a keyword is of another kind, or the file cannot be written.
-
-    Parameters
-    ----------
-    image : (H, W) uint8, ridges dark
-    ppi : pixels per inch, stored in whole pixels per metre (500 ppi: 19685)
-    text : keyword (1 to 79 printable ASCII characters) to text, such as the provenance
+    `image`: (H, W) uint8, ridges dark; `ppi`: pixels per inch, stored in whole pixels per metre (500 ppi: 19685);
+    `text`: keyword (1 to 79 printable ASCII characters) to text, such as the provenance. Raises BadInput if the image,
+    the resolution or a keyword is of another kind, or the file cannot be written.
     """
     write_file(path, encode_print_png(image, ppi, text))
 

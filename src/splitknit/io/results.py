@@ -110,15 +110,10 @@ def read_fields(
     """Fields of a result's ``height.npz``, and its frame (``mask``, ``pitch_mm``, ``input_from_upright``,
     ``upright_size``), checked against each other.
 
-    Raises BadInput if the file is damaged, an array is missing, of another shape, or impossible, or the scale is needed
-    and unknown.
-
-    Parameters
-    ----------
-    names : fields that must be there
-    optional : fields that may be
-    unscaled : whether a result whose scale is unknown will do: then ``scale_known`` is false, ``pitch_mm`` is 1 and
-        the fields named ``_mm`` are in pixels
+    `names`: fields that must be there; `optional`: fields that may be; `unscaled`: whether a result whose scale is
+    unknown will do: then ``scale_known`` is false, ``pitch_mm`` is 1 and the fields named ``_mm`` are in pixels. Raises
+    BadInput if the file is damaged, an array is missing, of another shape, or impossible, or the scale is needed and
+    unknown.
     """
     in_pixels = [name.removesuffix("_mm") + "_px" for name in names if name.endswith("_mm")]
     arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *in_pixels)))

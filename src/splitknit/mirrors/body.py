@@ -188,11 +188,8 @@ def heights_on(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:
     """Where the rays of a window's pixels meet the body.
 
-    Returns
-    -------
-    x_mm, y_mm, z_mm : (h, w), finite everywhere; beside the body its outline's z goes on
-    on_body : (h, w)
-    known : (h, w), rows of the finger that the outlines reach
+    Returns `x_mm`, `y_mm`, `z_mm`, (h, w), finite everywhere; beside the body its outline's z goes on; `on_body`, (h,
+    w); `known`, (h, w), rows of the finger that the outlines reach.
     """
     view = view_of(camera, rows, columns, binning=binning)
     plane_x, plane_y = view.on_plane()

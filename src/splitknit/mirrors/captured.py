@@ -54,17 +54,9 @@ def mirror_shape_of(
     """The shape from mirrors on the finger's window.
 
     Every pixel of the front view has its own z of the shape, so that relief and shape need no other mapping.
-
-    Parameters
-    ----------
-    detail_mm : (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
-        and what no smooth section has; None: nothing is
-
-    Returns
-    -------
-    shape_mm : (h, w)
-    mask : (H, W) the finger's mask as far as the mirrors show it
-    facts : for the result
+    `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
+    and what no smooth section has; None: nothing is. Returns `shape_mm`, (h, w); `mask`, (H, W) the finger's mask as
+    far as the mirrors show it; `facts`, for the result.
     """
     camera = seen.capture.rig.camera
     window, inside = finger.window, finger.inside
@@ -170,10 +162,7 @@ def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Vi
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
     """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in the mirrors.
 
-    Parameters
-    ----------
-    grey : (L, h, w) white images on the views' grid
-    shape : a first one: it gives where each light reaches the skin
+    `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives where each light reaches the skin.
     """
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
@@ -228,11 +217,8 @@ def _with_images(
 ) -> Rig:
     """The rig whose exposures are also lit by the LEDs' images in mirrors, each where it reaches the skin.
 
-    Parameters
-    ----------
-    rig : `rig.leds[k]` lights image k
-    glasses : the mirrors
-    points_mm, normals : (h, w, 3) of the skin on a regular grid
+    `rig`: `rig.leds[k]` lights image k; `glasses`: the mirrors; `points_mm`, `normals`: (h, w, 3) of the skin on a
+    regular grid.
     """
     leds = []
     for exposure in rig.leds:

@@ -66,11 +66,8 @@ class OutlineRows:
     def places(self, side: str) -> tuple[Array, Array, Array]:
         """Points of one side of the outline.
 
-        Returns
-        -------
-        places_mm : (m, 2) on the finger plane
-        along : (m, 2) direction of the outline
-        outward : (m, 2) away from the finger
+        Returns `places_mm`, (m, 2) on the finger plane; `along`, (m, 2) direction of the outline; `outward`, (m, 2)
+        away from the finger.
         """
         edge = self.left_mm if side == "left" else self.right_mm
         row = np.flatnonzero(np.isfinite(edge))
@@ -156,10 +153,7 @@ def pad_side(mirror: Mirror, rows: OutlineRows) -> str:
 def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
     """Whether a view ends at its mirror's edge rather than at the pad: its outline is a straight line, or not there.
 
-    Parameters
-    ----------
-    side : of the pad
-    from_tip : whether the rows run across the finger
+    `side`: of the pad; `from_tip`: whether the rows run across the finger.
     """
     known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
     edge = rows.left_mm if side == "left" else rows.right_mm
@@ -176,9 +170,7 @@ def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
     """Direction (2,) of the finger on the finger plane, towards its tip, and its outline across it.
 
-    Parameters
-    ----------
-    hint : (2,) direction towards the tip within about 75 deg
+    `hint`: (2,) direction towards the tip within about 75 deg.
     """
     axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)

@@ -38,11 +38,8 @@ class Touching:
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
     """Rays and planes of points of an outline.
 
-    Parameters
-    ----------
-    places_mm : (n, 2) where the outline's pixels look on the finger plane
-    along : (n, 2) direction of the outline there
-    outward : (n, 2) any direction on the finger plane that leaves the finger
+    `places_mm`: (n, 2) where the outline's pixels look on the finger plane; `along`: (n, 2) direction of the outline
+    there; `outward`: (n, 2) any direction on the finger plane that leaves the finger.
     """
     n = len(places_mm)
     point = np.column_stack([places_mm, np.zeros(n)])

@@ -159,9 +159,7 @@ class Sight:
 def heights(sight: Sight, chart: Chart, radius_mm: Any, x_mm: Array, y_mm: Array) -> FloatArray:
     """(h, w) height, in the view's frame, of the surface over pixels at x (w,) and y (h,); NaN beside it.
 
-    Parameters
-    ----------
-    radius_mm : (n, m) surface on the chart
+    `radius_mm`: (n, m) surface on the chart.
     """
     surface = np.asarray(radius_mm, dtype=np.float32)
     middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])

@@ -92,10 +92,7 @@ EDGE_MM = 0.4
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
     """Fraction (...) in [0, 1] of a light that the skin is not turned away from.
 
-    Parameters
-    ----------
-    points_mm, normals : (..., 3) of the skin; a finger is convex, so that it is its only obstacle
-    led : alone
+    `points_mm`, `normals`: (..., 3) of the skin; a finger is convex, so that it is its only obstacle; `led`: alone.
     """
     if led.position_mm is None:
         towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)

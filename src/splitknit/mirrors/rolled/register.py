@@ -81,16 +81,9 @@ class _Correction:
 def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
     """How a view's ridges move on the chart when the surface or the mirror does.
 
-    Parameters
-    ----------
-    points : (K, 3) on the surface
-    rays : (K, 3) directions along which the surface moves
-    steps : (K, 3) by one column and by one row of the chart, along the surface
-
-    Returns
-    -------
-    by_radius : (K, 2) columns and rows for each mm of the surface
-    by_pose : (K, 2, 3) for the mirror's turns (rad) and shift (mm); zero for the front
+    `points`: (K, 3) on the surface; `rays`: (K, 3) directions along which the surface moves; `steps`: (K, 3) by one
+    column and by one row of the chart, along the surface. Returns `by_radius`, (K, 2) columns and rows for each mm of
+    the surface; `by_pose`, (K, 2, 3) for the mirror's turns (rad) and shift (mm); zero for the front.
     """
     here = _pixels(sight, points)
     across, down = (_pixels(sight, points + 0.5 * s) - _pixels(sight, points - 0.5 * s) for s in steps)
@@ -132,14 +125,9 @@ def align(
 
     Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
     correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
-    within a quarter of a period to begin with: see :func:`search`. Source: Lucas and Kanade 1981, An iterative image
-    registration technique; Baker and Matthews 2004, eq. 10.
-
-    Parameters
-    ----------
-    chart, radius_mm : the surface (n, m)
-    front, mirrors : the views; the mirrors' are brought onto the front's
-    pose_free : whether mirrors may move
+    within a quarter of a period to begin with: see :func:`search`. `chart`, `radius_mm`: the surface (n, m); `front`,
+    `mirrors`: the views; the mirrors' are brought onto the front's; `pose_free`: whether mirrors may move. Source:
+    Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
     """
     every, knots = _knots(chart)
     count = knots[0] * knots[1]
@@ -339,10 +327,7 @@ def search(
 ) -> _ViewMatch:
     """Find how the surface bulges and where the mirror lies.
 
-    Parameters
-    ----------
-    chart, radius_mm : surface (n, m)
-    front, mirror : the two views
+    `chart`, `radius_mm`: surface (n, m); `front`, `mirror`: the two views.
     """
     chosen = settings or RidgeSearchSettings()
     nothing = _ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
