@@ -1,18 +1,6 @@
 """Finger image records: ISO/IEC 19794-4:2005 read and written; ISO/IEC 19794-4:2011 and ANSI/INCITS 381-2004 read.
 
-All numbers are big-endian. The record of 2005::
-
-    header, 32 bytes                              each view, 14 bytes and its image
-     0  "FIR" NUL                                  0  length of the view, with these 14 bytes (4 bytes)
-     4  "010" NUL                                  4  finger position, 0 to 10
-     8  length of the record (6 bytes)             5  views of this finger
-    14  capture device                             6  number of this view, from 1
-    16  acquisition level: 31, 41 (500, 1000 ppi)  7  quality, 254: not computed
-    18  number of fingers                          8  impression type
-    19  scale units: 1 inch, 2 cm                  9  columns, 11 rows of the image
-    20  scanned, 24 stored pixels per unit (4 x 2) 13  0
-    28  bits a pixel, 29 compression
-    30  0 (2 bytes)
+All numbers are big-endian; the layout of 2005 stands in ``docs/reference/records.md``.
 
 ANSI/INCITS 381-2004 has the same version and four bytes more, the product's, behind the length. The record of 2011
 ("020") has 16 bytes of header, and resolution, depth and compression in each representation.

@@ -1,18 +1,6 @@
 """Minutiae records of ISO/IEC 19794-2:2005 (with corrigendum 1:2009), the record format: byte for byte.
 
-All numbers are big-endian::
-
-    header, 24 bytes                      each view, 6 bytes and 6 for each minutia
-     0  "FMR" NUL                          0  finger position, 0 to 10
-     4  " 20" NUL                          1  view number (4 bits), impression type (4 bits)
-     8  length of the record (4 bytes)     2  quality of the finger, 0 to 100
-    12  certificates (4 bits), device      3  number of minutiae
-    14  columns of the image               4  minutiae:  2 bits type, 14 bits column
-    16  rows of the image                                2 bits 0, 14 bits row
-    18  pixels per cm along columns                      direction, steps of 360/256 deg
-    20  pixels per cm along rows                         quality, 0 (none known) to 100
-    22  number of views                       length of the extended data (2 bytes)
-    23  0                                     extended data
+All numbers are big-endian; the layout stands in ``docs/reference/records.md``.
 
 References
 ----------

@@ -46,20 +46,8 @@ from splitknit.io.minutiae_record import (
 
 # Minutiae records of ANSI/INCITS 378-2009 and of its amendment 1 (2010): byte for byte.
 #
-# Every view has its own image size and resolution, qualities may be 254 (not computed) and 255 (failed). All numbers
-# are big-endian::
-#
-#     header, 21 bytes                      each view, 19 bytes and 6 for each minutia
-#      0  "FMR" NUL                          0  finger position, 0 to 10
-#      4  "030" NUL, or "035" NUL            1  view number
-#      8  length of the record (4 bytes)     2  impression type
-#     12  owner (not 0) of the product       3  quality of the finger
-#     14  type of the product                4  vendor (not 0), 6 algorithm of the quality
-#     16  certificates (1 byte)              8  columns, 10 rows of the image
-#     17  device                            12  pixels per cm along columns, 14 along rows
-#     19  number of views                   16  number of minutiae
-#     20  0                                 17  minutiae, as in ANSI/INCITS 378-2004
-#                                               length of the extended data (2 bytes), extended data
+# Every view has its own image size and resolution, qualities may be 254 (not computed) and 255 (failed). Numbers are
+# big-endian; the layout stands in docs/reference/records.md.
 #
 # Source: ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
 
@@ -143,19 +131,7 @@ def _decode_view(cursor: Cursor, what: str) -> FingerView:
 # Minutiae records of ANSI/INCITS 378-2004: byte for byte.
 #
 # As :mod:`splitknit.io.iso19794`, but for the header, of 26 bytes (30 where the record is longer than 65535), steps of
-# 2 deg, and a code for contactless prints. All numbers are big-endian::
-#
-#     header                                    each view
-#      0  "FMR" NUL                              as in ISO/IEC 19794-2:2005, with directions in steps of 2 deg
-#      4  " 20" NUL
-#      8  length (2 bytes; or 0 and 4 bytes)
-#     10  owner (not 0) of the product that made it
-#     12  type of the product
-#     14  certificates (4 bits), device
-#     16  columns, 18 rows of the image
-#     20  pixels per cm along columns, 22 along rows
-#     24  number of views
-#     25  0
+# 2 deg, and a code for contactless prints.
 #
 # Source: ANSI/INCITS 378-2004, clause 6.
 
