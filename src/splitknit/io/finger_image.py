@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.io.fmr_bytes import Cursor
+from splitknit.io.fmr_bytes import Cursor, check_length
 from splitknit.io.images import ImageSettings, decode_image
 from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
 from splitknit.io.prints import PrintFile, encode_print_png
@@ -107,7 +107,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
 def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
     cursor = Cursor(data, name, 8)
     length = int.from_bytes(cursor.take(6, "its header"), "big")
-    _check_length(data, length, name)
+    check_length(data, length, name)
     start = next((start for start in (_HEADER_BYTES, _HEADER_BYTES + 4) if _fits(data, start)), 0)
     require(start > 0, f"{name} is damaged: the lengths of its images do not add up to that of the record.")
     cursor.place = start - _PARAMETERS.size
@@ -134,7 +134,7 @@ _REST_2011 = struct.Struct(">BBBHHHHBBBHHI")
 def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
     data, name = cursor.data, cursor.name
     length, count, certified, _ = cursor.unpack(_GENERAL_2011, "its header")
-    _check_length(data, length, name)
+    check_length(data, length, name)
     require(certified <= 1, f"{name} is damaged: the flag of its certificates is {certified}; copy it again.")
     require(1 <= count <= _MAX_VIEWS, f"{name} holds {count} images; 1 to {_MAX_VIEWS} are read.")
     found: list[PrintFile] = []
@@ -162,14 +162,6 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
     return tuple(found)
-
-
-def _check_length(data: bytes, stated: int, name: str) -> None:
-    require(
-        stated <= len(data),
-        f"{name} is truncated: its header states {stated} bytes, but it has {len(data)}; copy it again.",
-    )
-    require(stated == len(data), f"{name} has {len(data)} bytes, but its header states {stated}; it is damaged.")
 
 
 def _fits(data: bytes, place: int) -> bool:
