@@ -237,7 +237,7 @@ def _quality(
         found |= outline_figures(outline, px_per_mm)
         words = [*few_lights(lights), *quality_warnings(found, settings.quality, finger=skin)]
         if len(stack) >= 4 and skin:
-            motion = shot_motion(stack, inside, px_per_mm, settings.motion)
+            motion = shot_motion(stack, inside, px_per_mm)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
             words += motion_warnings(motion)

@@ -72,29 +72,16 @@ def _difference(height: FloatArray, axis: int) -> FloatArray:
 
 
 def warp(
-    image: NDArray[np.float32],
-    source_from_target: NDArray[np.float64],
-    size: tuple[int, int],
-    *,
-    fill: float = 0.0,
-    nearest: bool = False,
+    image: NDArray[np.float32], source_from_target: NDArray[np.float64], size: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic or nearest.
+    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic.
 
-    `source_from_target` (3 x 3) takes (column, row, 1) of the target to the source; pixels from outside become `fill`.
+    `source_from_target` (3 x 3) takes (column, row, 1) of the target to the source; pixels from outside become zero.
     """
     if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
         raise BadInput("the transform between two frames is singular.")
-    flags = (cv2.INTER_NEAREST if nearest else cv2.INTER_CUBIC) | cv2.WARP_INVERSE_MAP
-    result = cv2.warpAffine(
-        np.ascontiguousarray(image, dtype=np.float32),
-        source_from_target[:2],
-        (size[1], size[0]),
-        flags=flags,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(fill, fill, fill, fill),
-    )
-    return np.asarray(result, dtype=np.float32)
+    pixels, flags = np.ascontiguousarray(image, dtype=np.float32), cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags), dtype=np.float32)
 
 
 def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.float64]:

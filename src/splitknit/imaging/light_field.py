@@ -145,12 +145,12 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     return np.broadcast_to(array, shape)
 
 
-def few_lights(vectors: NDArray[np.float64], name: str = "") -> list[str]:
+def few_lights(vectors: NDArray[np.float64]) -> list[str]:
     """A warning where three or four lights leave little to check, with the error that noise then causes.
 
     Least squares give the normal times the albedo with the covariance s^2 (L'L)^-1 of noise s in the images: for a
     surface that faces the camera, its x and y parts are the normal's tilt. `vectors`: (L, 3) light vectors, the mean
-    length one; `name`: of what they light, for the message, such as ``white band``.
+    length one.
     """
     if len(vectors) > FEW_LIGHTS:
         return []
@@ -163,6 +163,6 @@ def few_lights(vectors: NDArray[np.float64], name: str = "") -> list[str]:
         else ("one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of")
     )
     return [
-        f"{name + ': ' if name else ''}{len(vectors)} lights, of which {lack}; noise of 1 % in the images tilts "
+        f"{len(vectors)} lights, of which {lack}; noise of 1 % in the images tilts "
         f"normals by {tilt_deg:.1f} deg (rms, least squares). Seven lights are a good number."
     ]

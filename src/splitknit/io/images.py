@@ -81,9 +81,9 @@ def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS)
     return decode_image(read_bytes(path, settings.max_bytes), str(path), settings=settings)
 
 
-def image_size(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> tuple[int, int]:
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Rows and columns of an image file, without decoding it."""
-    info = _image_info(read_bytes(path, settings.max_bytes), str(path), settings)
+    info = _image_info(read_bytes(path, DEFAULTS.max_bytes), str(path))
     return info.rows, info.columns
 
 

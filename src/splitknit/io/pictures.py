@@ -161,11 +161,10 @@ def colour(values: FloatArray, low: float, high: float, *, diverging: bool = Fal
     return np.asarray(np.round(table).astype(np.uint8)[index])
 
 
-def on_paper(picture: ColourArray, weight: FloatArray, paper: Sequence[int] = PAPER) -> ColourArray:
+def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:
     """Blend `picture` into a plain background where `weight` is below one."""
     alpha = weight[..., None]
-    background = np.asarray(paper, dtype=np.float32)
-    return np.round(picture * alpha + background * (1.0 - alpha)).astype(np.uint8)
+    return np.round(picture * alpha + np.asarray(PAPER, dtype=np.float32) * (1.0 - alpha)).astype(np.uint8)
 
 
 def normal_colours(normals: FloatArray) -> ColourArray:
