@@ -37,7 +37,7 @@ from splitknit.imaging.band import (
     saturation_levels,
 )
 from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, enlarged
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.plausible import FINGER_WIDTH
@@ -150,8 +150,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         mask = np.asarray(capture.mask)
         wide = mask
     else:
-        wide = enlarged(wider & (usable | ~kept), full, binning)
-        mask = enlarged(usable, full, binning) & wide
+        wide = enlarged_mask(wider & (usable | ~kept), full, binning)
+        mask = enlarged_mask(usable, full, binning) & wide
     notes = [upright.note] if upright.note else []
     if skin:
         notes += _check_width(kept if given else usable, small_px, given)
@@ -290,14 +290,9 @@ def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     return np.asarray(small)
 
 
-def enlarged(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
+def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
     """A mask of blocks on the full grid, its outline smooth."""
-    if factor == 1:
-        return mask
-    size = (mask.shape[1] * factor, mask.shape[0] * factor)
-    large = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
-    missing = ((0, shape[0] - large.shape[0]), (0, shape[1] - large.shape[1]))
-    return np.pad(large, missing, mode="edge")
+    return mask if factor == 1 else np.asarray(enlarged(mask.astype(np.float32), factor, shape) > 0.5)
 
 
 def _scaled(upright: Upright, factor: int) -> Upright:

@@ -120,3 +120,19 @@ def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
     smooth = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR)
     return np.asarray(smooth, dtype=np.float32)
+
+
+def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
+    """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of `shape`."""
+    size = (field.shape[1] * factor, field.shape[0] * factor)
+    large = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    return np.pad(large, [(0, side - own) for side, own in zip(shape, large.shape, strict=True)], mode="edge")
+
+
+def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
+    """`values` (h, w), where they are not `known` those of the nearest place where they are."""
+    away = (~known).astype(np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
+    table[labels[known]] = values[known]
+    return np.asarray(table[labels])

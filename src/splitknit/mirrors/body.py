@@ -228,15 +228,6 @@ def _looked_up(body: Body, table: _Table, x: FloatArray, y: FloatArray) -> tuple
     return np.asarray(z, dtype=np.float32), np.asarray(inside), np.asarray(w <= 1)
 
 
-def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
-    """`values` (h, w), where they are not `known` those of the nearest place where they are."""
-    away = (~known).astype(np.uint8)
-    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
-    table[labels[known]] = values[known]
-    return np.asarray(table[labels])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
     """Measured slopes of the skin at places of the front view."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
 from splitknit.finger.mask import MaskSettings, finger_outline, finger_region
-from splitknit.imaging.areas import mirror_outline
+from splitknit.imaging.areas import bin_image, mirror_outline
 from splitknit.imaging.band import Window, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
@@ -167,20 +167,15 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
     factor = max(1, round(SLOPES_MM / pitch))
-    height, width = (n // factor for n in views.front.shape)
-
-    def small(image: FloatArray) -> FloatArray:
-        cut = np.ascontiguousarray(image[: height * factor, : width * factor], dtype=np.float32)
-        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-    inside: BoolArray = np.asarray(small(views.front.astype(np.float32)) > 0.999)
+    inside: BoolArray = np.asarray(bin_image(views.front.astype(np.float32), factor) > 0.999)
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
     if len(grey) < 3 or not bool((depth > RIM_MM).any()):
         return None
-    stack = np.stack([small(image) for image in grey])
+    stack = np.stack([bin_image(image, factor) for image in grey])
     view = view_of(camera, binning=views.binning * factor)
     block = factor * views.binning
-    x, y, z = shape.points(slice(0, height * block), slice(0, width * block), block)
+    rows, columns = (slice(0, side * block) for side in inside.shape)
+    x, y, z = shape.points(rows, columns, block)
     inside &= np.isfinite(z)
     surface = np.where(inside, z, np.float32(np.nanmin(z)))
     points = np.stack([x, y, surface], axis=-1).astype(np.float64)

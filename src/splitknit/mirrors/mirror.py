@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import pixels_of, view_of
-from splitknit.mirrors.body import Body, Slopes, heights_on, nearest_known
+from splitknit.mirrors.body import Body, Slopes, heights_on
 from splitknit.mirrors.fit import (
     Estimate,
     Fit,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged
+from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
 from splitknit.finger.mask import finger_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease
@@ -70,13 +70,13 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
         mirror,
         lambda shape: skin_slopes(capture, grey, views, shape),
     )
-    front = enlarged(views.front, capture.shape, binning)
+    front = enlarged_mask(views.front, capture.shape, binning)
     if settings.cut_at_crease:
         front = _above_crease(front, views.front, mean, capture, binning)
     found = [MirrorView("front", front)]
     for name, glass in mirrors.items():
         plane = between.planes.get(name, MirrorPlane.nominal(glass))
-        mask = enlarged(views.mirrors[name], capture.shape, binning) if name in between.planes else None
+        mask = enlarged_mask(views.mirrors[name], capture.shape, binning) if name in between.planes else None
         found.append(MirrorView(name, mask, glass_in(glass, plane.normal, plane.offset_mm), name in between.cut))
     unseen = [name for name in SIDES if name in mirrors and name not in seen]
     return MirrorViews(tuple(found), between.body, _notes(between.cut, between.useless, unseen))
