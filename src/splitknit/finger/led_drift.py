@@ -61,8 +61,6 @@ class _Samples:
 class _SurfaceState:
     """Surface and information at some gains."""
 
-    matt: Array
-    """(P, L) l . b."""
     residual: Array
     """(P, L)."""
     score: Array
@@ -124,9 +122,7 @@ def _project_surface(samples: _Samples, gain: Array, weight: Array) -> _SurfaceS
     residual = samples.light.T - predicted
     lean = weighted * predicted[..., None]  # (P, L, D)
     information = np.diag((predicted**2 * trust).sum(axis=0)) - np.einsum("pld,pde,pme->lm", lean, inverse, lean)
-    return _SurfaceState(
-        predicted, residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0)
-    )
+    return _SurfaceState(residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0))
 
 
 def _robust_weights(samples: _Samples, state: _SurfaceState) -> Array:
@@ -181,7 +177,6 @@ class _LedDrift:
     three errors; else None."""
     suspect_gain: float
     """Gain of the best single LED, the others as calibrated."""
-    suspect_error: float
     explained: float
     """Fraction of the pattern's departure (squared, in errors) that the single LED explains."""
     residual_percent: float
@@ -271,7 +266,6 @@ def _judge(samples: _Samples, gain: Array, weight: Array) -> _LedDrift:
         information=fractions,
         suspect=suspect if drifted and explained >= _MIN_EXPLAINED else None,
         suspect_gain=float(np.exp(value)),
-        suspect_error=error,
         explained=explained,
         residual_percent=100 * _robust_deviation(state.residual[samples.lit.T]),
     )

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.io.fmr_bytes import Cursor, check_length
-from splitknit.io.images import ImageSettings, decode_image
+from splitknit.io.images import decode_image
 from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
 from splitknit.io.prints import PrintFile, encode_print_png
 from splitknit.io.wsq_image import decode_wsq, encode_wsq
@@ -210,7 +210,7 @@ def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: s
     if compression == "wsq":
         image = decode_wsq(stored, name).image
     else:
-        pixels = decode_image(stored, name, settings=ImageSettings(max_pixels=rows * columns))
+        pixels = decode_image(stored, name, max_pixels=rows * columns)
         require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
         image = np.asarray(pixels[..., 0], dtype=np.uint8)
     require(image.shape == size, f"{name} holds {image.shape[0]} x {image.shape[1]} pixels, {expected}.")

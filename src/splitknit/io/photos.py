@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, open_file, read_bytes, refusing, require
 from splitknit.io import png, tiff
-from splitknit.io.images import APP1, DEFAULTS, decode_image, jpeg_segments
+from splitknit.io.images import APP1, MAX_BYTES, MAX_PIXELS, decode_image, jpeg_segments
 from splitknit.io.png import check_size
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
@@ -61,7 +61,7 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
     """
-    return decode_photo(read_bytes(path, DEFAULTS.max_bytes), os.fspath(path), room=room)
+    return decode_photo(read_bytes(path, MAX_BYTES), os.fspath(path), room=room)
 
 
 def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
@@ -123,7 +123,7 @@ def _stated_encoding(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix in SRGB_SUFFIXES or suffix in RAW_SUFFIXES:
         return "srgb" if suffix in SRGB_SUFFIXES else "linear"
-    with open_file(file, DEFAULTS.max_bytes) as (stream, _):
+    with open_file(file, MAX_BYTES) as (stream, _):
         head = stream.read(1 << 16).partition(b"IDAT")[0]
     if not head.startswith(png.SIGNATURE):
         return ""
@@ -145,8 +145,8 @@ def _checked(rows: int, columns: int, bytes_each: int, name: str, room: int | No
     """Refuse sizes that are impossible or too large, before anything is decoded."""
     require(rows > 0 and columns > 0, _UNREADABLE.format(name))
     require(
-        rows * columns <= DEFAULTS.max_pixels,
-        f"{name} claims {rows} x {columns} pixels, more than the {DEFAULTS.max_pixels} that are read.",
+        rows * columns <= MAX_PIXELS,
+        f"{name} claims {rows} x {columns} pixels, more than the {MAX_PIXELS} that are read.",
     )
     check_size(rows * columns * bytes_each, name, f"{rows} x {columns}")
     _check_room(rows * columns * bytes_each, name, room)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import DEFAULTS, encode_image, jpeg_segments
+from splitknit.io.images import MAX_BYTES, encode_image, jpeg_segments
 from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
 from splitknit.io.png import SIGNATURE as PNG
 from splitknit.io.png import decode_png
@@ -91,7 +91,7 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
     Raises BadInput if the file is missing, damaged, or not 8-bit grey.
     """
-    data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
+    data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
     pixels = decode_png(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
     return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), *_png_facts(data))

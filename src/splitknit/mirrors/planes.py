@@ -30,10 +30,6 @@ class Touching:
     offset_mm: Array
     """(n,) normal . X on the plane."""
 
-    def part(self, chosen: NDArray[np.bool_]) -> Touching:
-        """Some of them."""
-        return Touching(self.point[chosen], self.direction[chosen], self.normal[chosen], self.offset_mm[chosen])
-
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
     """Rays and planes of points of an outline.

@@ -169,10 +169,6 @@ class Stage:
     shorted_a: float
     """Of the LED, at most, with a transistor that is shorted from collector to emitter."""
 
-    def ohm(self, role: str) -> float:
-        """Value of a resistor; 0 where the stage has none in that place."""
-        return next((r.ohm for r in self.resistors if r.role == role), 0.0)
-
 
 @dataclass(frozen=True, slots=True)
 class Channel:

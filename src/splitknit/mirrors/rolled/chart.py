@@ -91,10 +91,6 @@ class Chart:
         rows = (self.length_mm[0] - length_mm) / self.pitch_mm
         return columns.astype(np.float32), rows.astype(np.float32)
 
-    def coarser(self, factor: int) -> Chart:
-        """Every so many rays: the same corner, a larger pitch."""
-        return Chart(self.centre_mm, self.axes, self.angle_rad[::factor], self.length_mm[::factor], self.cap_mm)
-
 
 def surface_normals(points_mm: Array) -> Array:
     """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
