@@ -86,13 +86,9 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
         return None, None
     scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
     px = px_per_mm * scale
-    inside = reduce_mask(mask, scale) > 0.99
-    depth = depth_inside(inside)
-    core = depth > min(_EDGE_MM * px, 0.4 * float(depth.max()))
+    box, core = _core(mask, scale, px)
     if not core.any():
         return None, None
-    box = bounding_box(inside)
-    core = core[box]
     images = np.sort(np.stack([_relative(reduce_image(image, scale)[box], core, px) for image in stack]), axis=0)
     half = max(1, len(images) // 2)
     lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
@@ -102,6 +98,14 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
     dark = lit[core] < (1.0 - _DARKER) * filled[core]
     bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
     return float(dark.mean()), float(bright.mean())
+
+
+def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice], BoolArray]:
+    """Box of the finger on a reduced copy of `px` pixels a millimetre, and what of it there is not near its outline."""
+    inside = reduce_mask(mask, scale) > 0.99
+    depth = depth_inside(inside)
+    box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
+    return box, np.asarray(depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max())))
 
 
 def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
@@ -310,25 +314,22 @@ def _ridge_contrast(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tup
     """Relative standard deviation of the ridge band in each image, and the mean modified Laplacian of their mean."""
     scale = reduction(mask.shape, px_per_mm, 24.0, 1200)
     px = px_per_mm * scale
-    inside = reduce_mask(mask, scale) > 0.99
-    depth = depth_inside(inside)
-    core = depth > min(1.5 * px, 0.4 * float(depth.max()))
+    box, core = _core(mask, scale, px)
     if not core.any():
         return [0.0] * len(stack), 0.0
-    box = bounding_box(inside)
     contrast = []
-    total = np.zeros(inside[box].shape, dtype=np.float32)
+    total = np.zeros(core.shape, dtype=np.float32)
     for image in stack:
         small = reduce_image(image, scale)[box]
         fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
-        fine, wide = fine[core[box]], wide[core[box]]
+        fine, wide = fine[core], wide[core]
         level = np.maximum(wide, np.float32(0.05 * max(quantile(wide[::8]), 1e-12)))
         contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
         total += small
     smooth = blur(total, 0.06 * px)
     laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))
-    overall = max(float(total[core[box]].mean()), 1e-12)
-    return contrast, float(laplacian[core[box]].mean()) / overall
+    overall = max(float(total[core].mean()), 1e-12)
+    return contrast, float(laplacian[core].mean()) / overall
 
 
 _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splitknit.imaging.areas import bin_image
+from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import enlarged, height_gradients, nearest_known, normals_from_gradients
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
@@ -79,12 +79,12 @@ def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tu
     if min(rows, columns) < 4:
         return np.zeros_like(shape_mm)
 
-    inside = bin_image(mask.astype(np.float32), binning) > 0.999
+    inside = bin_mean(mask.astype(np.float32), binning) > 0.999
     if not inside.any():
         return np.zeros_like(shape_mm)
     pitch = camera.pitch_mm * binning
     view = view_of(camera, *window, binning=binning, along_rays=True)
-    coarse = np.where(inside, bin_image(np.where(mask, shape_mm, np.float32(0)), binning), np.float32(np.nan)).astype(
+    coarse = np.where(inside, bin_mean(np.where(mask, shape_mm, np.float32(0)), binning), np.float32(np.nan)).astype(
         np.float32
     )
     right, up = height_gradients(coarse, pitch)

@@ -169,10 +169,7 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
         "input_from_upright": result.input_from_upright,
         "upright_size": np.asarray(result.upright_size, dtype=np.int64),
     }
-    for name in ("x_mm", "y_mm"):
-        if getattr(result, name) is not None:
-            arrays[name] = getattr(result, name)
-    for name in ("uncertainty_um", "normals_measured", "specular"):
+    for name in ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular"):
         if getattr(result, name) is not None:
             arrays[name] = getattr(result, name)
     if result.whole:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, naming, require
+from splitknit.errors import naming, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
@@ -162,12 +162,8 @@ def _mirror(fields: Fields) -> Mirror:
         if x is None or y is None or z is None or max(abs(x), abs(y), abs(z)) > 1e4:
             fields.refuse("corners_mm", "a list of points, each three numbers in mm")
         corners.append((x, y, z))
-    try:
-        return Mirror(fields.text("name"), tuple(corners), fields.number("reflectance", 1e-6, 1.0, 0.9))
-    except BadInput as error:
-        if str(error).startswith(fields.name):
-            raise
-        raise BadInput(f"{fields.name}: {fields.where}: {error}") from error
+    name, reflectance = fields.text("name"), fields.number("reflectance", 1e-6, 1.0, 0.9)
+    return naming(f"{fields.name}: {fields.where}", lambda: Mirror(name, tuple(corners), reflectance))
 
 
 def _camera(fields: Fields) -> Camera:
@@ -240,37 +236,32 @@ def _led(fields: Fields) -> Led:
         f"{fields.name}: {fields.where} must have either position_mm (near) or direction (distant), "
         f"but it has {'both' if near else 'neither'}.",
     )
-    try:
-        return Led(
-            band=band,
-            position_mm=_position(fields) if near else None,
-            direction=_direction(fields) if distant else None,
-            intensity=fields.number("intensity", 1e-9, 1e9, 1.0),
-            lobe_exponent=fields.number("lobe_exponent", 0.0, 1000.0, 0.0),
-            aim=_aim(fields) if fields.has("aim") else None,
-            colour=fields.text("colour", ""),
-        )
-    except BadInput as error:
-        if str(error).startswith(fields.name):
-            raise
-        raise BadInput(f"{fields.name}: {fields.where}: {error}") from error
+    position, direction = _position(fields) if near else None, _direction(fields) if distant else None
+    intensity = fields.number("intensity", 1e-9, 1e9, 1.0)
+    lobe_exponent = fields.number("lobe_exponent", 0.0, 1000.0, 0.0)
+    aim = _three(fields, "aim") if fields.has("aim") else None
+    colour = fields.text("colour", "")
+    return naming(
+        f"{fields.name}: {fields.where}",
+        lambda: Led(band, position, direction, intensity, lobe_exponent, aim=aim, colour=colour),
+    )
+
+
+def _three(fields: Fields, name: str) -> tuple[float, float, float]:
+    x, y, z = fields.numbers(name, (3,))
+    return x, y, z
 
 
 def _position(fields: Fields) -> tuple[float, float, float]:
-    x, y, z = fields.numbers("position_mm", (3,))
+    x, y, z = _three(fields, "position_mm")
     if not z >= 1e-3:
         fields.refuse("position_mm", "a place above the finger plane (the third number positive)")
     return x, y, z
 
 
-def _aim(fields: Fields) -> tuple[float, float, float]:
-    x, y, z = fields.numbers("aim", (3,))
-    return x, y, z
-
-
 def _direction(fields: Fields) -> tuple[float, float, float]:
     """Return the unit vector: 2 % of rounding in a hand-written file are forgiven and taken off."""
-    x, y, z = fields.numbers("direction", (3,))
+    x, y, z = _three(fields, "direction")
     length = math.sqrt(x * x + y * y + z * z)
     require(
         0.98 <= length <= 1.02,

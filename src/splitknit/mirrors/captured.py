@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.finger.locate import Finger
 from splitknit.finger.mask import MaskSettings, finger_outline, finger_region
-from splitknit.imaging.areas import bin_image, mirror_outline
-from splitknit.imaging.band import Window, linear_survey
+from splitknit.imaging.areas import mirror_outline
+from splitknit.imaging.band import Window, bin_mean, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
@@ -167,11 +167,11 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
     factor = max(1, round(SLOPES_MM / pitch))
-    inside: BoolArray = np.asarray(bin_image(views.front.astype(np.float32), factor) > 0.999)
+    inside: BoolArray = np.asarray(bin_mean(views.front.astype(np.float32), factor) > 0.999)
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
     if len(grey) < 3 or not bool((depth > RIM_MM).any()):
         return None
-    stack = np.stack([bin_image(image, factor) for image in grey])
+    stack = bin_mean(grey, factor)
     view = view_of(camera, binning=views.binning * factor)
     block = factor * views.binning
     rows, columns = (slice(0, side * block) for side in inside.shape)

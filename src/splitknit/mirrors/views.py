@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.areas import bin_image, blanked, box_around, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.band import block_means
 from splitknit.model import BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0
@@ -70,7 +71,9 @@ def find_views(
     factor = 1
     if find_outline is not None:
         factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))
-    rough = _rough_views(bin_image(image, factor), rig, find_finger, binning * factor)
+    size = (image.shape[0] // factor, image.shape[1] // factor)
+    small = block_means(image[: size[0] * factor, : size[1] * factor], size, factor) if factor > 1 else image
+    rough = _rough_views(small, rig, find_finger, binning * factor)
     views = rough
     if find_outline is not None:
         views = _outlined(image, rig, rough, find_outline, factor)
