@@ -244,22 +244,11 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     response, valid = _response(image, inside, px_per_mm)
     core = valid & (depth_inside(inside) > 0.08 * _width(inside))
     found: list[_Valley] = []
-    best: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    for tilt_deg in np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0):
-        depth, coverage = _along_lines(response, core, inside, float(np.deg2rad(tilt_deg)))
-        tilt = np.full(depth.shape, np.deg2rad(tilt_deg), dtype=np.float32)
-        if best is None:
-            best = depth, coverage, tilt
-        else:
-            better = depth * coverage > best[0] * best[1]
-            best = (
-                np.where(better, depth, best[0]),
-                np.where(better, coverage, best[1]),
-                np.where(better, tilt, best[2]),
-            )
-    if best is None:
-        return ()
-    depth, coverage, tilt = best
+    tilts = np.deg2rad(np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0))
+    lines = [_along_lines(response, core, inside, float(tilt)) for tilt in tilts]
+    depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
+    best, rows = np.argmax(depths * coverages, axis=0), np.arange(depths.shape[1])
+    depth, coverage, tilt = depths[best, rows], coverages[best, rows], tilts[best].astype(np.float32)
     scatter = _scatter(depth)
     reach = max(1, round(_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]

@@ -177,7 +177,11 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
     `pixels`: (N, 2) columns and rows, fractions allowed; the centre of the first pixel is (0, 0). Returns (N, 2) x and
     y in mm on the plane z = 0. Raises BadInput if `pixels` has another shape or is not finite.
     """
-    places = _pairs(pixels, "pixels")
+    places = np.asarray(pixels, dtype=np.float64)
+    require(
+        places.ndim == 2 and places.shape[1] == 2 and bool(np.isfinite(places).all()),
+        f"pixels must be finite and of the shape (N, 2), but they have the shape {places.shape}.",
+    )
     if camera.model == "orthographic":
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     assert camera.matrix is not None
@@ -211,15 +215,6 @@ def pixels_of(camera: Camera, points_mm: Any) -> Points:
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), np.asarray(camera.matrix, np.float64), distortion)
     return np.asarray(pixels[:, 0], dtype=np.float64)
-
-
-def _pairs(values: Any, name: str) -> Points:
-    array = np.asarray(values, dtype=np.float64)
-    require(
-        array.ndim == 2 and array.shape[1] == 2 and bool(np.isfinite(array).all()),
-        f"{name} must be finite and of the shape (N, 2), but it has the shape {array.shape}.",
-    )
-    return array
 
 
 # How the lens darkens towards the corners.
