@@ -21,8 +21,6 @@ Look = Callable[[int, float, float], Frame]
 MEDIAN = 50.0
 BRIGHT = 99.5
 """Percentile that stands for a target's light: most of its picture may be black."""
-
-
 _PERCENTILE = 99.9
 """Of the finger's pixels, in the brightest channel: how bright it is."""
 _START_S = 0.01

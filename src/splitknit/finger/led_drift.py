@@ -23,7 +23,6 @@ from splitknit.errors import check_mask, check_stack, require
 
 # Gains of LEDs and the surface they light, separated: the best surface for given gains, patterns that show.
 
-
 _LIMIT_PERCENT = 3.0
 """An LED has drifted if it departs by more."""
 _MAX_PIXELS = 5_000

@@ -50,7 +50,6 @@ class _Around:
 
 # How much every pixel looks like skin rather than like the background.
 
-
 SAMPLES = 8000
 """The background is fitted to about so many pixels."""
 
@@ -486,7 +485,6 @@ def _separation(along: NDArray[np.float64], second: NDArray[np.bool_], distance:
 
 
 # The finger's mask in two steps, where time counts: roughly where it is, and its outline around that.
-
 
 FEW_SAMPLES = 2000
 """Pixels to which the background is fitted where time counts."""

@@ -46,8 +46,6 @@ _LEVEL_MM = 0.3
 """Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma."""
 _EDGE_MM = 1.5
 """Pixels nearer to the outline are left out: skin is slanted there."""
-
-
 _SPECK_PX_PER_MM = 12.0
 """Scale of the copy on which specks are sought; coarser images are not measured."""
 _DARK_MM = 0.35
@@ -348,7 +346,6 @@ def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> 
 
 
 # Which of the finger's pixels carry enough light for photometric stereo.
-
 
 _DARK_FRACTION = 0.03
 """A light reaches a pixel if it is brighter than this fraction of the finger's median brightness."""

@@ -40,8 +40,6 @@ SETTLED_MM, SETTLED_PX = 5e-4, 0.02
 """Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
 FOLLOWING = 1e3
 """Weight against elastic shifts that follow the light, over that against others."""
-
-
 COARSE_MM = (0.5, 0.3, 0.15)
 """Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
 FINE_MM = (0.08,)

@@ -163,7 +163,6 @@ def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
 
 # Details of one size in all shots, at the pixels that matter, and the shifts they imply.
 
-
 SAMPLES = 16_000
 """Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
 SAME_SCALE = 1.1

@@ -20,7 +20,6 @@ from splitknit.steps import let_go
 
 # Linear light of one stored image.
 
-
 CHANNELS = {"red": 0, "green": 1, "blue": 2}
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """ITU-R BT.601 luma weights, the conversion behind the thesis's grey images."""

@@ -37,7 +37,6 @@ from splitknit.settings import Checked, Limits
 # Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
 # j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
 
-
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 
 

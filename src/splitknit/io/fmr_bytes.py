@@ -144,7 +144,6 @@ def common_image(record: MinutiaeRecord, standard: str) -> tuple[tuple[int, int]
 
 # Views of fingers as ISO/IEC 19794-2:2005 and ANSI/INCITS 378-2004 both write them: 6 bytes and 6 for each minutia.
 
-
 _VIEW = struct.Struct(">BBBB")
 _EXTENDED = struct.Struct(">H")
 
@@ -214,7 +213,6 @@ def _encode_view(view: FingerView, codes: ViewCodes) -> bytes:
 
 
 # Which standard's record a file is: minutiae records of several standards begin with the same eight bytes.
-
 
 ISO_2005 = "ISO/IEC 19794-2:2005"
 ISO_2011 = "ISO/IEC 19794-2:2011"

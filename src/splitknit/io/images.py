@@ -226,7 +226,6 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 #
 # Source: ITU-T T.81 (1992), annex B: markers and segments.
 
-
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
 APP1 = 0xE1

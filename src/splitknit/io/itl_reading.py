@@ -29,7 +29,6 @@ from splitknit.io.prints import PrintFile
 #
 # Source: ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.
 
-
 VERSION = "0502"
 COMPRESSIONS = {"none": "NONE", "wsq": "WSQ20", "png": "PNG"}
 """Names, and their codes in field 14.011."""

@@ -100,7 +100,6 @@ def bands(shape: tuple[int, ...]) -> Iterator[slice]:
 #
 # STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
-
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
 """One triangle of a binary file."""
 HEADER_BYTES = 80
@@ -170,7 +169,6 @@ def obj_chunks(
 #
 # Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4
 # (GLB).
-
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT, _UBYTE = 5126, 5125, 5121

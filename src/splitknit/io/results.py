@@ -32,8 +32,6 @@ from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]
-
-
 LARGEST_MM = 1000.0
 """Of a result's frame."""
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")

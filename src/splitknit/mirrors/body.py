@@ -149,7 +149,6 @@ def _basis_table(count: int) -> Array:
 
 # A body as seen from above: z over every pixel, and slopes.
 
-
 _DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
 STEEPEST_DEG = 24.0
 """Slopes of the skin are used up to here: steeper skin looks flatter than it is."""

@@ -43,15 +43,10 @@ Array = NDArray[np.float64]
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
 
-
 _KNOTS = 11
 """Spans of the splines along the finger."""
-
-
 MAX_TURN_RAD = 0.12
 """Mirrors are not turned by more."""
-
-
 TIPS_APART = (
     "the views do not fit one finger: the fingertip in the {} mirror is not beside the one in front; check that the "
     "rig file's mirrors are those in the picture and that one finger alone is in view."

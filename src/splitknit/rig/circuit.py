@@ -110,8 +110,6 @@ MIN_HEADROOM_V = 0.5
 """Voltage that a current sink's transistor must keep to be one."""
 FORCED_GAIN = 20.0
 """A switching transistor gets this fraction of its collector current in the base, far more than its gain requires."""
-
-
 _MAX_HEAT = 0.6
 """Fraction of its rating that a part may turn into heat when its LED stays on for ever."""
 _MIN_CURRENT = 0.7

@@ -16,8 +16,6 @@ A4_MM = (210.0, 297.0)
 PRODUCER = b"/Producer (splitknit)"
 _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
-
-
 RULER_MM = 100.0
 _RULER_BELOW_MM = 10.0
 """From its line to the boards: strokes and numbers."""

@@ -115,7 +115,6 @@ def read(
 
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
 
-
 BEYOND_MM = 16.0
 """The camera's rays are followed from this far above the finger's axis."""
 

@@ -18,12 +18,8 @@ from splitknit.model import BoolArray, Capture, FloatArray
 
 _POWER = 8.0
 """Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
-
-
 _DEVIATION_FLOOR_UM = 4.0
 """Added to the relief's standard deviation, so that no view is trusted without limit."""
-
-
 Array = NDArray[np.float64]
 
 

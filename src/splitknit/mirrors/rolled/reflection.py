@@ -82,7 +82,6 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
 
-
 GRAZING = 0.04
 """Cosine of incidence up to which a light fades in: the ridges of skin catch it here and there."""
 EDGE_MM = 0.4

@@ -267,7 +267,6 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirror
 # The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
 # squares of ridges look the same a period on; the whole overlap does not.
 
-
 _SEARCHED = 6000
 """So many pixels show which of many guesses is best."""
 APART_MM = 0.15
@@ -276,8 +275,6 @@ OUTER = 0.9
 """Of the bulge's standard deviation: by how much more the surface bulges for each 20 deg towards the side."""
 LIKE_PLACES, MOVE_MM = 20.0, 0.05
 """A move counts as so many measured ones, each with this standard deviation."""
-
-
 _DOUBT = 0.01
 """Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
 MIN_CORRELATION = 0.2

@@ -40,8 +40,6 @@ from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
 """Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
-
-
 Array = NDArray[np.float64]
 
 LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
