@@ -122,6 +122,25 @@ def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     return np.asarray(smooth, dtype=np.float32)
 
 
+_LINE = 128
+"""Places in one row of what OpenCV reads, which takes no long ones."""
+
+
+def read_at(
+    field: FloatArray, columns: FloatArray, rows: FloatArray, how: int = cv2.INTER_LINEAR, outside: float | None = None
+) -> FloatArray:
+    """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels.
+
+    `how`: OpenCV's interpolation; `outside`: value beside the field, by default that of the nearest pixel.
+    """
+    missing, shape = -columns.size % _LINE, (*columns.shape, *field.shape[2:])
+    padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
+    x, y = (part.reshape(-1, _LINE) for part in padded)
+    border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
+    taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=outside or 0.0) if x.size else np.zeros(0)
+    return np.asarray(taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape), dtype=np.float32)
+
+
 def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
     """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of `shape`."""
     size = (field.shape[1] * factor, field.shape[0] * factor)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import read_at
 from splitknit.mirrors.rolled.reflection import Plane, reflect_points, reflect_vectors
 from splitknit.model import Camera, FloatArray
 
@@ -104,13 +105,7 @@ def read(
     field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, empty: float = float("nan")
 ) -> FloatArray:
     """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
-    how = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
-    x, y = (np.ascontiguousarray(part, dtype=np.float32).reshape(-1, 1) for part in (columns, rows))
-    flat = np.empty(columns.size, dtype=np.float32)
-    for start in range(0, flat.size, 30_000):
-        part = slice(start, start + 30_000)
-        flat[part] = cv2.remap(field, x[part], y[part], how, borderMode=cv2.BORDER_CONSTANT, borderValue=empty)[:, 0]
-    return flat.reshape(columns.shape)
+    return read_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
 
 
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
