@@ -131,8 +131,9 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         )
     else:
         outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask)
-    searched = skin and capture.tip_direction_deg is None and not capture.rig.mirrors
-    finger = skin or capture.tip_direction_deg is not None
+    stated = capture.tip_direction_deg is not None
+    searched = skin and not stated and not capture.rig.mirrors
+    finger = skin or stated
     direction = None if searched else capture.tip_direction_deg or 0.0
     limits = saturation_levels(white, capture.encoding)
     with ThreadPoolExecutor(1) as aside:
@@ -160,7 +161,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     large = _scaled(upright, binning)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
-        "tip_direction": _source_of_direction(capture, searched and upright.clear),
+        "tip_direction": "given" if stated else "found" if searched and upright.clear else "assumed",
         "mask": "given" if given else "found",
         "crease_found": bool(crease.found and cut),
         "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
@@ -189,13 +190,6 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: 
     if capture.material == "skin":
         check_borders(outline)
     return outline
-
-
-def _source_of_direction(capture: Capture, found: bool) -> str:
-    """``given`` by the capture, ``found`` by the outline, or ``assumed``: up, or what is nearest to it."""
-    if capture.tip_direction_deg is not None:
-        return "given"
-    return "found" if found else "assumed"
 
 
 def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, ...]:

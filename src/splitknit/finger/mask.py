@@ -256,9 +256,8 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, fine_scale)
     coarse_scale = reduction(fine.shape[:2], px_per_mm * fine_scale, settings.coarse_px_per_mm, 600)
@@ -365,8 +364,9 @@ class NoFinger(BadInput):
     """Nothing in the images stands out as a finger does."""
 
 
-def _check_image(mean_image: FloatArray) -> FloatArray:
+def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
+    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     image = np.asarray(mean_image)
     require(
         image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3)),
@@ -497,9 +497,8 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
     coarse copy (``coarse_px_per_mm``). :func:`finger_outline` makes it exact.
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
     mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
@@ -527,7 +526,7 @@ def finger_outline(
     mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
     require(bool(rough.any()), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)

@@ -256,15 +256,7 @@ def _group(fields: Fields, item: Any, k: int) -> tuple[int, ...]:
 
 
 def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
-    """Refuse LEDs that are not in the rig, are of another band, or do not determine a normal.
-
-    Parameters
-    ----------
-    rig : the whole rig
-    band : name of the band
-    leds : the LEDs of every image
-    where : file and field, for messages
-    """
+    """Refuse LEDs (of every image) that are not in the rig, are of another band, or do not determine a normal."""
     for k, group in enumerate(leds):
         for index in group:
             require(

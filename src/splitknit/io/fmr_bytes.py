@@ -109,11 +109,6 @@ def make_view(name: str, what: str, **fields: Any) -> FingerView:
     return naming(f"{name}, {what}", lambda: FingerView(**fields))
 
 
-def make_record(name: str, **fields: Any) -> MinutiaeRecord:
-    """Make a record of what was read; what does not fit is said with the file's `name`."""
-    return naming(name, lambda: MinutiaeRecord(**fields))
-
-
 def check_writable(record: MinutiaeRecord, standard: str, device_bits: int, certification_bits: int) -> None:
     """Require what every standard demands of a record before it is written."""
     require(

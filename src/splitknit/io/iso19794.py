@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import struct
 
-from splitknit.errors import read_bytes, require
+from splitknit.errors import naming, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fmr_bytes import (
     ISO_2005,
@@ -26,7 +26,6 @@ from splitknit.io.fmr_bytes import (
     common_image,
     decode_views,
     encode_views,
-    make_record,
     require_standard,
 )
 from splitknit.io.minutiae_record import ISO_2005_IMPRESSIONS, MinutiaeRecord
@@ -75,7 +74,9 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
         "least; its producer does not keep to the standard.",
     )
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
-    return make_record(name, views=views, device=device & 0xFFF, certification=device >> 12, standard=ISO_2005)
+    return naming(
+        name, lambda: MinutiaeRecord(views, device=device & 0xFFF, certification=device >> 12, standard=ISO_2005)
+    )
 
 
 def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:

@@ -14,12 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.finger_image import MAX_PIXELS, decode_print, encode_print
 from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
-from splitknit.io.png import png_header
 from splitknit.io.prints import PrintFile
 
 # Transactions of ANSI/NIST-ITL with prints: Type-1, a minimal Type-2, and a Type-14 for every print.
@@ -236,7 +234,7 @@ def _print(record: Any, name: str) -> PrintFile:
     require(isinstance(data, bytes) and len(data) > 0, f"{name} holds no image (field 14.999).")
     ppi = _resolution(record, name)
     try:
-        image = _pixels(data, names[compression], (rows, columns), name)
+        image = decode_print(data, names[compression], (rows, columns), name)
         finger = name_of(_number(record, "FGP", name), FINGER_CODES, "finger position")
         impression = name_of(_number(record, "IMP", name), ITL_IMPRESSIONS, "impression type")
         return _checked(PrintFile(image, ppi, {}, finger, impression))
@@ -249,18 +247,6 @@ def _resolution(record: Any, name: str) -> float:
     require(unit in (1, 2), f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
     require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
     return float(x) if unit == 1 else x * _INCH_MM / _CM_MM
-
-
-def _pixels(data: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
-    """Decode the image, of the (rows, columns) that the record states."""
-    if compression == "png":
-        header = png_header(data, name)
-        found = header.rows, header.columns
-        require(
-            found == size,
-            f"{name} holds {found[0]} x {found[1]} pixels, but its record states {size[0]} x {size[1]}.",
-        )
-    return decode_print(data, compression, size, name)
 
 
 def _text(record: Any, key: str, name: str) -> str:

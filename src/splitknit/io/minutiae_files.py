@@ -6,7 +6,7 @@ import os
 import struct
 from collections.abc import Callable
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, naming, read_bytes, require
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -27,7 +27,6 @@ from splitknit.io.fmr_bytes import (
     decode_views,
     encode_minutiae,
     encode_views,
-    make_record,
     make_view,
     require_standard,
     standard_of,
@@ -84,9 +83,7 @@ def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord
     require(reserved == 0, f"{name}: the reserved byte of its header is {reserved}, but it must be 0.")
     views = tuple(_decode_view(cursor, f"view {number}") for number in range(1, count + 1))
     check_rest(cursor, count)
-    return make_record(
-        name, views=views, device=device, certification=certification, product=(owner, kind), standard=standard
-    )
+    return naming(name, lambda: MinutiaeRecord(views, device, certification, (owner, kind), standard))
 
 
 def _encode_view(view: FingerView) -> bytes:
@@ -173,14 +170,7 @@ def decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
     require(owner != 0, f"{name}: the owner of its product is 0, which {ANSI_2004} does not allow.")
     require(reserved == 0, f"{name}: the reserved byte of its header is {reserved}, but it must be 0.")
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
-    return make_record(
-        name,
-        views=views,
-        device=device & 0xFFF,
-        certification=device >> 12,
-        product=(owner, kind),
-        standard=ANSI_2004,
-    )
+    return naming(name, lambda: MinutiaeRecord(views, device & 0xFFF, device >> 12, (owner, kind), ANSI_2004))
 
 
 _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {

@@ -207,9 +207,7 @@ class FingerView:
     def best(self, count: int = MAX_MINUTIAE) -> FingerView:
         """Return the `count` minutiae of the highest quality, in the order they have here."""
         order = np.argsort(-np.asarray(self.quality).astype(np.int64), kind="stable")[:count]
-        return self._taken(np.sort(order))
-
-    def _taken(self, index: NDArray[np.int64]) -> FingerView:
+        index = np.sort(order)
         names = ("x_px", "y_px", "direction_rad", "type", "quality")
         return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
 

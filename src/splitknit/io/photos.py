@@ -165,18 +165,11 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 def exif_data(data: bytes) -> bytes:
     """EXIF data of a sound JPEG file (segment APP1) or PNG file (chunk eXIf); empty where there are none."""
-    exif = b""
     if data.startswith(JPEG_SIGNATURE):
         found = (_after(data[start + 4 : end]) for marker, start, end in jpeg_segments(data) if marker == APP1)
-        exif = next(filter(None, found), b"")
     else:
-        place = len(png.SIGNATURE)
-        while place + 8 <= len(data) and not exif:
-            length = int.from_bytes(data[place : place + 4], "big")
-            if data[place + 4 : place + 8] == b"eXIf":
-                exif = data[place + 8 : place + 8 + length]
-            place += 12 + length
-    return exif
+        found = (content for kind, content in png.chunks_of(data) if kind == b"eXIf")
+    return next(filter(None, found), b"")
 
 
 def _after(data: bytes) -> bytes:

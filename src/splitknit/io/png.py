@@ -166,6 +166,15 @@ def _walk(data: bytes, name: str) -> tuple[bytes | None, bytes]:
     return palette, b"".join(pieces)
 
 
+def chunks_of(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and content of every chunk of a sound PNG file."""
+    place = len(SIGNATURE)
+    while place + 8 <= len(data):
+        length = int.from_bytes(data[place : place + 4], "big")
+        yield data[place + 4 : place + 8], data[place + 8 : place + 8 + length]
+        place += 12 + length
+
+
 def _inflate(compressed: bytes, header: _PngHeader, name: str) -> Iterator[bytes]:
     """Inflate the image data piece by piece; exactly the header's number of bytes must come out."""
     left = sum(rows * line for rows, line in header.passes())

@@ -24,7 +24,7 @@ from splitknit.io.fields import parse_json
 from splitknit.io.images import MAX_BYTES, encode_image, jpeg_segments
 from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
 from splitknit.io.png import SIGNATURE as PNG
-from splitknit.io.png import decode_png
+from splitknit.io.png import chunks_of, decode_png
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import SIGNATURES as TIFFS
 from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
@@ -148,11 +148,8 @@ def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
 def _png_facts(data: bytes) -> tuple[float | None, dict[str, str]]:
     """Resolution and texts of a sound PNG file."""
     resolution, text = None, {}
-    position = 8
-    while position < len(data):
-        length = int.from_bytes(data[position : position + 4], "big")
-        kind, body = data[position + 4 : position + 8], data[position + 8 : position + 8 + length]
-        if kind == b"pHYs" and length == 9 and body[8] == 1:
+    for kind, body in chunks_of(data):
+        if kind == b"pHYs" and len(body) == 9 and body[8] == 1:
             resolution = struct.unpack(">I", body[:4])[0] * _METRES_PER_INCH
         elif kind == b"tEXt":
             keyword, _, value = body.partition(b"\0")
@@ -160,7 +157,6 @@ def _png_facts(data: bytes) -> tuple[float | None, dict[str, str]]:
         elif kind == b"iTXt":
             keyword, _, rest = body.partition(b"\0")
             text[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[-1].decode("utf-8", "replace")
-        position += 12 + length
     return resolution, text
 
 

@@ -108,20 +108,15 @@ class _Sections:
         """X and Z where a line of that normal touches, and the normal's second part after the shear."""
         turned = normal_z + self.shear * normal_t
         steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
-        angle = _oval_angle(steepness, self.squareness)
+        angle = np.interp(steepness, *_oval_table(self.squareness))
         sine, cosine = np.sin(angle), np.cos(angle)
         rise = cosine * (1.0 + self.squareness * sine * sine)
         return np.copysign(sine, normal_t), np.copysign(rise, turned), turned
 
 
-def _oval_angle(steepness: Array, squareness: float) -> Array:
-    """w at which the oval X = sin w, Z = cos w (1 + k sin^2 w) has its normal `steepness` away from Z, radians."""
-    return np.asarray(np.interp(steepness, *_oval_table(squareness)))
-
-
 @lru_cache(maxsize=64)
 def _oval_table(squareness: float) -> tuple[Array, Array]:
-    """Steepness of the oval's normal at nodes w, and these."""
+    """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at nodes w, and these."""
     node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
     sine, cosine = np.sin(node), np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))

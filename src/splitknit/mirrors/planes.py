@@ -72,7 +72,7 @@ class MirrorPlane:
         shift_mm : along the normal
         about_mm : (3,) point of the mirror that stays where it is but for the shift
         """
-        level = _level(self.normal)
+        level = self.normal[:2] / np.hypot(*self.normal[:2])
         cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
         level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
         elevation = np.arctan2(self.normal[2], np.hypot(*self.normal[:2])) + lean_rad
@@ -98,10 +98,6 @@ class MirrorPlane:
         if camera.model == "orthographic":
             return None
         return np.asarray(-camera.height_mm * self.normal[:2] / self.normal[2])
-
-
-def _level(normal: Array) -> Array:
-    return np.asarray(normal[:2] / np.hypot(*normal[:2]))
 
 
 def _unit(vectors: Array) -> Array:

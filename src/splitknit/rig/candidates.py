@@ -213,11 +213,6 @@ class PlannedExposure:
     level: float
     """Fraction of full scale of the brightest skin: the target where the shutter and the gain allow it."""
 
-    @property
-    def saturates(self) -> bool:
-        """Whether the brightest skin is beyond full scale."""
-        return self.level > 1.0
-
 
 def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
     """Radiant intensity of an LED on its axis."""
@@ -429,7 +424,7 @@ def _exposed(band: str, plan: PlannedExposure | None) -> Finding:
     words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
     if plan.level < MIN_LEVEL:
         words = f"the {band} band is too dark: {how} give {100 * plan.level:.2g} % of full scale; use more power."
-    elif plan.saturates:
+    elif plan.level > 1.0:
         words = f"the {band} band is too bright: {how} give {100 * plan.level:.0f} % of full scale; use less power."
     return Finding(f"exposure_{band}", MIN_LEVEL <= plan.level <= 1.0, plan.level, words)
 

@@ -32,8 +32,11 @@ NO_MIRRORS = (
 )
 
 
-def _check_mirrors(capture: Capture) -> None:
-    """Refuse what has no mirrors, or a camera whose rays spread. Raises BadInput in these cases."""
+def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
+    """Views of the finger in one picture, and mirrors where the views' outlines have them.
+
+    Raises BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
+    """
     names = [mirror.name for mirror in capture.rig.mirrors]
     require(any(name in SIDES for name in names), NO_MIRRORS)
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
@@ -43,14 +46,6 @@ def _check_mirrors(capture: Capture) -> None:
         f"a rolled finger needs parallel rays, but the rig's camera is {model}; use a telecentric lens, or print with "
         "--method unroll.",
     )
-
-
-def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
-    """Views of the finger in one picture, and mirrors where the views' outlines have them.
-
-    Raises BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
-    """
-    _check_mirrors(capture)
     camera = capture.rig.camera
     binning = view_binning(camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
