@@ -111,30 +111,26 @@ def _skin_evidence(
         background, noise = _fit_background(signal, outside, samples)
         rise = signal - background
         if local:
-            rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
+            dim = np.minimum(rise, np.float32(3.0 * noise))  # dust, which is bright, hardly counts
+            offset, cover = _local_mean(dim, outside, 2.0 * margin)
+            rise = rise - np.where(cover > 1e-3, offset, np.float32(0.0))
         level = float(np.median(rise[inside]))
         if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
-        threshold = np.maximum(_EDGE_FRACTION * _local_level(rise, inside, level, 2.0 * margin), _NOISE_FACTOR * noise)
+        near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)  # a shaded part is darker
+        own = np.minimum(np.where(cover > 1e-2, near, np.float32(level)), np.float32(level))
+        threshold = np.maximum(_EDGE_FRACTION * own, _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
 
-def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float) -> FloatArray:
-    """Mean rise of the finger near every pixel, at most `level`: a shaded part has its own, lower one."""
-    weight = inside.astype(np.float32)
+def _local_mean(values: FloatArray, where: BoolArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Mean of values near every pixel over those of a region, and how much of it is near."""
+    weight = where.astype(np.float32)
     cover = wide_blur(weight, sigma)
-    mean = wide_blur(np.maximum(rise, 0.0) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
-    return np.minimum(np.where(cover > 1e-2, mean, np.float32(level)), np.float32(level)).astype(np.float32)
-
-
-def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: float) -> FloatArray:
-    """Mean of what the background's fit leaves near every pixel; dust, which is bright, hardly counts."""
-    weight = outside.astype(np.float32)
-    cover = wide_blur(weight, sigma)
-    offset = wide_blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
-    return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
+    mean = wide_blur(values * weight, sigma) / np.maximum(cover, np.float32(1e-3))
+    return np.asarray(mean, dtype=np.float32), cover
 
 
 def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
@@ -163,7 +159,8 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     step = max(1, len(rows) // samples)
     rows, columns = rows[::step], columns[::step]
     values = signal[rows, columns].astype(np.float64)
-    design = _quadratic(x[columns], y[rows])
+    u, v = x[columns], y[rows]
+    design = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v])  # (6, n)
     residual = values - float(np.percentile(values, 40.0))
     keep, noise = _below(residual)
     for _ in range(6):
@@ -191,11 +188,6 @@ def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
         return residual <= 1e-12, 0.0
     noise = max(1.4826 * float(np.median(negative)), float(np.sqrt(np.mean(negative * negative))))
     return residual <= max(2.5 * noise, 1e-12), noise
-
-
-def _quadratic(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(6, N) terms of a quadratic surface."""
-    return np.stack([np.ones_like(x), x, y, x * x, y * y, x * y])
 
 
 BLUR_MM = 0.25

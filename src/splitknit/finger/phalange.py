@@ -249,10 +249,11 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
     best, rows = np.argmax(depths * coverages, axis=0), np.arange(depths.shape[1])
     depth, coverage, tilt = depths[best, rows], coverages[best, rows], tilts[best].astype(np.float32)
-    scatter = _scatter(depth)
+    known = depth[depth != 0.0]
+    usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0  # depth of other lines
     reach = max(1, round(_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
-    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * scatter)) & (coverage >= _MIN_COVERAGE)
+    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
     for row in np.flatnonzero(strong):
         columns = np.flatnonzero(inside[row])
         if len(columns) == 0 or (found and row - found[-1].row <= reach):
@@ -339,12 +340,6 @@ def _middle(inside: BoolArray) -> float:
 def _width(inside: BoolArray) -> float:
     widths = inside.sum(axis=1)
     return float(np.percentile(widths[widths > 0], 80)) if bool((widths > 0).any()) else 1.0
-
-
-def _scatter(depth: NDArray[np.float32]) -> float:
-    """How deep other lines across the finger usually look: the 80th percentile of the profile, at least zero."""
-    known = depth[depth != 0.0]
-    return max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0
 
 
 def _refine(profile: NDArray[np.float32], row: int) -> float:

@@ -453,6 +453,8 @@ def _assembled(  # noqa: PLR0917
         if file is not None:
             photo = read_photo(Path(file))
             others[what] = reading.reduced(photo, Path(file))
+            if what == "mask" and others[what].dtype.kind == "f":
+                others[what] = (others[what] > 0.5).astype(np.uint8) * np.uint8(255)
             hashes[Path(file).name] = photo.sha256
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
     count, series = len(groups), len(stack) // len(files)
@@ -495,7 +497,7 @@ def _assembled(  # noqa: PLR0917
         encoding=encoding,
         material=options.material,
         tip_direction_deg=options.tip_direction_deg,
-        mask=None if mask is None else mask_from_image(_as_bytes(others["mask"]), str(mask)),
+        mask=None if mask is None else mask_from_image(others["mask"], str(mask)),
         hashes=hashes,
         shading=None if options.shading is None else Path(options.shading),
     )
@@ -718,10 +720,6 @@ class _Reading:
 
 def _kind(pixels: NDArray[Any]) -> str:
     return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
-
-
-def _as_bytes(pixels: NDArray[Any]) -> PixelArray:
-    return (pixels > 0.5).astype(np.uint8) * np.uint8(255) if pixels.dtype.kind == "f" else pixels
 
 
 def _as_integers(

@@ -67,8 +67,9 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
 
     Raises BadInput if LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
     """
-    camera = rig.camera
-    leds: list[JsonValue] = []
+    camera, distortion, leds = rig.camera, rig.camera.distortion, list[JsonValue]()
+    if camera.model == "perspective" and distortion is None:
+        distortion = (0.0,) * 5  # the file must say so
     for index, led in enumerate(rig.leds):
         require(not led.also, f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.")
         place = "position_mm" if led.position_mm is not None else "direction"
@@ -80,6 +81,10 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
         if led.colour:
             entry["colour"] = led.colour
         leds.append(plain_json(entry))
+    mirrors = [
+        {"name": one.name, "corners_mm": np.array(one.corners_mm, np.float64), "reflectance": float(one.reflectance)}
+        for one in rig.mirrors
+    ]
     return {
         "format": RIG_FORMAT,
         "version": RIG_VERSION,
@@ -89,25 +94,15 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             "image_size": [int(camera.image_size[0]), int(camera.image_size[1])],
             "height_mm": float(camera.height_mm),
             "matrix": plain_json(camera.matrix),
-            "distortion": plain_json(_distortion(camera)),
+            "distortion": plain_json(distortion),
             **({"shading": plain_json(camera.shading)} if camera.shading else {}),
             **({} if camera.crosstalk is None else {"crosstalk": plain_json(camera.crosstalk)}),
         },
         "leds": leds,
-        **({"mirrors": [_mirror_entry(mirror) for mirror in rig.mirrors]} if rig.mirrors else {}),
+        **({"mirrors": plain_json(mirrors)} if mirrors else {}),
         **({} if rig.films is None else {"films": plain_json(asdict(rig.films))}),
         "provenance": plain_json(rig.provenance),
     }
-
-
-def _mirror_entry(mirror: Mirror) -> JsonValue:
-    corners = [[float(value) for value in corner] for corner in mirror.corners_mm]
-    return plain_json({"name": mirror.name, "corners_mm": corners, "reflectance": float(mirror.reflectance)})
-
-
-def _distortion(camera: Camera) -> tuple[float, ...] | None:
-    """Zeros for a perspective camera without distortion, because the file must say so."""
-    return (0.0,) * 5 if camera.model == "perspective" and camera.distortion is None else camera.distortion
 
 
 def rig_from_json(document: Any, name: str = "rig.json") -> Rig:

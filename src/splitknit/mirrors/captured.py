@@ -182,7 +182,7 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
     rig = _with_images(
         capture.rig.select(capture.bands["white"].lights),
-        _glasses_of(shape, capture.rig),
+        tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in capture.rig.mirrors),  # where the outlines have them
         points,
         turned.astype(np.float64),
     )
@@ -200,11 +200,6 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     chosen &= (depth > RIM_MM) & (known > 0)
     places = np.column_stack([x[chosen], y[chosen]]).astype(np.float64)
     return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
-
-
-def _glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
-    """The rig's mirrors, in the poses that the outlines gave."""
-    return tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in rig.mirrors)
 
 
 def _with_images(

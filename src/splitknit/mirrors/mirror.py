@@ -74,8 +74,9 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: MirrorPlane, ax
         epipole = moved.epipole(camera)
         if epipole is None:
             return float(np.max(side @ upward) - np.max(front @ upward))
-        far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
-        return float(far[0] - far[1]) * float(np.hypot(*epipole))
+        rays = (points - epipole for points in (side, front))
+        far = [float(np.max((ray @ upward) / np.abs(ray @ joint))) for ray in rays]
+        return (far[0] - far[1]) * float(np.hypot(*epipole))
 
     low, high = -MAX_TURN_RAD, MAX_TURN_RAD
     values = apart(low), apart(high)
@@ -88,10 +89,6 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: MirrorPlane, ax
         else:
             high = middle
     return 0.5 * (low + high)
-
-
-def _slopes_about(points: Array, joint: Array, upward: Array) -> float:
-    return float(np.max((points @ upward) / np.abs(points @ joint)))
 
 
 def first_body(
