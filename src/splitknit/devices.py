@@ -48,13 +48,7 @@ class ExposureRange:
     highest_gain: float
 
     def check(self, exposure_s: float, gain: float) -> None:
-        """Refuse an exposure outside the range.
-
-        Raises
-        ------
-        BadInput
-            Naming the quantity and the range.
-        """
+        """Refuse an exposure outside the range. Raises BadInput, naming the quantity and the range."""
         slack = 1e-9
         require(
             bool(np.isfinite(exposure_s))
@@ -134,10 +128,7 @@ class LightBank(Protocol):
     def on(self, led: int) -> None:
         """Switch every other LED off, then `led` on, and wait until it has settled.
 
-        Raises
-        ------
-        BadInput
-            If there is no such LED, or the bank is closed.
+        Raises BadInput if there is no such LED, or the bank is closed.
         """
 
     def on_together(self, leds: Sequence[int]) -> None:

@@ -224,6 +224,9 @@ def with_scale(
 ) -> tuple[Capture, str]:
     """Give a capture the scale that nobody has measured yet.
 
+    Raises BadInput if the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or
+    no ridges are found.
+
     Parameters
     ----------
     capture : Capture
@@ -238,12 +241,6 @@ def with_scale(
         With the scale; the same one where neither is given.
     note : str
         How the scale was found in the ridges, and how well it is known; else empty.
-
-    Raises
-    ------
-    BadInput
-        If the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or no ridges are
-        found.
 
     Examples
     --------

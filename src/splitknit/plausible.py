@@ -20,12 +20,7 @@ class _Plausible:
     possible: tuple[float, float]
 
     def notes(self, value: float, remedy: str) -> tuple[str, ...]:
-        """One sentence where `value` is odd, none where it is usual.
-
-        Raises
-        ------
-        BadInput
-            Where it is not possible.
+        """One sentence where `value` is odd, none where it is usual. Raises BadInput where it is not possible.
 
         Examples
         --------

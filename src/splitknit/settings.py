@@ -153,17 +153,14 @@ def differing(one: Any, other: Any, name: str = "") -> list[str]:
 def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return `settings` (nested frozen dataclasses) with the fields of `changes` replaced.
 
+    Raises BadInput if a field is not known (the nearest name is offered), a value has another type than the field, or
+    the settings refuse the value.
+
     Parameters
     ----------
     settings : dataclass
     changes : mapping
         From ``stage.field`` to the new value, or nested mappings.
-
-    Raises
-    ------
-    BadInput
-        If a field is not known (the nearest name is offered), a value has another type than the field, or the
-        settings refuse the value.
     """
     result = settings
     for name, value in flatten(changes).items():

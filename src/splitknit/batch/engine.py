@@ -157,7 +157,9 @@ def run_batch(
     """Do what the store lacks; return the facts.
 
     A population that is still being filled is taken as far as it is complete, and a later run takes the rest. A run may
-    be killed at any time; the next one goes on.
+    be killed at any time; the next one goes on. Raises BadInput if the population holds no capture, the store is of
+    something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
+    must not be used.
 
     Parameters
     ----------
@@ -169,12 +171,6 @@ def run_batch(
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
     device : on which networks run, see :func:`splitknit.networks.unet.use_device`
     progress : called with words and the fraction that is done
-
-    Raises
-    ------
-    BadInput
-        If the population holds no capture, the store is of something else, damaged or being written by another run, a
-        worker is killed, or the cluster cannot be reached or must not be used.
     """
     started = time.perf_counter()
     settings = settings or BatchSettings()
@@ -279,10 +275,7 @@ _FILE = ".lock"
 def alone(store: Path) -> Iterator[None]:
     """Hold the store for this run; a killed run lets go.
 
-    Raises
-    ------
-    BadInput
-        If another run holds it, or the folder cannot be written.
+    Raises BadInput if another run holds it, or the folder cannot be written.
     """
     try:
         stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")

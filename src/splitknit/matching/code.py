@@ -63,12 +63,7 @@ class _CodeField:
 
 
 def code_field(template: Template) -> _CodeField:
-    """Directions and frequency of the ridges of a template that is not empty.
-
-    Raises
-    ------
-    BadInput
-        If the template is empty.
+    """Directions and frequency of the ridges of a template that is not empty. Raises BadInput if the template is empty.
 
     References
     ----------
@@ -262,11 +257,7 @@ def probe_codes(template: Template, settings: ProbeSettings | None = None) -> Fl
     """(V, K) float32 variants of a probe, so scaled that the product with a finger's own code is about 1.
 
     They are in steps (:func:`in_steps`), so that a product with a code is the same in whatever order it is summed.
-
-    Raises
-    ------
-    BadInput
-        If the template is a failure to acquire.
+    Raises BadInput if the template is a failure to acquire.
     """
     settings = settings or ProbeSettings()
     require(not template.empty, "the probe is a failure to acquire; lay the finger down again.")

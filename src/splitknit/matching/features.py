@@ -57,10 +57,7 @@ class LbpSettings(Checked):
 def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "linear") -> Codes:
     """Codes (H, W) of an image (H, W); pixels beyond the border repeat its edge.
 
-    Raises
-    ------
-    BadInput
-        If the image is not finite and two-dimensional, or the radius is not positive.
+    Raises BadInput if the image is not finite and two-dimensional, or the radius is not positive.
 
     References
     ----------
@@ -222,10 +219,7 @@ def _histograms(counts: NDArray[np.float32], settings: LbpSettings) -> NDArray[n
 def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | None = None) -> NDArray[np.float32]:
     """Feature vector of one channel (H, W): the normalised histograms of all whole cells.
 
-    Raises
-    ------
-    BadInput
-        If the image is not finite and two-dimensional, or smaller than a cell.
+    Raises BadInput if the image is not finite and two-dimensional, or smaller than a cell.
     """
     settings, image = settings or LbpSettings(), check_image(image)
     radius, cell = settings.radius(px_per_mm), cell_px(px_per_mm)

@@ -97,15 +97,12 @@ class _Start:
 def fused_match(a: Template | Prepared, b: Template | Prepared) -> _FusedMatch:
     """Compare two prints by their ridges and their minutiae.
 
+    Raises BadInput as :func:`splitknit.matching.ridge.ridge_match`.
+
     Parameters
     ----------
     a, b : Template or Prepared
         With minutiae, as :func:`splitknit.matching.inputs.print_template` makes them.
-
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.matching.ridge.ridge_match`.
     """
     left, right = prepared_sides(a, b, Prepared, None)
     swapped = _order(left) > _order(right)

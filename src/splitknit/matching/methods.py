@@ -159,7 +159,7 @@ def match_files(
     input_ppi: float | None = None,
     fmr: float | None = None,
 ) -> Match:
-    """Compare two fingers' files.
+    """Compare two fingers' files. Raises BadInput, naming the file at fault, or if `fmr` is below what was measured.
 
     Parameters
     ----------
@@ -178,11 +178,6 @@ def match_files(
     fmr
         False match rate at which is decided whether it is one finger (``decision``); by default 1e-4, or the smallest
         one that the method's impostor scores can state.
-
-    Raises
-    ------
-    BadInput
-        Naming the file at fault, or if `fmr` is below what was measured.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
@@ -219,10 +214,7 @@ def make_template_file(
 ) -> tuple[ComparedSide, TemplateFile]:
     """Write the template of one finger; parameters as of :func:`match_files`.
 
-    Raises
-    ------
-    BadInput
-        Naming the file at fault.
+    Raises BadInput, naming the file at fault.
     """
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     _check_template_file(template, finger)
@@ -328,10 +320,7 @@ def false_match_rate(similarity: float, method: str = "ridge") -> float:
 def similarity_at(fmr: float, method: str = "ridge") -> float:
     """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less.
 
-    Raises
-    ------
-    BadInput
-        If the table was measured on too few comparisons to state such a rate.
+    Raises BadInput if the table was measured on too few comparisons to state such a rate.
     """
     table = _measured(method)
     enough = table.fmr <= fmr
@@ -413,12 +402,8 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
 def side_minutiae(side: Side) -> Minutiae:
     """Minutiae of a side: those of its record, or of its print, as ``splitknit print`` finds them.
 
-    Those of a surface are mindtct's, of its relief seen from above.
-
-    Raises
-    ------
-    BadInput
-        If it is a template of ridges, or nbis-py is not installed.
+    Those of a surface are mindtct's, of its relief seen from above. Raises BadInput if it is a template of ridges, or
+    nbis-py is not installed.
     """
     if side.minutiae is not None:
         return side.minutiae

@@ -88,6 +88,8 @@ def extract(
 ) -> Minutiae:  # fmt: skip
     """Find the minutiae of a print with mindtct.
 
+    Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed.
+
     Parameters
     ----------
     print_image : (H, W) uint8
@@ -106,11 +108,6 @@ def extract(
     -------
     Minutiae
         At most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to acquire.
-
-    Raises
-    ------
-    BadInput
-        If the image or the resolution is of another kind, or `nbis-py` is not installed.
 
     References
     ----------
@@ -166,10 +163,7 @@ def minutiae_match(a: Minutiae, b: Minutiae) -> float:
 def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
     """NIST Fingerprint Image Quality 2 of a print (H, W) uint8: 0 (useless) to 100, or 255 where it sees no print.
 
-    Raises
-    ------
-    BadInput
-        As :func:`extract`.
+    Raises BadInput as :func:`extract`.
 
     References
     ----------
@@ -210,10 +204,7 @@ def _exchanged(minutiae: Minutiae) -> bytes:
 def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
 
-    Raises
-    ------
-    BadInput
-        If the image or the resolution is of another kind, or the print were larger than 8192 pixels.
+    Raises BadInput if the image or the resolution is of another kind, or the print were larger than 8192 pixels.
     """
     image = np.asarray(print_image)
     require(

@@ -50,10 +50,7 @@ class Packing:
     def unpack(self, data: bytes, body_size: Callable[..., int]) -> tuple[tuple[Any, ...], bytes]:
         """Sizes and body of what :meth:`pack` made; `body_size` gives the body's length by the sizes, 0 if impossible.
 
-        Raises
-        ------
-        BadInput
-            If the bytes are damaged, of another version, or something else.
+        Raises BadInput if the bytes are damaged, of another version, or something else.
         """
         head, name = self.head, self.name
         are, their = ("are", "their") if self.plural else ("is", "its")
@@ -189,10 +186,7 @@ def holds_minutiae(data: bytes) -> bool:
 def unpack_minutiae(data: bytes) -> Minutiae:
     """Read what :func:`pack_minutiae` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the bytes are damaged, of another version, or no minutiae.
+    Raises BadInput if the bytes are damaged, of another version, or no minutiae.
 
     Examples
     --------
@@ -295,10 +289,7 @@ def pack_space_minutiae(minutiae: SpaceMinutiae) -> bytes:
 def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
     """Read what :func:`pack_space_minutiae` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the bytes are damaged, of another version, or no minutiae in space.
+    Raises BadInput if the bytes are damaged, of another version, or no minutiae in space.
 
     Examples
     --------

@@ -333,7 +333,7 @@ class Prepared:
 def ridge_match(
     a: Template | Prepared, b: Template | Prepared, settings: RidgeMatchSettings | None = None
 ) -> RidgeMatch:
-    """Compare two templates.
+    """Compare two templates. Raises BadInput if the templates have different pitches.
 
     Parameters
     ----------
@@ -347,11 +347,6 @@ def ridge_match(
         Its `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
         neighbouring patches support, times sqrt(min(1, overlap / least)) with least = min(`least_overlap_mm2`, half of
         the smaller template).
-
-    Raises
-    ------
-    BadInput
-        If the templates have different pitches.
 
     References
     ----------

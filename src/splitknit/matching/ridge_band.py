@@ -79,6 +79,8 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 ) -> RidgeBand:
     """Return the ridge band of a relief.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+
     Parameters
     ----------
     ridge_mm : (H, W) float32
@@ -97,11 +99,6 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     -------
     RidgeBand
         Whose pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the pitch is not positive.
 
     References
     ----------
@@ -184,6 +181,8 @@ def print_band(
 ) -> RidgeBand:  # fmt: skip
     """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
 
+    Raises BadInput if it is no grey image or the resolution is not positive.
+
     Parameters
     ----------
     image : (H, W) uint8
@@ -192,11 +191,6 @@ def print_band(
         Pixels per inch.
     inside : (H, W) bool, optional
         Where there are ridges; by default wherever there is contrast.
-
-    Raises
-    ------
-    BadInput
-        If it is no grey image or the resolution is not positive.
     """
     settings = settings or RidgeBandSettings()
     require(

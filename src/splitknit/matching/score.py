@@ -21,10 +21,7 @@ Side = TypeVar("Side", bound=Any)
 def dissimilarity(ratio: float, distances: ArrayLike) -> float:
     """(5.2): exp(-ratio^4 / sum of distances), in [0, 1); 0 for distance 0.
 
-    Raises
-    ------
-    BadInput
-        If `ratio` is not in (0, 1] or a distance is negative or not finite.
+    Raises BadInput if `ratio` is not in (0, 1] or a distance is negative or not finite.
     """
     total = float(np.sum(np.asarray(distances, dtype=np.float64)))
     require(0 < ratio <= 1, f"the ratio of the masks must lie in (0, 1], but it is {ratio}.")
@@ -46,10 +43,7 @@ def similarity_of(dissimilarity_value: float) -> float:
 def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
     """One side of a comparison as `kind`, made with `settings` (or the usual ones) where it is not prepared.
 
-    Raises
-    ------
-    BadInput
-        If it was prepared with other settings.
+    Raises BadInput if it was prepared with other settings.
     """
     if not isinstance(side, kind):
         made: Side = kind(side) if settings is None else kind(side, settings)
@@ -61,10 +55,7 @@ def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
 def prepared_sides(a: Any, b: Any, kind: type[Side], settings: Any) -> tuple[Side, Side]:
     """Both sides, see :func:`prepared_side`.
 
-    Raises
-    ------
-    BadInput
-        If one was prepared with other settings than the other, or than `settings`.
+    Raises BadInput if one was prepared with other settings than the other, or than `settings`.
     """
     left, right = (prepared_side(side, kind, settings) for side in (a, b))
     require(
@@ -101,12 +92,8 @@ class FmrTable:
 def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
     """Table of false match rates from impostor similarities (N,).
 
-    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero.
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than 100 scores or one is not finite.
+    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero. Raises
+    BadInput if there are fewer than 100 scores or one is not finite.
 
     References
     ----------
@@ -140,6 +127,8 @@ class _Logistic:
 def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> _Logistic:
     """Logistic regression on similarities, both classes of equal weight, slope held back by `prior`.
 
+    Raises BadInput if there are fewer than ten scores of a class, or some are NaN or infinite.
+
     Parameters
     ----------
     genuine, impostor : (N,) and (M,) similarities, ten at least of each
@@ -148,11 +137,6 @@ def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float 
     Returns
     -------
     _Logistic
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than ten scores of a class, or some are NaN or infinite.
 
     References
     ----------

@@ -243,6 +243,8 @@ def identify(
 def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
     """How well patches of the probe's ridges are found in the other finger, laid as its code fits best.
 
+    Raises BadInput if the templates have different pitches.
+
     Parameters
     ----------
     probe, other : Prepared
@@ -253,11 +255,6 @@ def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: i
     -------
     float
         Agreement times the root of the number of patches; -1 for a failure to acquire.
-
-    Raises
-    ------
-    BadInput
-        If the templates have different pitches.
     """
     if other.template.empty:
         return -1.0

@@ -55,11 +55,7 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     """Minutiae (x, y, z, theta, phi) of a reconstruction, in the upright finger's frame.
 
     Found in the relief's print by mindtct; phi is the elevation of the smoothed surface along the minutia's direction.
-
-    Raises
-    ------
-    BadInput
-        If `nbis-py` is not installed.
+    Raises BadInput if `nbis-py` is not installed.
 
     References
     ----------

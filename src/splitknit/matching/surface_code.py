@@ -147,10 +147,7 @@ def _body_size(rows: int, columns: int, pitch_um: int) -> int:
 def unpack_surface_code(data: bytes) -> SurfaceCode:
     """Read what :func:`pack_surface_code` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the bytes are damaged, of another version, or no surface code.
+    Raises BadInput if the bytes are damaged, of another version, or no surface code.
 
     Examples
     --------
@@ -294,18 +291,13 @@ def surface_code_match(
 ) -> _SurfaceMatch:
     """Compare two surface codes.
 
-    Comparing A with B gives what B with A gives.
+    Comparing A with B gives what B with A gives. Raises BadInput if the codes have different pitches.
 
     Parameters
     ----------
     a, b : SurfaceCode or PreparedSurface
         Prepare a side that is compared more than once; then its settings must be those given here.
     settings : SurfaceMatchSettings, optional
-
-    Raises
-    ------
-    BadInput
-        If the codes have different pitches.
 
     References
     ----------

@@ -69,6 +69,8 @@ class Template:
 def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
+    Raises BadInput if the band is larger than the format allows: larger than any finger.
+
     Parameters
     ----------
     band : RidgeBand
@@ -79,11 +81,6 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     -------
     Template
         Empty where less than ``least_area_mm2`` is valid: a failure to acquire.
-
-    Raises
-    ------
-    BadInput
-        If the band is larger than the format allows: larger than any finger.
 
     Examples
     --------
@@ -161,13 +158,7 @@ def pack(template: Template) -> bytes:
 
 
 def unpack(payload: bytes) -> Template:
-    """Read what :func:`pack` wrote.
-
-    Raises
-    ------
-    BadInput
-        If the payload is damaged.
-    """
+    """Read what :func:`pack` wrote. Raises BadInput if the payload is damaged."""
     if not payload:
         return _failed_template()
     require(not holds_minutiae(payload), "the template holds minutiae, no ridges; compare it by the method minutiae.")

@@ -34,6 +34,8 @@ class _MaskAlignment:
 def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     """Lay the query's mask on the database's: tip on tip, then sideways to the largest overlap.
 
+    Raises BadInput if a mask is empty.
+
     Parameters
     ----------
     database, query : (H, W) and (h, w) bool
@@ -43,11 +45,6 @@ def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     -------
     _MaskAlignment
         The lateral shift is found on masks reduced to about 128 rows, then to the pixel.
-
-    Raises
-    ------
-    BadInput
-        If a mask is empty.
 
     References
     ----------
@@ -194,6 +191,8 @@ def finger_images(
 ) -> FingerImages:
     """Bring normals and relief upright and cut them to the finger.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+
     Parameters
     ----------
     normals : (H, W, 3) float32
@@ -208,11 +207,6 @@ def finger_images(
     upright_size : (rows, columns) of the upright frame, optional
     shape_normals : (H, W, 3) float32, optional
         Of the finger without ridges.
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the pitch is not positive.
     """
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
     require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
@@ -254,6 +248,8 @@ def finger_images(
 def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
 
+    Raises BadInput if a channel is missing, or smaller than a cell.
+
     Parameters
     ----------
     images : FingerImages
@@ -262,11 +258,6 @@ def finger_features(images: FingerImages, settings: ThesisSettings | None = None
     Returns
     -------
     Channel to (n,) float32, for :func:`thesis_match`.
-
-    Raises
-    ------
-    BadInput
-        If a channel is missing, or smaller than a cell.
     """
     settings = settings or ThesisSettings()
     extract = _extractor(settings, images.px_per_mm)
@@ -281,7 +272,8 @@ def thesis_match(
 ) -> _ThesisMatch:
     """Compare a query with a finger of the database, as the thesis does.
 
-    The query is resampled to the database's box, so that the order of the two matters a little.
+    The query is resampled to the database's box, so that the order of the two matters a little. Raises BadInput if the
+    two have different scales, or one lacks a channel.
 
     Parameters
     ----------
@@ -296,11 +288,6 @@ def thesis_match(
     _ThesisMatch
         The similarity, 1 - the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate
         left the pair out.
-
-    Raises
-    ------
-    BadInput
-        If the two have different scales, or one lacks a channel.
 
     References
     ----------

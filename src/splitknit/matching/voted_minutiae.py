@@ -42,7 +42,8 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
 
     Every picture has one vote for a place. The place with most votes is taken first, and the minutiae that voted for it
     have then no vote left for another, so that each minutia counts once. A kept minutia lies at the mean of its voters,
-    points in their mean direction and has the type of most of them.
+    points in their mean direction and has the type of most of them. Raises BadInput if there are no pictures, or their
+    sizes differ.
 
     Parameters
     ----------
@@ -54,11 +55,6 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
     Minutiae
         By column and row; the quality is the fraction of the pictures that show it, 0 to 100. The order of the pictures
         changes nothing.
-
-    Raises
-    ------
-    BadInput
-        If there are no pictures, or their sizes differ.
 
     References
     ----------
@@ -217,7 +213,8 @@ def left_out_pictures(
     """Photometric stereo without each white image in its turn: normals and albedo as prints.
 
     Grey images, distant lights, a matt surface: no model of the skin. The sets share all work but one addition a pixel
-    (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time.
+    (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time. Raises BadInput if the
+    capture shows no finger, or the white band has fewer than four images.
 
     Parameters
     ----------
@@ -230,11 +227,6 @@ def left_out_pictures(
     ------
     _LeftOut
         For each image that is left out, each of the pictures. A picture without any contrast is left out itself.
-
-    Raises
-    ------
-    BadInput
-        If the capture shows no finger, or the white band has fewer than four images.
 
     References
     ----------
@@ -285,15 +277,12 @@ def voted_minutiae(
 ) -> Minutiae:
     """Minutiae on which enough pictures of all sets agree; their quality is the fraction that does.
 
+    Raises BadInput as :func:`left_out_pictures`, or if `nbis-py` is not installed.
+
     Parameters
     ----------
     capture, settings, chosen : as of :func:`left_out_pictures`
     votes : VoteSettings, optional
-
-    Raises
-    ------
-    BadInput
-        As :func:`left_out_pictures`, or if `nbis-py` is not installed.
     """
     found = [extract(one.print_image, PPI) for one in left_out_pictures(capture, settings, chosen)]
     return vote(found, votes) if found else no_minutiae()

@@ -65,6 +65,8 @@ def running() -> Running:
 def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     """Choose how networks of this process are loaded, and so run, from now on.
 
+    Raises BadInput if there is no such device, or onnxruntime has no provider for it.
+
     Parameters
     ----------
     device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
@@ -74,11 +76,6 @@ def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     -------
     str
         ``cpu``, always the same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
-
-    Raises
-    ------
-    BadInput
-        If there is no such device, or onnxruntime has no provider for it.
 
     Examples
     --------
@@ -114,16 +111,13 @@ class Network:
 def load_network(name: str | os.PathLike[str]) -> Network:
     """Load a network, check its hash and prepare it for running.
 
+    Raises BadInput if weights or card are missing or damaged, or onnxruntime is not installed.
+
     Parameters
     ----------
     name
         Name of a network in the package (loaded once while it is in use), or path of an ``.onnx`` file with its card
         beside it.
-
-    Raises
-    ------
-    BadInput
-        If weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
     return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running)
@@ -149,13 +143,10 @@ def _load(name: str) -> Network:
 def network_of(card: Card, weights: bytes) -> Network:
     """Prepare weights that are in memory.
 
-    Raises
-    ------
-    BadInput
-        If they are not those of such a network, or may lie in part outside `weights`: in a file that no hash covers,
-        or at an address in memory. ONNX keeps that place under the key ``location`` (onnx.proto,
-        TensorProto.external_data), a string that is stored as it is, so a network without these bytes has none;
-        ONNX Runtime's own format (``ORTM``) has further ways.
+    Raises BadInput if they are not those of such a network, or may lie in part outside `weights`: in a file that no
+    hash covers, or at an address in memory. ONNX keeps that place under the key ``location`` (onnx.proto,
+    TensorProto.external_data), a string that is stored as it is, so a network without these bytes has none; ONNX
+    Runtime's own format (``ORTM``) has further ways.
     """
     require(
         b"location" not in weights and weights[4:8] != b"ORTM",
@@ -209,6 +200,8 @@ def _onnxruntime() -> Any:
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
     """Run `network` on every image.
 
+    Raises BadInput if the images have the wrong number of channels, hold NaN, or are smaller than the network's stride.
+
     Parameters
     ----------
     network : Network
@@ -222,11 +215,6 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     Returns
     -------
     (N, D, H, W) float32
-
-    Raises
-    ------
-    BadInput
-        If the images have the wrong number of channels, hold NaN, or are smaller than the network's stride.
 
     Notes
     -----

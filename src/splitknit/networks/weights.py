@@ -67,6 +67,8 @@ def _shipped_names() -> list[str]:
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     """Read a network's card and weights, and check that they belong together.
 
+    Raises BadInput if either file is missing or damaged, or the weights are not those that the card describes.
+
     Parameters
     ----------
     name
@@ -76,11 +78,6 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     -------
     card : Card
     weights : bytes of the ONNX file
-
-    Raises
-    ------
-    BadInput
-        If either file is missing or damaged, or the weights are not those that the card describes.
     """
     weights_file, card_file, remedy = _files(name)
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)

@@ -78,7 +78,7 @@ def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
 
     Lights in another frame give normals in that frame. Of the eight frames whose axes run along the image's, only the
     right one, and that turned by 180 deg, give slopes without curl; of the two, the right one is convex: its slopes
-    fall towards the outline.
+    fall towards the outline. Raises BadInput if the shapes disagree or the mask is empty.
 
     Parameters
     ----------
@@ -90,11 +90,6 @@ def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
     Returns
     -------
     _FrameFit
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree or the mask is empty.
 
     References
     ----------
@@ -140,6 +135,8 @@ class LightFit:
 def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     """Compare photographs with the lights that they are given, in this and in every other order and frame.
 
+    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`.
+
     Parameters
     ----------
     stack : (L, H, W) float32
@@ -152,11 +149,6 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     Returns
     -------
     LightFit
-
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.photometric.lambertian.lambertian`.
 
     References
     ----------
@@ -258,10 +250,7 @@ def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
 def rig_of_frame(rig: Rig, frame: str) -> Rig:
     """The rig whose LEDs (directions, positions, aims) were measured in `frame`, with x right and y up.
 
-    Raises
-    ------
-    BadInput
-        If the frame is none of :data:`FRAMES`.
+    Raises BadInput if the frame is none of :data:`FRAMES`.
     """
     require(frame in FRAMES, f"the frame of the lights must be one of {', '.join(FRAMES)}, but it is '{frame}'.")
     (a, b), (c, d) = FRAMES[frame]

@@ -93,9 +93,10 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     """Normals and albedo of a matt surface from all images but one, for every image in its turn.
 
     Leaving out a row of a least-squares problem is a rank-one change of its normal equations. With A = L^T L, g the
-    solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, the solution without image k is
-    g_k = g - A^-1 l_k (I_k - l_k . g) / (1 - h_k): one scaled picture is added, nothing is solved again. What is kept
-    between two turns is g and the L residuals, the size of the stack and three pictures more.
+    solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, the solution without image k is g_k = g -
+    A^-1 l_k (I_k - l_k . g) / (1 - h_k): one scaled picture is added, nothing is solved again. What is kept between two
+    turns is g and the L residuals, the size of the stack and three pictures more. Raises BadInput if shapes or numbers
+    disagree, the lights are fewer than four, or the others lie in one plane when one of them is left out.
 
     Parameters
     ----------
@@ -112,12 +113,6 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
         Without image k, k = 0 ... L - 1: as :func:`splitknit.photometric.lambertian` of the other images gives them,
         but for rounding.
     albedo : (H, W) float32
-
-    Raises
-    ------
-    BadInput
-        If shapes or numbers disagree, the lights are fewer than four, or the others lie in one plane when one of them
-        is left out.
 
     References
     ----------

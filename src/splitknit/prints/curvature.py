@@ -81,6 +81,8 @@ def curvature(
 ) -> _Curvature:
     """Principal curvatures and shape index of a surface.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+
     Parameters
     ----------
     height_mm : (H, W) float32
@@ -91,11 +93,6 @@ def curvature(
     settings : CurvatureSettings, optional
     xy_mm : (H, W) float32, twice, optional
         x and y of the surface points (perspective cameras).
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the pitch is not positive.
 
     References
     ----------

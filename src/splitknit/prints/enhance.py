@@ -53,7 +53,7 @@ class Enhanced:
 
 
 def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
-    """Enhance a print.
+    """Enhance a print. Raises BadInput if the image is of another kind, or has no ridges.
 
     Parameters
     ----------
@@ -63,11 +63,6 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArra
         Pixels per inch.
     inside : (h, w) bool, optional
         Where the finger is, if it is known: nothing is printed beside it.
-
-    Raises
-    ------
-    BadInput
-        If the image is of another kind, or has no ridges.
 
     References
     ----------
@@ -291,14 +286,11 @@ def as_print(ridges: BoolArray) -> NDArray[np.uint8]:
 def thin(shape: BoolArray) -> BoolArray:
     """Thin a shape to lines one pixel wide that hang together as it does.
 
+    Raises BadInput if `shape` is not a boolean image.
+
     Parameters
     ----------
     shape : (h, w) bool
-
-    Raises
-    ------
-    BadInput
-        If `shape` is not a boolean image.
 
     References
     ----------

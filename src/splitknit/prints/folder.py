@@ -73,12 +73,7 @@ class PrintJob:
 def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
-    A print that is a file already is brought to 500 ppi and enhanced.
-
-    Raises
-    ------
-    BadInput
-        Naming the input at fault.
+    A print that is a file already is brought to 500 ppi and enhanced. Raises BadInput, naming the input at fault.
     """
     started = time.perf_counter()
     settings, path, ppi = override(PrintingSettings(), dict(job.changes)), job.path, job.ppi

@@ -52,7 +52,7 @@ def phase_minutiae(
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
     is known up to its sign, which is made the same around each square of four pixels; where it turns by 2 pi around
-    one, a ridge more begins there.
+    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes.
 
     Parameters
     ----------
@@ -69,11 +69,6 @@ def phase_minutiae(
     -------
     _PhaseMinutiae
         By rows, then columns.
-
-    Raises
-    ------
-    BadInput
-        If the print and its enhancement have different sizes.
 
     References
     ----------

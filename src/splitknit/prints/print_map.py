@@ -174,10 +174,7 @@ def plane_map(
 ) -> PrintMap:
     """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
 
-    Raises
-    ------
-    BadInput
-        If pitch or resolution are not positive.
+    Raises BadInput if pitch or resolution are not positive.
     """
     _check_scale(pitch_mm, ppi)
     step = MM_PER_INCH / ppi / pitch_mm
@@ -209,12 +206,8 @@ def unrolled_map(
 ) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
 
-    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger.
-
-    Raises
-    ------
-    BadInput
-        If the resolution is not positive.
+    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
+    the resolution is not positive.
     """
     _check_scale(unrolled.grid.pitch_mm, ppi)
     px_per_mm = ppi / MM_PER_INCH

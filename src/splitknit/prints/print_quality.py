@@ -251,7 +251,7 @@ def print_quality(
     in_um: bool = True,
     settings: PrintQualitySettings | None = None,
 ) -> PrintQuality:
-    """Measure how good a print is.
+    """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the finger.
 
     Parameters
     ----------
@@ -264,11 +264,6 @@ def print_quality(
     ppi : float
     in_um : bool
     settings : PrintQualitySettings, optional
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree or nothing lies on the finger.
 
     References
     ----------

@@ -57,6 +57,8 @@ class RidgeField:
 def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
     """Find direction, frequency and extent of the ridges of a print.
 
+    Raises BadInput if the image is of another kind, or has no ridges.
+
     Parameters
     ----------
     image : (h, w) uint8
@@ -65,11 +67,6 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
         Pixels per inch.
     inside : (h, w) bool, optional
         Where the finger is, if it is known.
-
-    Raises
-    ------
-    BadInput
-        If the image is of another kind, or has no ridges.
 
     References
     ----------

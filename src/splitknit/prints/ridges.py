@@ -49,6 +49,8 @@ def relief_print(
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the scale is not positive.
+
     Parameters
     ----------
     ridge_mm : (H, W) float32
@@ -68,11 +70,6 @@ def relief_print(
     (h, w) uint8
         One pixel is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0
         shows the right edge of the upright camera image, as paper does.
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the scale is not positive.
 
     Examples
     --------
@@ -166,7 +163,8 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     """Print a field that is high on ridges and low in valleys.
 
     The local mean is taken out twice (the second pass removes what a one-sided window leaves of a slope at the edge),
-    the rest is divided by its local standard deviation and pressed into grey values by a soft step.
+    the rest is divided by its local standard deviation and pressed into grey values by a soft step. Raises BadInput if
+    the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges.
 
     Parameters
     ----------
@@ -180,11 +178,6 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     -------
     (h, w) uint8
         Ridges dark, valleys and background white.
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges.
 
     References
     ----------

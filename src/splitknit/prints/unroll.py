@@ -411,18 +411,13 @@ class Unrolled:
 
 
 def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolled:
-    """Lay a surface flat.
+    """Lay a surface flat. Raises BadInput if there is too little surface.
 
     Parameters
     ----------
     grid : SurfaceGrid
         From :func:`splitknit.prints.unroll_grid.surface_grid`.
     settings : UnrollSettings, optional
-
-    Raises
-    ------
-    BadInput
-        If there is too little surface.
     """
     settings = settings or UnrollSettings()
     if settings.kind == "cylinder":

@@ -73,6 +73,8 @@ def surface_grid(
 ) -> SurfaceGrid:
     """Return the smooth surface on a coarse upright grid.
 
+    Raises BadInput if the mask is empty, too small for a surface, or the pitch is not positive.
+
     Parameters
     ----------
     shape_mm : (H, W) float32
@@ -85,11 +87,6 @@ def surface_grid(
     xy_mm : (H, W) float32, twice, optional
         x and y of the surface points (perspective cameras); without them pixels lie at their pitch.
     settings : GridSettings, optional
-
-    Raises
-    ------
-    BadInput
-        If the mask is empty, too small for a surface, or the pitch is not positive.
     """
     settings = settings or GridSettings()
     require(

@@ -386,6 +386,8 @@ def write_results(
 ) -> dict[str, Any]:
     """Write all files of a reconstruction into `folder` and return the facts of ``report.json``.
 
+    Raises BadInput if the folder holds files of others or cannot be written.
+
     Parameters
     ----------
     result : Reconstruction
@@ -395,11 +397,6 @@ def write_results(
         Appears complete or not at all; an earlier result in it is replaced.
     truth : mapping, optional
         A simulator's arrays, compared in the report.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds files of others or cannot be written.
     """
     with atomic_folder(folder) as target:
         return write_files(result, capture, target, truth)

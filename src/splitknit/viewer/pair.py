@@ -87,12 +87,8 @@ def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntr
 
     Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
     one camera measures no distance. Else the ridges give the turn and the shift across the camera's axis; from there
-    the six numbers of a rigid motion are fitted to heights and relief.
-
-    Raises
-    ------
-    BadInput
-        If a result lacks what a ridge template needs, or only one has a scale.
+    the six numbers of a rigid motion are fitted to heights and relief. Raises BadInput if a result lacks what a ridge
+    template needs, or only one has a scale.
     """
     require(a.scale_known == b.scale_known, "one is in mm and one in pixels; give both a scale (--px-per-mm).")
     photographs = first.report.get("inputs_sha256")
@@ -115,17 +111,14 @@ def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntr
 def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tuple[NDArray[np.uint8], dict[str, float]]:
     """How much higher the second finger is than the first, along the camera's axis; in pixels without a scale.
 
+    Raises BadInput if they do not overlap.
+
     Returns
     -------
     picture : (h, w) uint8
         Over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``.
     figures : dict
         ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``.
-
-    Raises
-    ------
-    BadInput
-        If they do not overlap.
     """
     height, width = (min(side, _PICTURE_PX) for side in a.size)
     rows, columns = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip((height, width), a.size, strict=True))
