@@ -238,15 +238,12 @@ _UNKNOWN_SIDE_MM = 25.0
 def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = None) -> Camera:
     """A camera with parallel rays whose scale nobody has measured.
 
+    Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
+
     Parameters
     ----------
     image_size : rows, columns
     px_per_mm : to work with, where there is a better guess than a picture of 25 mm (its shorter side), as of a finger
-
-    Returns
-    -------
-    Camera
-        Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
     """
     guess = min(image_size) / _UNKNOWN_SIDE_MM if px_per_mm is None else px_per_mm
     return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
@@ -689,17 +686,14 @@ its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and 46
 def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
     """Return the thesis's rig: seven white and seven NIR LEDs on a circle of 52.5 mm at the camera's height.
 
-    Raises BadInput if `scale` or `intensity_spread` is out of range.
+    Raises BadInput if `scale` or `intensity_spread` is out of range. Returns Rig whose LEDs 0 to 6 are white, at
+    azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further.
 
     Parameters
     ----------
     scale : size of the image relative to the full frame of 2200 x 3200 pixels at 75.7 px/mm, in (0, 1]
     seed : seed of the LEDs' individual intensities; None makes all of them one
     intensity_spread : standard deviation of the intensities about one; they stay within 2.5 deviations
-
-    Returns
-    -------
-    Rig whose LEDs 0 to 6 are white, at azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further.
     """
     require(0.0 < scale <= 1.0, f"scale must lie in (0, 1], but it is {scale}.")
     require(
@@ -724,15 +718,12 @@ def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: f
 def nominal_rig(scale: float = 1.0) -> Rig:
     """Return the rig as the drawings and data sheets have it, with a perspective camera.
 
-    Raises BadInput if `scale` is out of range.
+    Raises BadInput if `scale` is out of range. Returns Rig of 7 white and 7 NIR LEDs of intensity one, aimed at the
+    origin, with their data sheets' lobes.
 
     Parameters
     ----------
     scale : size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1]
-
-    Returns
-    -------
-    Rig of 7 white and 7 NIR LEDs of intensity one, aimed at the origin, with their data sheets' lobes
     """
     drawn = default_rig(scale)
     rows, columns = drawn.camera.image_size

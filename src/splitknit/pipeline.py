@@ -458,16 +458,13 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
 def shaded_surface(capture: Capture, shading: Shading, inside: BoolArray) -> FingerSurface:
     """The surface of an opaque thing whose slopes follow from a shading calibrated on balls.
 
+    The result's uncertainty is that of heights against their surroundings, over about a ball.
+
     Parameters
     ----------
     capture : its white band over its flat images is what the calibration saw
     shading : of :func:`splitknit.photometric.shading.read_shading`
     inside : (H, W) pixels that are wanted
-
-    Returns
-    -------
-    FingerSurface
-        Its uncertainty is that of heights against their surroundings, over about a ball.
     """
     pitch = np.float32(shading.pitch_mm)
     images = _linear_grey(capture.bands["white"], capture.encoding, "grey")

@@ -53,16 +53,13 @@ _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,sess
 def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
     """Comparisons of the store, ready to be evaluated.
 
+    Returns Scores: NaN where nothing was compared, with the names of fingers, subjects and sessions.
+
     Parameters
     ----------
     table : ``pyarrow.Table`` of :meth:`splitknit.batch.store.Store.scores`
     column : what is the score; of a ``dissimilarity...``, 1 - its value, as everywhere in the library
     name : of the scores; that of the column where it is missing
-
-    Returns
-    -------
-    Scores
-        NaN where nothing was compared, with the names of fingers, subjects and sessions.
     """
     require(column in table.column_names, f"the scores hold no column '{column}'; they have {table.column_names}.")
     score = np.array(table.column(column).to_numpy(), dtype=np.float64)

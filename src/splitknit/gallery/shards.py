@@ -318,18 +318,14 @@ class Shards:
     def search(self, template: Template, k: int = 500, settings: ProbeSettings | None = None) -> Hits:
         """The `k` fingers whose codes are most similar.
 
-        Raises BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile.
+        Raises BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile. Returns
+        Hits: the same, whatever the number of shards and threads; equal ones in the order of their rows.
 
         Parameters
         ----------
         template : not empty
         k : at least 1; fewer come back from fewer fingers, and never more than `RESCORED`
         settings : of the probe's variants
-
-        Returns
-        -------
-        Hits
-            The same, whatever the number of shards and threads; equal ones in the order of their rows.
         """
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         probe = self.probe(template, settings)

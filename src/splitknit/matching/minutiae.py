@@ -88,7 +88,8 @@ def extract(
 ) -> Minutiae:  # fmt: skip
     """Find the minutiae of a print with mindtct.
 
-    Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed.
+    Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed. Returns Minutiae:
+    at most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to acquire.
 
     Parameters
     ----------
@@ -103,11 +104,6 @@ def extract(
         Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
         :data:`splitknit.matching.minutiae.EDGE_MM` for prints taken as they are, and half of it after `enhance`:
         pressed prints fade out at their border.
-
-    Returns
-    -------
-    Minutiae
-        At most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to acquire.
 
     References
     ----------

@@ -335,18 +335,15 @@ def ridge_match(
 ) -> RidgeMatch:
     """Compare two templates. Raises BadInput if the templates have different pitches.
 
+    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the
+    shift that the neighbouring patches support, times sqrt(min(1, overlap / least)) with least =
+    min(60 mm2, half of the smaller template).
+
     Parameters
     ----------
     a, b : Template or Prepared
         Prepare a template that is compared more than once; then its settings must be those given here.
     settings : RidgeMatchSettings, optional
-
-    Returns
-    -------
-    RidgeMatch
-        Its `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
-        neighbouring patches support, times sqrt(min(1, overlap / least)) with least = min(`least_overlap_mm2`, half of
-        the smaller template).
 
     References
     ----------

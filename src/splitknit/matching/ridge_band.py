@@ -79,7 +79,8 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 ) -> RidgeBand:
     """Return the ridge band of a relief.
 
-    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive. The band's
+    pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
 
     Parameters
     ----------
@@ -94,11 +95,6 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
         Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
     upright_size : (rows, columns) of the upright frame, optional
     settings : RidgeBandSettings, optional
-
-    Returns
-    -------
-    RidgeBand
-        Whose pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
 
     References
     ----------

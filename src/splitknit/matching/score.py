@@ -134,10 +134,6 @@ def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float 
     genuine, impostor : (N,) and (M,) similarities, ten at least of each
     prior : weight of the slope's square beside the mean loss
 
-    Returns
-    -------
-    _Logistic
-
     References
     ----------
     Platt 1999, Probabilistic outputs for support vector machines.

@@ -243,18 +243,14 @@ def identify(
 def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
     """How well patches of the probe's ridges are found in the other finger, laid as its code fits best.
 
-    Raises BadInput if the templates have different pitches.
+    Raises BadInput if the templates have different pitches. Returns agreement times the root of the number of
+    patches; -1 for a failure to acquire.
 
     Parameters
     ----------
     probe, other : Prepared
     settings : of the probe's variants
     variant : number of the one that fits best
-
-    Returns
-    -------
-    float
-        Agreement times the root of the number of patches; -1 for a failure to acquire.
     """
     if other.template.empty:
         return -1.0

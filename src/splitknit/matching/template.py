@@ -69,18 +69,14 @@ class Template:
 def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
-    Raises BadInput if the band is larger than the format allows: larger than any finger.
+    Raises BadInput if the band is larger than the format allows: larger than any finger. Returns Template: empty where
+    less than ``least_area_mm2`` is valid: a failure to acquire.
 
     Parameters
     ----------
     band : RidgeBand
         As :func:`splitknit.matching.ridge_band` gives it.
     settings : TemplateSettings, optional
-
-    Returns
-    -------
-    Template
-        Empty where less than ``least_area_mm2`` is valid: a failure to acquire.
 
     Examples
     --------

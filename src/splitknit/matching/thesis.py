@@ -34,17 +34,13 @@ class _MaskAlignment:
 def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     """Lay the query's mask on the database's: tip on tip, then sideways to the largest overlap.
 
-    Raises BadInput if a mask is empty.
+    Raises BadInput if a mask is empty. The lateral shift is found on masks reduced to about 128
+    rows, then to the pixel.
 
     Parameters
     ----------
     database, query : (H, W) and (h, w) bool
         Upright (tip at row 0), cut to their bounding boxes, of one scale.
-
-    Returns
-    -------
-    _MaskAlignment
-        The lateral shift is found on masks reduced to about 128 rows, then to the pixel.
 
     References
     ----------
@@ -248,16 +244,13 @@ def finger_images(
 def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
 
-    Raises BadInput if a channel is missing, or smaller than a cell.
+    Raises BadInput if a channel is missing, or smaller than a cell. Returns (n,) float32 by
+    channel, for :func:`thesis_match`.
 
     Parameters
     ----------
     images : FingerImages
     settings : ThesisSettings, optional
-
-    Returns
-    -------
-    Channel to (n,) float32, for :func:`thesis_match`.
     """
     settings = settings or ThesisSettings()
     extract = _extractor(settings, images.px_per_mm)
@@ -273,7 +266,8 @@ def thesis_match(
     """Compare a query with a finger of the database, as the thesis does.
 
     The query is resampled to the database's box, so that the order of the two matters a little. Raises BadInput if the
-    two have different scales, or one lacks a channel.
+    two have different scales, or one lacks a channel. The similarity is 1 - the mean dissimilarity (5.2):
+    1 for equal fingers, below -1.7 where the gate left the pair out.
 
     Parameters
     ----------
@@ -282,12 +276,6 @@ def thesis_match(
     settings : ThesisSettings, optional
     features : of the database's finger by channel, optional
         What :func:`finger_features` made with the same settings; the database's channels are not needed then.
-
-    Returns
-    -------
-    _ThesisMatch
-        The similarity, 1 - the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate
-        left the pair out.
 
     References
     ----------

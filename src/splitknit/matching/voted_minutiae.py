@@ -43,18 +43,13 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
     Every picture has one vote for a place. The place with most votes is taken first, and the minutiae that voted for it
     have then no vote left for another, so that each minutia counts once. A kept minutia lies at the mean of its voters,
     points in their mean direction and has the type of most of them. Raises BadInput if there are no pictures, or their
-    sizes differ.
+    sizes differ. Returns Minutiae: by column and row; the quality is the fraction of the pictures that show it, 0 to
+    100. The order of the pictures changes nothing.
 
     Parameters
     ----------
     pictures : lists of minutiae, all on prints of one size
     settings : VoteSettings, optional
-
-    Returns
-    -------
-    Minutiae
-        By column and row; the quality is the fraction of the pictures that show it, 0 to 100. The order of the pictures
-        changes nothing.
 
     References
     ----------

@@ -65,17 +65,13 @@ def running() -> Running:
 def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     """Choose how networks of this process are loaded, and so run, from now on.
 
-    Raises BadInput if there is no such device, or onnxruntime has no provider for it.
+    Raises BadInput if there is no such device, or onnxruntime has no provider for it. Returns ``cpu``, always the
+    same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
 
     Parameters
     ----------
     device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
     threads : of a network; not a bit of a result depends on it
-
-    Returns
-    -------
-    str
-        ``cpu``, always the same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
 
     Examples
     --------
@@ -201,6 +197,7 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     """Run `network` on every image.
 
     Raises BadInput if the images have the wrong number of channels, hold NaN, or are smaller than the network's stride.
+    Returns (N, D, H, W) float32.
 
     Parameters
     ----------
@@ -211,10 +208,6 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     tile : int
         Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square. The
         result does not depend on it, but for rounding (about 1e-6).
-
-    Returns
-    -------
-    (N, D, H, W) float32
 
     Notes
     -----

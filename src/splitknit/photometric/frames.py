@@ -87,10 +87,6 @@ def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
     mask : (H, W) bool
         The whole object, so that its outline is where it turns away.
 
-    Returns
-    -------
-    _FrameFit
-
     References
     ----------
     Integrability: R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
@@ -145,10 +141,6 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
         Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
     mask : (H, W) bool, optional
         The whole object; everything by default.
-
-    Returns
-    -------
-    LightFit
 
     References
     ----------

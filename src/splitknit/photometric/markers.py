@@ -29,7 +29,7 @@ def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
     A dot absorbs every colour; a slope that turns from one light is still lit by the others. So a pixel belongs to a
     dot where *all* images are darker than their surroundings (the closing of the image by a square of 1.5 diameters,
     which removes dark spots up to that size) by a quarter or more, and the spot is about as large as a dot. Raises
-    BadInput if the diameter is out of range.
+    BadInput if the diameter is out of range. Returns (H, W) bool.
 
     Parameters
     ----------
@@ -37,10 +37,6 @@ def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
         Linear light, not divided by a flat photograph.
     diameter_px : float
         Of a dot, at least 2.
-
-    Returns
-    -------
-    (H, W) bool
 
     References
     ----------
@@ -83,7 +79,7 @@ def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> Fl
     The means have a bell-shaped kernel (triangles along rows and columns) and are normalised by how much of it is not
     masked, first of `reach_px`, then, inside larger holes, of two and four times that and so on. Then each masked pixel
     becomes the mean of a square around it, a few times over: a field that is linear across a hole stays so. Raises
-    BadInput if everything is masked.
+    BadInput if everything is masked. Returns (N, H, W) float32.
 
     Parameters
     ----------
@@ -92,10 +88,6 @@ def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> Fl
         What is replaced.
     reach_px : float
         Standard deviation of the kernel, about half the diameter of the holes.
-
-    Returns
-    -------
-    (N, H, W) float32
 
     References
     ----------

@@ -108,17 +108,14 @@ def node_amplitudes(
 ) -> NDArray[np.complex64]:
     """Fit one plane wave, with a node's own direction and frequency, at every node.
 
+    Returns (n, m) complex64: amplitude and phase at the node, in the image's unit; zero outside the field's mask.
+
     Parameters
     ----------
     image : (h, w) uint8 or float32
     found : RidgeField
     sigma_periods : float
         Standard deviation of the window in which a wave is fitted, in local ridge periods.
-
-    Returns
-    -------
-    (n, m) complex64
-        Amplitude and phase at the node, in the image's unit; zero outside the field's mask.
     """
     step, (n, m) = found.step_px, found.mask.shape
     frequency = found.frequency_px[found.mask]

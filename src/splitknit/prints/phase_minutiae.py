@@ -52,7 +52,8 @@ def phase_minutiae(
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
     is known up to its sign, which is made the same around each square of four pixels; where it turns by 2 pi around
-    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes.
+    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes. Returns
+    _PhaseMinutiae: by rows, then columns.
 
     Parameters
     ----------
@@ -64,11 +65,6 @@ def phase_minutiae(
         Pixels per inch.
     confidence : (h, w) float32, optional
         0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter.
-
-    Returns
-    -------
-    _PhaseMinutiae
-        By rows, then columns.
 
     References
     ----------

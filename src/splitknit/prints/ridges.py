@@ -49,7 +49,9 @@ def relief_print(
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
 
-    Raises BadInput if shapes disagree, the mask is empty, or the scale is not positive.
+    Raises BadInput if shapes disagree, the mask is empty, or the scale is not positive. Returns (h, w) uint8: one pixel
+    is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0 shows the right
+    edge of the upright camera image, as paper does.
 
     Parameters
     ----------
@@ -64,12 +66,6 @@ def relief_print(
     upright_size : (rows, columns) of the upright frame
     settings : PrintSettings, optional
         Resolution and contrast.
-
-    Returns
-    -------
-    (h, w) uint8
-        One pixel is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0
-        shows the right edge of the upright camera image, as paper does.
 
     Examples
     --------
@@ -164,7 +160,8 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
 
     The local mean is taken out twice (the second pass removes what a one-sided window leaves of a slope at the edge),
     the rest is divided by its local standard deviation and pressed into grey values by a soft step. Raises BadInput if
-    the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges.
+    the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges. Returns (h, w) uint8:
+    ridges dark, valleys and background white.
 
     Parameters
     ----------
@@ -173,11 +170,6 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     weight : (h, w) float32
         Fraction of the pixel that lies on the finger, 0 to 1.
     settings : PrintSettings, optional
-
-    Returns
-    -------
-    (h, w) uint8
-        Ridges dark, valleys and background white.
 
     References
     ----------
