@@ -229,8 +229,7 @@ def with_scale(
 
     Parameters
     ----------
-    capture : Capture
-        Its scale is unknown.
+    capture : its scale is unknown
     px_per_mm : pixels a millimetre on the object
     ridge_period_mm : instead, the distance of the finger's ridges along the skin
         0.45 is usual; people differ by 8 % (standard deviation), and heights with the scale.

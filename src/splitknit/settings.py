@@ -159,8 +159,7 @@ def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     Parameters
     ----------
     settings : dataclass
-    changes : mapping
-        From ``stage.field`` to the new value, or nested mappings.
+    changes : from ``stage.field`` to the new value, or nested mappings
     """
     result = settings
     for name, value in flatten(changes).items():

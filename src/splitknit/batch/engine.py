@@ -162,7 +162,6 @@ def run_batch(
     ----------
     population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
     out : folder of the store, or the URL of its objects
-    settings : BatchSettings, optional
     jobs : processes; nothing but time depends on their number
     cluster : Cluster or its address; its workers do it instead, and must see both places under the same names
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing

@@ -130,7 +130,6 @@ def sampled(
 
     Parameters
     ----------
-    field : RidgeField
     turn_rad : (V,) counter-clockwise as seen
     right_mm, down_mm : (V,)
 
@@ -230,10 +229,6 @@ def code_size() -> int:
 
 def code_of(template: Template) -> NDArray[np.int8]:
     """Code of a gallery finger.
-
-    Parameters
-    ----------
-    template : Template
 
     Returns
     -------

@@ -163,18 +163,14 @@ def match_files(
 
     Parameters
     ----------
-    a, b
-        Capture folder, result folder, template (``.skt``), print, record of minutiae, or an object.
+    a, b : capture folder, result folder, template (``.skt``), print, record of minutiae, or an object
     method
         ``ridge``, ``fusion`` (of ridges and minutiae; of two prints), ``thesis``, ``minutiae``, ``voted``,
         ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``minutiae`` where one is a record of minutiae,
         ``fusion`` where both sides have minutiae of a print, else ``ridge``.
-    template
-        File to write the template of `a` into.
-    preset
-        By which captures are reconstructed.
-    input_ppi
-        Resolution of prints whose files do not state it.
+    template : file to write the template of `a` into
+    preset : by which captures are reconstructed
+    input_ppi : resolution of prints whose files do not state it
     fmr
         False match rate at which is decided whether it is one finger (``decision``); by default 1e-4, or the smallest
         one that the method's impostor scores can state.

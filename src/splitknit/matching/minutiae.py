@@ -93,10 +93,8 @@ def extract(
 
     Parameters
     ----------
-    print_image : (H, W) uint8
-        Ridges dark, as ink on paper.
-    ppi : float
-        Its resolution; other ones than 500 are resampled first.
+    print_image : (H, W) uint8; ridges dark, as ink on paper
+    ppi : its resolution; other ones than 500 are resampled first
     enhance : bool or PressedRidges
         Whether the print is enhanced first, or its enhancement: for prints pressed on glass or paper. Without,
         it is taken as it is: right for the relief prints of reconstructions, whose contrast is even.

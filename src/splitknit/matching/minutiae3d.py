@@ -333,9 +333,7 @@ def minutiae3d_match(
 
     Parameters
     ----------
-    a, b : SpaceMinutiae or PreparedMinutiae3D
-        Prepare a side that is compared more than once; then its settings must be those given here.
-    settings : Minutiae3DSettings, optional
+    a, b : prepare a side that is compared more than once; then its settings must be those given here
 
     References
     ----------

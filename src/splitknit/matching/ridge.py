@@ -341,9 +341,7 @@ def ridge_match(
 
     Parameters
     ----------
-    a, b : Template or Prepared
-        Prepare a template that is compared more than once; then its settings must be those given here.
-    settings : RidgeMatchSettings, optional
+    a, b : prepare a template that is compared more than once; then its settings must be those given here
 
     References
     ----------

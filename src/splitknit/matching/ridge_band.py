@@ -84,17 +84,14 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 
     Parameters
     ----------
-    ridge_mm : (H, W) float32
-        Relief, ridges up, of any unit; ignored outside `mask`.
+    ridge_mm : (H, W) float32; relief, ridges up, of any unit; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Side of a pixel of the input on the finger plane.
+    pitch_mm : side of a pixel of the input on the finger plane
     shape_mm : (H, W) float32, optional
         Finger without its ridges, mm; without it nothing is unrolled and no slant is known.
     input_from_upright : (3, 3), optional
         Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
     upright_size : (rows, columns) of the upright frame, optional
-    settings : RidgeBandSettings, optional
 
     References
     ----------
@@ -181,12 +178,9 @@ def print_band(
 
     Parameters
     ----------
-    image : (H, W) uint8
-        Grey, ridges dark, upright, as ink on paper.
-    ppi : float
-        Pixels per inch.
-    inside : (H, W) bool, optional
-        Where there are ridges; by default wherever there is contrast.
+    image : (H, W) uint8; grey, ridges dark, upright, as ink on paper
+    ppi : pixels per inch
+    inside : (H, W) bool, optional; where there are ridges; by default wherever there is contrast
     """
     settings = settings or RidgeBandSettings()
     require(

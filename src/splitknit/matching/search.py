@@ -248,7 +248,6 @@ def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: i
 
     Parameters
     ----------
-    probe, other : Prepared
     settings : of the probe's variants
     variant : number of the one that fits best
     """

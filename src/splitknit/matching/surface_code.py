@@ -92,7 +92,6 @@ def make_surface_code(
     ----------
     shape_index : (H, W) 0 to 1; ignored where it is NaN or outside `mask`
     mask : (H, W) bool
-    settings : SurfaceCodeSettings, optional
 
     References
     ----------
@@ -295,9 +294,7 @@ def surface_code_match(
 
     Parameters
     ----------
-    a, b : SurfaceCode or PreparedSurface
-        Prepare a side that is compared more than once; then its settings must be those given here.
-    settings : SurfaceMatchSettings, optional
+    a, b : prepare a side that is compared more than once; then its settings must be those given here
 
     References
     ----------

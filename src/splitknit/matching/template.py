@@ -74,9 +74,7 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
 
     Parameters
     ----------
-    band : RidgeBand
-        As :func:`splitknit.matching.ridge_band` gives it.
-    settings : TemplateSettings, optional
+    band : as :func:`splitknit.matching.ridge_band` gives it
 
     Examples
     --------

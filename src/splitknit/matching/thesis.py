@@ -39,8 +39,7 @@ def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
 
     Parameters
     ----------
-    database, query : (H, W) and (h, w) bool
-        Upright (tip at row 0), cut to their bounding boxes, of one scale.
+    database, query : (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding boxes, of one scale
 
     References
     ----------
@@ -191,18 +190,14 @@ def finger_images(
 
     Parameters
     ----------
-    normals : (H, W, 3) float32
-        Of the fingerprint's surface, in the frame of the images; they turn with the picture.
-    ridge_mm : (H, W) float32
-        Ridge-valley relief.
+    normals : (H, W, 3) float32; of the fingerprint's surface, in the frame of the images; they turn with the picture
+    ridge_mm : (H, W) float32; ridge-valley relief
     mask : (H, W) bool
-    pitch_mm : float
-        Side of a pixel.
+    pitch_mm : side of a pixel
     input_from_upright : (3, 3), optional
         Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
     upright_size : (rows, columns) of the upright frame, optional
-    shape_normals : (H, W, 3) float32, optional
-        Of the finger without ridges.
+    shape_normals : (H, W, 3) float32, optional; of the finger without ridges
     """
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
     require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
@@ -246,11 +241,6 @@ def finger_features(images: FingerImages, settings: ThesisSettings | None = None
 
     Raises BadInput if a channel is missing, or smaller than a cell. Returns (n,) float32 by
     channel, for :func:`thesis_match`.
-
-    Parameters
-    ----------
-    images : FingerImages
-    settings : ThesisSettings, optional
     """
     settings = settings or ThesisSettings()
     extract = _extractor(settings, images.px_per_mm)
@@ -271,9 +261,7 @@ def thesis_match(
 
     Parameters
     ----------
-    database, query : FingerImages
-        Of one scale (pixels per mm).
-    settings : ThesisSettings, optional
+    database, query : of one scale (pixels per mm)
     features : of the database's finger by channel, optional
         What :func:`finger_features` made with the same settings; the database's channels are not needed then.
 

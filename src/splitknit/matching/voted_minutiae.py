@@ -49,7 +49,6 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
     Parameters
     ----------
     pictures : lists of minutiae, all on prints of one size
-    settings : VoteSettings, optional
 
     References
     ----------
@@ -213,9 +212,7 @@ def left_out_pictures(
 
     Parameters
     ----------
-    capture : Capture
     settings : of the mask and the orientation
-    chosen : LeaveOneOutSettings, optional
     finger : where the finger is, if that is known; otherwise it is found, and its motion undone, as for a surface
 
     Yields
@@ -277,7 +274,6 @@ def voted_minutiae(
     Parameters
     ----------
     capture, settings, chosen : as of :func:`left_out_pictures`
-    votes : VoteSettings, optional
     """
     found = [extract(one.print_image, PPI) for one in left_out_pictures(capture, settings, chosen)]
     return vote(found, votes) if found else no_minutiae()

@@ -201,7 +201,6 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
 
     Parameters
     ----------
-    network : Network
     images : (N, H, W) or (N, C, H, W) float32
         Of any size from the network's stride upwards. (N, H, W) are images of one channel. One channel is repeated for
         a network that takes more, as the thesis gives its grey images to a network for three channels.

@@ -71,8 +71,7 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
 
     Parameters
     ----------
-    name
-        Name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it.
+    name : name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it
 
     Returns
     -------

@@ -84,8 +84,7 @@ def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
     ----------
     normals : (H, W, 3)
         As :func:`splitknit.photometric.lambertian.lambertian` finds them: x right, y up, z to the camera.
-    mask : (H, W) bool
-        The whole object, so that its outline is where it turns away.
+    mask : (H, W) bool; the whole object, so that its outline is where it turns away
 
     References
     ----------
@@ -135,12 +134,9 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
 
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; three at least. A few hundred pixels a side are enough.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The whole object; everything by default.
+    stack : (L, H, W) float32; linear light, one image a light; three at least. A few hundred pixels a side are enough.
+    lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
+    mask : (H, W) bool, optional; the whole object; everything by default
 
     References
     ----------

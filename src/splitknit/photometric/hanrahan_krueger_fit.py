@@ -143,17 +143,11 @@ def reflected(  # noqa: PLR0917 - the model's own variables
 
     Parameters
     ----------
-    to_light : (L, n)
-        mu_i; where it is not positive the light is behind the surface, and everything is zero.
-    to_view : (n,)
-        mu_r, positive.
-    between : (L, 1) or (L, n)
-        Cosine between the directions towards light and view, outside.
-    base, share, depth : (n,)
-        Matt base in units of the images; W and optical depth of the epidermis.
-    exposure : float
-        Units of the images for a radiance factor K of one.
-    layers : SkinLayers
+    to_light : (L, n); mu_i; where it is not positive the light is behind the surface, and everything is zero
+    to_view : (n,); mu_r, positive
+    between : (L, 1) or (L, n); cosine between the directions towards light and view, outside
+    base, share, depth : (n,); matt base in units of the images; W and optical depth of the epidermis
+    exposure : units of the images for a radiance factor K of one
 
     References
     ----------

@@ -100,12 +100,9 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
 
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; four at least.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    stack : (L, H, W) float32; linear light, one image a light; four at least
+    lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
+    mask : (H, W) bool, optional; the surface; everything by default
 
     Yields
     ------

@@ -33,10 +33,8 @@ def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
 
     Parameters
     ----------
-    light : (L, H, W)
-        Linear light, not divided by a flat photograph.
-    diameter_px : float
-        Of a dot, at least 2.
+    light : (L, H, W); linear light, not divided by a flat photograph
+    diameter_px : of a dot, at least 2
 
     References
     ----------
@@ -84,10 +82,8 @@ def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> Fl
     Parameters
     ----------
     fields : (N, H, W)
-    mask : (H, W) bool
-        What is replaced.
-    reach_px : float
-        Standard deviation of the kernel, about half the diameter of the holes.
+    mask : (H, W) bool; what is replaced
+    reach_px : standard deviation of the kernel, about half the diameter of the holes
 
     References
     ----------

@@ -134,8 +134,7 @@ def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, Fl
 
     Parameters
     ----------
-    shading : Shading
-        Of the sensor that took the images.
+    shading : of the sensor that took the images
     images : (L, H, W) float32
         Linear light, divided by the flat surface's; L is the number of lights (or of the colours of one frame). A
         common factor does not matter (:func:`facing_level`).

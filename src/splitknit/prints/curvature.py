@@ -85,14 +85,10 @@ def curvature(
 
     Parameters
     ----------
-    height_mm : (H, W) float32
-        Ridges and shape together; ignored outside `mask`.
+    height_mm : (H, W) float32; ridges and shape together; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Of the input on the finger plane.
-    settings : CurvatureSettings, optional
-    xy_mm : (H, W) float32, twice, optional
-        x and y of the surface points (perspective cameras).
+    pitch_mm : of the input on the finger plane
+    xy_mm : (H, W) float32, twice, optional; x and y of the surface points (perspective cameras)
 
     References
     ----------

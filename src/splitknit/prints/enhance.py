@@ -57,12 +57,9 @@ def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArra
 
     Parameters
     ----------
-    image : (h, w) uint8
-        Ridges dark.
-    ppi : float
-        Pixels per inch.
-    inside : (h, w) bool, optional
-        Where the finger is, if it is known: nothing is printed beside it.
+    image : (h, w) uint8; ridges dark
+    ppi : pixels per inch
+    inside : (h, w) bool, optional; where the finger is, if it is known: nothing is printed beside it
 
     References
     ----------
@@ -113,9 +110,7 @@ def node_amplitudes(
     Parameters
     ----------
     image : (h, w) uint8 or float32
-    found : RidgeField
-    sigma_periods : float
-        Standard deviation of the window in which a wave is fitted, in local ridge periods.
+    sigma_periods : standard deviation of the window in which a wave is fitted, in local ridge periods
     """
     step, (n, m) = found.step_px, found.mask.shape
     frequency = found.frequency_px[found.mask]

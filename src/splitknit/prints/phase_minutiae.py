@@ -57,12 +57,9 @@ def phase_minutiae(
 
     Parameters
     ----------
-    image : (h, w) uint8
-        The print, ridges dark.
-    enhanced : Enhanced
-        Of the same print.
-    ppi : float
-        Pixels per inch.
+    image : (h, w) uint8; the print, ridges dark
+    enhanced : of the same print
+    ppi : pixels per inch
     confidence : (h, w) float32, optional
         0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter.
 

@@ -321,12 +321,9 @@ def resample(
 
     Parameters
     ----------
-    field : (H, W) float32
-        Ignored outside `mask`.
+    field : (H, W) float32; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Of the input.
-    print_map : PrintMap
+    pitch_mm : of the input
     sigma_px : float
         Of the Gaussian, in pixels of the print, that takes out what the print is too coarse for; used only where it is
         coarser than the input.

@@ -257,13 +257,8 @@ def print_quality(
     ----------
     values : (h, w) float32
         What is inked: the relief in um, or anything else that is high on ridges (`in_um` false: no heights then).
-    weight : (h, w) float32
-        Fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0.
-    found : RidgeField
-        Of the print.
-    ppi : float
-    in_um : bool
-    settings : PrintQualitySettings, optional
+    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0
+    found : of the print
 
     References
     ----------

@@ -61,12 +61,9 @@ def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray 
 
     Parameters
     ----------
-    image : (h, w) uint8
-        Ridges dark.
-    ppi : float
-        Pixels per inch.
-    inside : (h, w) bool, optional
-        Where the finger is, if it is known.
+    image : (h, w) uint8; ridges dark
+    ppi : pixels per inch
+    inside : (h, w) bool, optional; where the finger is, if it is known
 
     References
     ----------

@@ -57,15 +57,11 @@ def relief_print(
     ----------
     ridge_mm : (H, W) float32
         Height of the skin relief in mm, ridges up, on the input's pixel grid; ignored outside `mask`.
-    mask : (H, W) bool
-        True on the finger.
-    px_per_mm : float
-        Scale of the input, the same along both axes.
-    input_from_upright : (3, 3) float64
-        Takes (column, row, 1) of the upright frame to the input.
+    mask : (H, W) bool; True on the finger
+    px_per_mm : scale of the input, the same along both axes
+    input_from_upright : (3, 3) float64; takes (column, row, 1) of the upright frame to the input
     upright_size : (rows, columns) of the upright frame
-    settings : PrintSettings, optional
-        Resolution and contrast.
+    settings : resolution and contrast, optional
 
     Examples
     --------
@@ -165,11 +161,8 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
 
     Parameters
     ----------
-    values : (h, w) float32
-        Such as the relief; any unit.
-    weight : (h, w) float32
-        Fraction of the pixel that lies on the finger, 0 to 1.
-    settings : PrintSettings, optional
+    values : (h, w) float32; such as the relief; any unit
+    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1
 
     References
     ----------

@@ -73,7 +73,6 @@ def read_source(
 
     Parameters
     ----------
-    path : path
     photo : whether the photograph is needed
     surface : whether the surface is needed
     px_per_mm, ridge_period_mm : the scale, or the distance of the ridges that it follows from, where it is unknown

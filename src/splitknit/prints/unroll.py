@@ -60,12 +60,9 @@ def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> _
 
     Parameters
     ----------
-    points_mm : (n, m, 3)
-        Surface points of the nodes.
-    flat_mm : (n, m, 2)
-        Where the map lays them.
-    inside : (n, m) bool
-        Cells with four corners inside count.
+    points_mm : (n, m, 3); surface points of the nodes
+    flat_mm : (n, m, 2); where the map lays them
+    inside : (n, m) bool; cells with four corners inside count
 
     References
     ----------
@@ -415,9 +412,7 @@ def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolle
 
     Parameters
     ----------
-    grid : SurfaceGrid
-        From :func:`splitknit.prints.unroll_grid.surface_grid`.
-    settings : UnrollSettings, optional
+    grid : from :func:`splitknit.prints.unroll_grid.surface_grid`
     """
     settings = settings or UnrollSettings()
     if settings.kind == "cylinder":

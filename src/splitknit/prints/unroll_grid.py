@@ -77,16 +77,12 @@ def surface_grid(
 
     Parameters
     ----------
-    shape_mm : (H, W) float32
-        Height without ridges, mm; ignored outside `mask`.
+    shape_mm : (H, W) float32; height without ridges, mm; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Of the input on the finger plane.
-    input_from_upright : (3, 3), upright_size : (rows, columns)
-        The upright frame.
+    pitch_mm : of the input on the finger plane
+    input_from_upright : (3, 3), upright_size : (rows, columns); the upright frame
     xy_mm : (H, W) float32, twice, optional
         x and y of the surface points (perspective cameras); without them pixels lie at their pitch.
-    settings : GridSettings, optional
     """
     settings = settings or GridSettings()
     require(

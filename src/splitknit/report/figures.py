@@ -340,10 +340,8 @@ def oblique_view(surface: _SmallFields, *, turn_deg: float = 0.0, tilt_deg: floa
     Parameters
     ----------
     surface : _SmallFields
-    turn_deg : float
-        Turn of the finger about the camera's axis, counter-clockwise, before it is tilted.
-    tilt_deg : float
-        Angle between the line of sight and the camera's axis, 0 = from above, less than 90.
+    turn_deg : turn of the finger about the camera's axis, counter-clockwise, before it is tilted
+    tilt_deg : angle between the line of sight and the camera's axis, 0 = from above, less than 90
     """
     turn_rad, weight = np.deg2rad(turn_deg), surface.weight
     colours = _shade(surface, turn_rad)

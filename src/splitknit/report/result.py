@@ -84,15 +84,10 @@ def make_report(
 
     Parameters
     ----------
-    result : Reconstruction
-    capture : Capture, optional
-        What it was made from; only small previews of the images enter the page. None leaves them out.
-    truth : mapping, optional
-        A simulator's arrays; `result` and `others` are then compared with it, side by side.
-    others : sequence of Reconstruction
-        The same capture by other presets.
-    title : str
-        By default "3D fingerprint", or "Surface" of what is no finger.
+    capture : what it was made from; only small previews of the images enter the page. None leaves them out.
+    truth : A simulator's arrays; `result` and `others` are then compared with it, side by side
+    others : the same capture by other presets
+    title : by default "3D fingerprint", or "Surface" of what is no finger
     """
     finger, results = is_finger(result), (result, *others)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
@@ -390,13 +385,9 @@ def write_results(
 
     Parameters
     ----------
-    result : Reconstruction
-    capture : Capture, optional
-        What it was made from: the report shows its photographs; None leaves them out.
-    folder : path
-        Appears complete or not at all; an earlier result in it is replaced.
-    truth : mapping, optional
-        A simulator's arrays, compared in the report.
+    capture : what it was made from: the report shows its photographs; None leaves them out
+    folder : appears complete or not at all; an earlier result in it is replaced
+    truth : A simulator's arrays, compared in the report
     """
     with atomic_folder(folder) as target:
         return write_files(result, capture, target, truth)

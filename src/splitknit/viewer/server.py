@@ -140,8 +140,7 @@ def show(save: Callable[[Path], object], block: bool | None = None) -> str:
 
     Parameters
     ----------
-    save : callable
-        Is given a temporary folder, which only this user may read and which goes when the page ends.
+    save : is given a temporary folder, which only this user may read and which goes when the page ends
     block : bool, optional
         Whether to answer until Ctrl-C, or in a thread, as long as this program runs. By default as matplotlib does it:
         a program waits, an interactive session goes on.

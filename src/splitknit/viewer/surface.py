@@ -270,11 +270,9 @@ def pick(
 
     Parameters
     ----------
-    surface : ResultSurface
     origin_mm : (3,)
     direction : (3,), of any length
-    exaggeration : float
-        Factor of the relief in the picture that was pointed at; the point returned is on the true surface.
+    exaggeration : factor of the relief in the picture that was pointed at; the point returned is on the true surface
     """
     ray = np.concatenate([origin_mm, direction])
     length = float(np.linalg.norm(direction))
