@@ -20,7 +20,6 @@ from splitknit.matching.minutiae import EDGE_MM, minutiae_match
 from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
 from splitknit.matching.minutiae_record import unpack_minutiae, unpack_space_minutiae
 from splitknit.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
-from splitknit.matching.score import similarity_of
 from splitknit.matching.space_features import SLOPE_SIGMA_MM
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
@@ -109,7 +108,7 @@ class _ThesisMatcher(Matcher):
         found = thesis_match(images, b, self.settings, features)
         chosen = [found.dissimilarity[name] for name in self.attributes]
         return {
-            "similarity": similarity_of(sum(chosen) / len(chosen)),
+            "similarity": 1.0 - sum(chosen) / len(chosen),
             "ratio": found.ratio,
             "shift_px": float(found.shift_px),
             **{f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()},
@@ -188,7 +187,6 @@ class _Ready(threading.local):
 
 
 READY = _Ready()
-
 
 # The matchers of a batch that compare features in space: minutiae, by pairs and by tetrahedra, and surface codes.
 

@@ -32,7 +32,6 @@ from splitknit.simulator.population.sessions import DRAWS, PopulationSettings, p
 POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
 _FORMAT, _VERSION = "splitknit-population", 1
 
-
 _Job = tuple[PlannedCapture, ...]
 """The waiting captures of one finger: its print is drawn once for all of them."""
 

@@ -32,7 +32,6 @@ from splitknit.settings import Checked, Limits, check_fields
 # Both are known to some millimetres only (roll shifts ridges across, pitch along), which is why a probe is sampled in
 # many places and turned by several angles, and a gallery finger once.
 
-
 COLUMNS, ROWS, STEP_MM = 17, 17, 1.0
 """The grid of a code: its first row lies one step below the finger's uppermost skin."""
 CELLS = COLUMNS * ROWS
@@ -160,7 +159,6 @@ CODE_VERSION = 1
 SCALE = 360.0
 """A code is the direction of the latent numbers times this, rounded; longer numbers than 127 are cut (hardly any)."""
 _FILE = Path(__file__).with_name("code_model.npz")
-
 
 _TURN_STEP_DEG = 5.0
 """Between two turns."""

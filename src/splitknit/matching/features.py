@@ -26,7 +26,6 @@ from splitknit.settings import Checked, Limits
 # Codes are bytes: bit k is set where the neighbour at the angle 2 pi k / 8, counter-clockwise from the right, is at
 # least as large as the pixel itself.
 
-
 Codes = NDArray[np.uint8]
 AnyArray = np.ndarray[Any, Any]
 
@@ -231,7 +230,6 @@ def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | No
 
 
 Vector = NDArray[np.float32]
-
 
 _CELL_PX = 64.0
 """Side of a cell at 75.7 px/mm."""

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 # Where a print is cut off, every ridge ends: those ends are the cut's, not the finger's. A contact print fades out
 # there, and mindtct leaves such places alone; the print of a reconstruction has full contrast up to its outline.
 
-
 EDGE_MM = 0.6
 """Minutiae nearer to the outline are left out: about one and a third ridge periods."""
 _PRESSED_EDGE_MM = 0.3

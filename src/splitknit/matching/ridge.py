@@ -35,7 +35,6 @@ from splitknit.settings import Checked, Limits
 
 Spectra = NDArray[np.complex64]
 
-
 _STEP_DEG = 5.0
 """Between two rotations whose directions of ridges are compared."""
 _ROTATIONS = 6
@@ -244,7 +243,6 @@ _REFINEMENTS = 2
 """Affine fits to the patches' shifts."""
 _MIN_OVERLAP_MM2 = 60.0
 """Where less skin overlaps, and it is not all that the smaller template has, the similarity is lowered."""
-
 
 FIRST_PATCHES = PatchSettings(patch_mm=2.4, step_mm=2.4, search_mm=0.8)
 """Patches that refine the coarse alignment."""

@@ -34,7 +34,6 @@ _PACKING = Packing(
     "surface code", b"SKSC", SURFACE_CODE_VERSION, "HHH", "make it from the surface again.", plural=False
 )
 
-
 CODE_PITCH_MM = 0.1
 """Of the grid of places; a ridge's period has four to five of them."""
 CODE_SMOOTH_MM = 0.03
@@ -175,7 +174,6 @@ def _words(bits: NDArray[np.uint8] | BoolArray) -> NDArray[np.uint64]:
 
 
 Words = NDArray[np.uint64]
-
 
 _CANDIDATES = 2
 """Turns and shifts of the first level that are counted exactly."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box, warp
 from splitknit.matching.features import LbpSettings, gabor_features, hog_features, lbp_features, shape_context_features
-from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
+from splitknit.matching.score import dissimilarity
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 
@@ -281,10 +281,8 @@ def thesis_match(
     needed = _needed(query, settings)
     laid = align_masks(database.mask, query.mask)
     if laid.ratio < settings.gate or laid.ratio <= 0.0:
-        gated = dissimilarity_of_gated(laid.ratio)
-        return _ThesisMatch(
-            similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
-        )
+        gated = float(np.exp(2.0 - laid.ratio))  # above e: worse than any pair that is compared
+        return _ThesisMatch(1.0 - gated, dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False)
     from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
 
     box = database.mask.shape[0], database.mask.shape[1]
@@ -301,7 +299,7 @@ def thesis_match(
         for attribute in settings.attributes
     }
     mean = float(np.mean(list(scores.values())))
-    return _ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
+    return _ThesisMatch(1.0 - mean, scores, distances, laid.ratio, laid.right, True)
 
 
 def _needed(images: FingerImages, settings: ThesisSettings) -> list[str]:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 MM_PER_INCH = 25.4
 
-
 _REACH_MM = 0.3
 """Minutiae of two pictures are the same if they lie no further apart: a third to two thirds of a ridge period."""
 _TURN_DEG = 40.0

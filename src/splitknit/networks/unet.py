@@ -30,7 +30,6 @@ _THREADS = min(8, os.cpu_count() or 1)
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 """Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
 
-
 DEVICES = ("cpu", "cuda", "auto")
 CUDA_TOLERANCE = 1e-3
 """Between cpu and cuda, of the largest value of a result: sums are formed in another order, in single precision (TF32

@@ -22,7 +22,6 @@ ENDING, BIFURCATION = 1, 2
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 """Of a square of pixels, row and column, counter-clockwise as seen."""
 
-
 _EDGE_MM = 0.6
 """Nearer to the print's outline none is taken: every ridge ends there."""
 _SURE = 0.25

@@ -20,7 +20,6 @@ from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
 # values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
 # all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
 
-
 _SIGMA_PERIODS = 0.75
 """Standard deviation of the window in which a wave is fitted, in ridge periods."""
 _SMOOTH_MM = 0.6

@@ -21,7 +21,6 @@ from splitknit.settings import Checked, Limits
 MM_PER_INCH = 25.4
 _PAPER = 255.0
 
-
 CONTRAST_FLOOR = 0.3
 """Contrast below this fraction of the finger's median is not raised further, so flat skin stays flat."""
 

@@ -375,7 +375,6 @@ def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
 Array = NDArray[np.float64]
 KINDS = ("free", "arc", "tube", "cylinder")
 
-
 _SMOOTH_MM = 2.0
 """Standard deviation along the finger over which the tube's circles are smoothed."""
 

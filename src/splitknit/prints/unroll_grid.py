@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 """Exponents of x and y of the local quadratic."""
 
-
 _WINDOW_MM = 0.3
 """Standard deviation of the Gaussian window of the local fits."""
 _FINEST_MM, _LONGEST_MM, _FARTHEST_MM = 1e-3, 200.0, 1e6
