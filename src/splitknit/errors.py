@@ -136,8 +136,6 @@ def refusing(message: str) -> Iterator[None]:
 
     A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is no fault of the input.
 
-    Examples
-    --------
     >>> with refusing("the table is damaged; write it again."):
     ...     {}["rows"]
     Traceback (most recent call last):
@@ -245,8 +243,6 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     The size is checked before memory is taken, and again while reading, for a file that grows and for those of
     ``/proc``, which have no size. Raises BadInput as :func:`open_file`.
 
-    Examples
-    --------
     >>> read_bytes("/dev/zero", 1000)
     Traceback (most recent call last):
     ...

@@ -241,8 +241,6 @@ def with_scale(
     note : str
         How the scale was found in the ridges, and how well it is known; else empty.
 
-    Examples
-    --------
     >>> from splitknit.pipeline import with_scale
     >>> capture, note = with_scale(splitknit.read_capture("photos_imported"), ridge_period_mm=0.45)  # doctest: +SKIP
     """

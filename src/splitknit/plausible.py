@@ -22,8 +22,6 @@ class _Plausible:
     def notes(self, value: float, remedy: str) -> tuple[str, ...]:
         """One sentence where `value` is odd, none where it is usual. Raises BadInput where it is not possible.
 
-        Examples
-        --------
         >>> CAMERA_HEIGHT.notes(500.0, "check --square-mm")[0]
         "the camera's height above the finger plane is 500 mm, where 40 to 400 mm is usual: check --square-mm."
         """

@@ -185,10 +185,8 @@ def _kumar() -> PipelineSettings:
     the surface before curvatures are computed. How much is not said; 0.05 mm, a ninth of a ridge's period, keeps three
     quarters of the ridges' height.
 
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015; A. Kumar, "Contactless 3D Fingerprint Identification", Springer 2018.
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015; A. Kumar, "Contactless 3D Fingerprint Identification", Springer 2018.
     """
     return replace(_thesis(), smooth=SmoothSettings(sigma_mm=0.05))
 
@@ -196,10 +194,8 @@ def _kumar() -> PipelineSettings:
 def _xie() -> PipelineSettings:
     """Case EA with a two-layer model of skin in place of Lambert's: all lights count equally, as in EA.
 
-    References
-    ----------
-    W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
-    means", Optical Engineering 52 (2013); the thesis, (2.1) to (2.3).
+    Source: W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric
+    stereo means", Optical Engineering 52 (2013); the thesis, (2.1) to (2.3).
     """
     skin = HanrahanKruegerSettings(weights="equal")
     normals = NormalsSettings(method="hanrahan_krueger", hanrahan_krueger=skin)
@@ -212,10 +208,8 @@ def _lin() -> PipelineSettings:
     Lin and Kumar reconstruct as Kumar and Kwong do, from the red, green and blue images of coloured LEDs. Colour images
     under white LEDs are put together into two such exposures first.
 
-    References
-    ----------
-    C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
-    Trans. PAMI 40(12), 2018.
+    Source: C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination",
+    IEEE Trans. PAMI 40(12), 2018.
     """
     return replace(_thesis(), lights=LightsSettings(compose=2, balance=True))
 

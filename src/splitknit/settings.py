@@ -57,8 +57,6 @@ class Checked:
     names none. A class with rules between fields writes its own ``__post_init__``, which begins with
     ``check_fields(self)``.
 
-    Examples
-    --------
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True, slots=True)
     ... class BlurSettings(Checked):
@@ -121,8 +119,6 @@ def _shown(value: Any) -> str:
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return nested mappings as one mapping with dotted names.
 
-    Examples
-    --------
     >>> flatten({"knit": {"mode": "crossover"}, "normals.method": "robust"})
     {'knit.mode': 'crossover', 'normals.method': 'robust'}
     """
@@ -139,8 +135,6 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def differing(one: Any, other: Any, name: str = "") -> list[str]:
     """Dotted names of what differs between two documents of settings.
 
-    Examples
-    --------
     >>> differing({"knit": {"mode": "none"}, "seed": 1}, {"knit": {"mode": "whole"}, "seed": 1})
     ['knit.mode']
     """

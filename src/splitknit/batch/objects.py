@@ -82,8 +82,6 @@ def location(name: str | os.PathLike[str] | Objects) -> Location:
 
     Raises BadInput if the URL is of another kind than :data:`SCHEMES`, incomplete, or holds credentials.
 
-    Examples
-    --------
     >>> location("s3://fingers/people/").url
     's3://fingers/people'
     """

@@ -30,8 +30,6 @@ def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any
 def parse_assignment(text: str) -> tuple[str, Any]:
     """Split ``stage.field=value``; the value is JSON or a TOML value, and unquoted words are text.
 
-    Examples
-    --------
     >>> parse_assignment("normals.iterations=3")
     ('normals.iterations', 3)
     >>> parse_assignment("knit.mode=crossover")

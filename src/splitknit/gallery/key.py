@@ -151,8 +151,6 @@ def key_from_bytes(content: bytes, where: str) -> Key:
     content : of a key file or of an environment variable; line ends after it do not count
     where : for errors
 
-    Examples
-    --------
     >>> key_from_bytes(b"correct horse battery staple", "the key file")
     Key(raw=False)
     """

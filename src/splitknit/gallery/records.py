@@ -139,8 +139,6 @@ def export_records(
     settings : the format, and what the sources do not state
     key : of an encrypted gallery
 
-    Examples
-    --------
     >>> export_records([Path("scan.png")], Path("records"), Exporting("iso-19794-2"))  # doctest: +SKIP
     """
     require(len(sources) > 0, "name what is to be exported: captures, results, prints, records or galleries.")

@@ -64,9 +64,7 @@ class _CodeField:
 def code_field(template: Template) -> _CodeField:
     """Directions and frequency of the ridges of a template that is not empty. Raises BadInput if the template is empty.
 
-    References
-    ----------
-    Bigun and Granlund 1987, Optimal orientation detection of linear symmetry; Cappelli 2011, Fast and accurate
+    Source: Bigun and Granlund 1987, Optimal orientation detection of linear symmetry; Cappelli 2011, Fast and accurate
     fingerprint indexing based on ridge orientation and frequency.
     """
     require(not template.empty, "a failure to acquire has no ridges; test template.empty first.")
@@ -228,16 +226,14 @@ def code_size() -> int:
 def code_of(template: Template) -> NDArray[np.int8]:
     """Code of a gallery finger.
 
+    Source: Cappelli 2011, Fast and accurate fingerprint indexing based on ridge orientation and frequency (what is
+    described); Prince and Elder 2007, Probabilistic linear discriminant analysis (how it is reduced).
+
     Returns
     -------
     (K,) int8 with K = :func:`code_size`; zeros for a failure to acquire, which a search never finds. The same template
     gives the same code (of this `CODE_VERSION`); a code reveals roughly how a finger's ridges run, and should be
     protected like the template.
-
-    References
-    ----------
-    Cappelli 2011, Fast and accurate fingerprint indexing based on ridge orientation and frequency (what is described);
-    Prince and Elder 2007, Probabilistic linear discriminant analysis (how it is reduced).
     """
     if template.empty:
         return np.zeros(code_size(), dtype=np.int8)

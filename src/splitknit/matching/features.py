@@ -58,13 +58,9 @@ def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "line
 
     Raises BadInput if the image is not finite and two-dimensional, or the radius is not positive.
 
-    References
-    ----------
-    Ojala, Pietikainen and Maenpaa 2002, Multiresolution gray-scale and rotation invariant texture classification with
-    local binary patterns, section 2.1; the thesis, section 5.2.1.
+    Source: Ojala, Pietikainen and Maenpaa 2002, Multiresolution gray-scale and rotation invariant texture
+    classification with local binary patterns, section 2.1; the thesis, section 5.2.1.
 
-    Examples
-    --------
     >>> lbp_codes(np.array([[0, 0, 0], [0, 5, 9], [0, 0, 0]], np.float32))[1, 1].item()
     1
     """
@@ -255,9 +251,7 @@ def cell_px(px_per_mm: float) -> int:
 def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
     """Histograms of oriented gradients: cells, directions shared between two bins, blocks of 2 x 2 cells.
 
-    References
-    ----------
-    Dalal and Triggs 2005, Histograms of oriented gradients for human detection.
+    Source: Dalal and Triggs 2005, Histograms of oriented gradients for human detection.
     """
     image = check_image(image)
     across = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1)
@@ -297,9 +291,7 @@ def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
 def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     """Mean magnitude of Gabor responses in cells, for each period and direction, of unit length in a cell.
 
-    References
-    ----------
-    Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
+    Source: Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
     """
     import scipy.fft  # a comparison of templates needs none of it
 
@@ -356,9 +348,7 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
     Flanks are where the channel, freed from its mean over two cells, changes its sign. Fixed places instead of matched
     points make vectors of one length, as the thesis's distance needs them.
 
-    References
-    ----------
-    Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape contexts.
+    Source: Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape contexts.
     """
     image = check_image(image)
     cell = cell_px(px_per_mm)

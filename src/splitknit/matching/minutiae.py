@@ -90,6 +90,8 @@ def extract(
     Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed. Returns Minutiae:
     at most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to acquire.
 
+    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
+
     Parameters
     ----------
     print_image : (H, W) uint8; ridges dark, as ink on paper
@@ -101,10 +103,6 @@ def extract(
         Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
         :data:`splitknit.matching.minutiae.EDGE_MM` for prints taken as they are, and half of it after `enhance`:
         pressed prints fade out at their border.
-
-    References
-    ----------
-    C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
@@ -142,9 +140,7 @@ def minutiae_match(a: Minutiae, b: Minutiae) -> float:
     Comparing A with B gives what B with A gives: the larger of both directions. Different fingers seldom reach 40. With
     fewer than ten minutiae on one side (`acquired` is false) nothing is compared, and the score is 0.
 
-    References
-    ----------
-    C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: BOZORTH3.
+    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: BOZORTH3.
     """
     if not (a.acquired and b.acquired):
         return 0.0
@@ -158,9 +154,7 @@ def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
 
     Raises BadInput as :func:`extract`.
 
-    References
-    ----------
-    ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
+    Source: ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:

@@ -331,15 +331,13 @@ def minutiae3d_match(
 
     Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space.
 
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta
+    and phi; the score is m^2 / (M_P M_Q).
+
     Parameters
     ----------
     a, b : prepare a side that is compared more than once; then its settings must be those given here
-
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta and phi; the
-    score is m^2 / (M_P M_Q).
     """
     return _compared(*prepared_sides(a, b, PreparedMinutiae3D, settings))
 
@@ -447,10 +445,8 @@ def tetrahedra_match(
 ) -> SpaceMatch:
     """Compare the minutiae in space of two fingers by their tetrahedra; as :func:`minutiae3d_match`.
 
-    References
-    ----------
-    C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
-    Trans. PAMI 40(12), 2018. The accessible text of the paper lacks its tolerances: those here are chosen by us.
+    Source: C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination",
+    IEEE Trans. PAMI 40(12), 2018. The accessible text of the paper lacks its tolerances: those here are chosen by us.
     """
     return _compared(*prepared_sides(a, b, PreparedTetrahedra, settings))
 

@@ -188,8 +188,6 @@ def unpack_minutiae(data: bytes) -> Minutiae:
 
     Raises BadInput if the bytes are damaged, of another version, or no minutiae.
 
-    Examples
-    --------
     >>> unpack_minutiae(b"").acquired
     False
     """
@@ -291,8 +289,6 @@ def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
 
     Raises BadInput if the bytes are damaged, of another version, or no minutiae in space.
 
-    Examples
-    --------
     >>> unpack_space_minutiae(b"").acquired
     False
     """

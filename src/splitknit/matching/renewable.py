@@ -69,8 +69,6 @@ class RenewableCode:
         bits : (N, BITS / 8) uint8, packed
         fine : (N, K) int8, the turned codes, whose products are those of `codes` but for rounding
 
-        Examples
-        --------
         >>> code = np.arange(-96, 96, dtype=np.int8)[None]
         >>> bits, fine = RenewableCode(b"a secret").stored(code)
         >>> bits.shape, fine.shape

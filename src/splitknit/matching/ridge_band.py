@@ -82,6 +82,10 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive. The band's
     pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
 
+    Source: Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor);
+    Chen, Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
+    (unrolling by arc length).
+
     Parameters
     ----------
     ridge_mm : (H, W) float32; relief, ridges up, of any unit; ignored outside `mask`
@@ -92,12 +96,6 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     input_from_upright : (3, 3), optional
         Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
     upright_size : (rows, columns) of the upright frame, optional
-
-    References
-    ----------
-    Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor); Chen,
-    Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
-    (unrolling by arc length).
     """
     settings = settings or RidgeBandSettings()
     require(

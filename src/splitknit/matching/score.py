@@ -84,9 +84,7 @@ def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
     The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero. Raises
     BadInput if there are fewer than 100 scores or one is not finite.
 
-    References
-    ----------
-    ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
+    Source: ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
     """
     scores = np.sort(np.asarray(impostor, dtype=np.float64).ravel())
     require(scores.size >= 100, f"a calibration needs at least 100 impostor scores, but there are {scores.size}.")

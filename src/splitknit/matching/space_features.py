@@ -57,10 +57,8 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     Found in the relief's print by mindtct; phi is the elevation of the smoothed surface along the minutia's direction.
     Raises BadInput if `nbis-py` is not installed.
 
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: minutiae of the plane print with their height z and elevation phi.
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015: minutiae of the plane print with their height z and elevation phi.
     """
     from splitknit.matching.minutiae import extract  # large, and not everywhere
 

@@ -76,8 +76,6 @@ def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> 
     ----------
     band : as :func:`splitknit.matching.ridge_band` gives it
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from splitknit.matching.ridge_band import ridge_band
     >>> waves = np.sin(np.arange(200) * 1.4)[None, :] * np.ones((200, 1))

@@ -37,14 +37,12 @@ def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     Raises BadInput if a mask is empty. The lateral shift is found on masks reduced to about 128
     rows, then to the pixel.
 
+    Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the
+    search removes that chance.
+
     Parameters
     ----------
     database, query : (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding boxes, of one scale
-
-    References
-    ----------
-    The thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the search
-    removes that chance.
     """
     require(bool(database.any()) and bool(query.any()), "a mask is empty: not one pixel belongs to the finger.")
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)
@@ -259,16 +257,14 @@ def thesis_match(
     two have different scales, or one lacks a channel. The similarity is 1 - the mean dissimilarity (5.2):
     1 for equal fingers, below -1.7 where the gate left the pair out.
 
+    Source: the thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2) are those of the
+    channels of one attribute; relief has one.
+
     Parameters
     ----------
     database, query : of one scale (pixels per mm)
     features : of the database's finger by channel, optional
         What :func:`finger_features` made with the same settings; the database's channels are not needed then.
-
-    References
-    ----------
-    The thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2) are those of the channels of
-    one attribute; relief has one.
     """
     settings = settings or ThesisSettings()
     require(

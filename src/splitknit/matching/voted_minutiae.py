@@ -45,17 +45,13 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
     sizes differ. Returns Minutiae: by column and row; the quality is the fraction of the pictures that show it, 0 to
     100. The order of the pictures changes nothing.
 
+    Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
+    2018, as the thesis describes it (section 2.2.1).
+
     Parameters
     ----------
     pictures : lists of minutiae, all on prints of one size
 
-    References
-    ----------
-    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as
-    the thesis describes it (section 2.2.1).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> def one(x):
     ...     small = np.array([1], np.uint8)
@@ -209,6 +205,9 @@ def left_out_pictures(
     (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time. Raises BadInput if the
     capture shows no finger, or the white band has fewer than four images.
 
+    Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
+    2018, as the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
+
     Parameters
     ----------
     settings : of the mask and the orientation
@@ -218,11 +217,6 @@ def left_out_pictures(
     ------
     _LeftOut
         For each image that is left out, each of the pictures. A picture without any contrast is left out itself.
-
-    References
-    ----------
-    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as
-    the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
     """
     # settings of this method belong to those of all, so that every comparison imports this module
     from splitknit.finger.locate import prepared_capture

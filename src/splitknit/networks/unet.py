@@ -72,8 +72,6 @@ def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
     threads : of a network; not a bit of a result depends on it
 
-    Examples
-    --------
     >>> use_device("auto") in ("cpu", "cuda")
     True
     """

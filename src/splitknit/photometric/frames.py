@@ -80,20 +80,16 @@ def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
     right one, and that turned by 180 deg, give slopes without curl; of the two, the right one is convex: its slopes
     fall towards the outline. Raises BadInput if the shapes disagree or the mask is empty.
 
+    Sources: integrability, R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
+    algorithms", IEEE Trans. PAMI 10 (1988). The remaining ambiguity of concave and convex: P. N. Belhumeur, D. J.
+    Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999).
+
     Parameters
     ----------
     normals : (H, W, 3)
         As :func:`splitknit.photometric.lambertian.lambertian` finds them: x right, y up, z to the camera.
     mask : (H, W) bool; the whole object, so that its outline is where it turns away
 
-    References
-    ----------
-    Integrability: R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
-    algorithms", IEEE Trans. PAMI 10 (1988). The remaining ambiguity of concave and convex: P. N. Belhumeur,
-    D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
     >>> ball = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))])
@@ -132,20 +128,16 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
 
     Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`.
 
+    Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21
+    (1997). The best order is a quadratic assignment of the photographs' inner products to the lights', searched by
+    exchanges of two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
+
     Parameters
     ----------
     stack : (L, H, W) float32; linear light, one image a light; three at least. A few hundred pixels a side are enough.
     lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
     mask : (H, W) bool, optional; the whole object; everything by default
 
-    References
-    ----------
-    Rank three: A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21 (1997). The
-    best order is a quadratic assignment of the photographs' inner products to the lights', searched by exchanges of
-    two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
     >>> ball, inside = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))]), x**2 + y**2 < 0.5

@@ -141,6 +141,11 @@ def reflected(  # noqa: PLR0917 - the model's own variables
 ) -> _Reflected:  # fmt: skip
     """The two-layer model and its derivatives.
 
+    Source: P. Hanrahan and W. Krueger, "Reflection from layered surfaces due to subsurface scattering", SIGGRAPH 1993:
+    first order solution for the backscattered radiance, Henyey and Greenstein's phase function, Fresnel's coefficients.
+    W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
+    means", Optical Engineering 52 (2013): single scattering over a matt base for fingers.
+
     Parameters
     ----------
     to_light : (L, n); mu_i; where it is not positive the light is behind the surface, and everything is zero
@@ -148,13 +153,6 @@ def reflected(  # noqa: PLR0917 - the model's own variables
     between : (L, 1) or (L, n); cosine between the directions towards light and view, outside
     base, share, depth : (n,); matt base in units of the images; W and optical depth of the epidermis
     exposure : units of the images for a radiance factor K of one
-
-    References
-    ----------
-    P. Hanrahan and W. Krueger, "Reflection from layered surfaces due to subsurface scattering", SIGGRAPH 1993: first
-    order solution for the backscattered radiance, Henyey and Greenstein's phase function, Fresnel's coefficients.
-    W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
-    means", Optical Engineering 52 (2013): single scattering over a matt base for fingers.
     """
     index = layers.refractive_index
     lit = to_light > 0

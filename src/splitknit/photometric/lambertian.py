@@ -98,6 +98,10 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     turns is g and the L residuals, the size of the stack and three pictures more. Raises BadInput if shapes or numbers
     disagree, the lights are fewer than four, or the others lie in one plane when one of them is left out.
 
+    Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
+    2018: the leave-one-out sets. J. Sherman and W. Morrison, "Adjustment of an inverse matrix corresponding to a change
+    in one element of a given matrix", Annals of Mathematical Statistics 21 (1950).
+
     Parameters
     ----------
     stack : (L, H, W) float32; linear light, one image a light; four at least
@@ -110,12 +114,6 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
         Without image k, k = 0 ... L - 1: as :func:`splitknit.photometric.lambertian` of the other images gives them,
         but for rounding.
     albedo : (H, W) float32
-
-    References
-    ----------
-    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018: the
-    leave-one-out sets. J. Sherman and W. Morrison, "Adjustment of an inverse matrix corresponding to a change in one
-    element of a given matrix", Annals of Mathematical Statistics 21 (1950).
     """
     images = check_stack(stack, least=4)
     count, rows, columns = images.shape

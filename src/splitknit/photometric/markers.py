@@ -31,17 +31,14 @@ def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
     which removes dark spots up to that size) by a quarter or more, and the spot is about as large as a dot. Raises
     BadInput if the diameter is out of range. Returns (H, W) bool.
 
+    Source: J. Serra, "Image analysis and mathematical morphology", Academic Press 1982, chapter XII (the top-hat
+    transform).
+
     Parameters
     ----------
     light : (L, H, W); linear light, not divided by a flat photograph
     diameter_px : of a dot, at least 2
 
-    References
-    ----------
-    J. Serra, "Image analysis and mathematical morphology", Academic Press 1982, chapter XII (the top-hat transform).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> light = np.full((3, 60, 80), 0.5)
     >>> light[:, 20:28, 30:38] = 0.1
@@ -79,18 +76,14 @@ def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> Fl
     becomes the mean of a square around it, a few times over: a field that is linear across a hole stays so. Raises
     BadInput if everything is masked. Returns (N, H, W) float32.
 
+    Source: H. Knutsson and C.-F. Westin, "Normalized and differential convolution", CVPR 1993.
+
     Parameters
     ----------
     fields : (N, H, W)
     mask : (H, W) bool; what is replaced
     reach_px : standard deviation of the kernel, about half the diameter of the holes
 
-    References
-    ----------
-    H. Knutsson and C.-F. Westin, "Normalized and differential convolution", CVPR 1993.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> hole = np.zeros((30, 30), bool)
     >>> hole[12:16, 12:16] = True

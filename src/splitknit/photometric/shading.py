@@ -146,8 +146,6 @@ def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, Fl
     deviation : (H, W) float32
         Standard deviation of either slope.
 
-    Examples
-    --------
     >>> shading = read_shading("shading.npz")  # doctest: +SKIP
     >>> gradient, deviation = shading_slopes(shading, images / flat)  # doctest: +SKIP
     """

@@ -55,15 +55,14 @@ class Enhanced:
 def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
     """Enhance a print. Raises BadInput if the image is of another kind, or has no ridges.
 
+    Source: L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation,
+    section 2.6.
+
     Parameters
     ----------
     image : (h, w) uint8; ridges dark
     ppi : pixels per inch
     inside : (h, w) bool, optional; where the finger is, if it is known: nothing is printed beside it
-
-    References
-    ----------
-    L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
     """
     found = ridge_field(image, ppi, inside)
     coefficients = node_amplitudes(image, found, _SIGMA_PERIODS)
@@ -178,9 +177,8 @@ def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray
     A window's spectrum is multiplied by a radial band about the local frequency and by a fan about the local direction,
     which is wide where directions disagree (cores, deltas); the overlapping windows are put together again.
 
-    References
-    ----------
-    S. Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis, sections 3 and 4.
+    Source: S. Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis, sections 3
+    and 4.
     """
     found = ridge_field(image, ppi, inside)
     wave = _filtered(image, found, ppi / MM_PER_INCH)
@@ -280,14 +278,13 @@ def thin(shape: BoolArray) -> BoolArray:
 
     Raises BadInput if `shape` is not a boolean image.
 
+    Source: T. Zhang and C. Suen 1984, A fast parallel algorithm for thinning digital patterns. Pixels are looked up by
+    the code of their eight neighbours; at the end corners of staircases are taken off, so that lines are one pixel
+    wide.
+
     Parameters
     ----------
     shape : (h, w) bool
-
-    References
-    ----------
-    T. Zhang and C. Suen 1984, A fast parallel algorithm for thinning digital patterns. Pixels are looked up by the code
-    of their eight neighbours; at the end corners of staircases are taken off, so that lines are one pixel wide.
     """
     array = np.asarray(shape)
     if array.ndim != 2 or array.dtype != np.bool_:

@@ -54,6 +54,9 @@ def phase_minutiae(
     one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes. Returns
     _PhaseMinutiae: by rows, then columns.
 
+    Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
+    Optics Express 15, 2007.
+
     Parameters
     ----------
     image : (h, w) uint8; the print, ridges dark
@@ -61,11 +64,6 @@ def phase_minutiae(
     ppi : pixels per inch
     confidence : (h, w) float32, optional
         0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter.
-
-    References
-    ----------
-    K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?", Optics
-    Express 15, 2007.
     """
     require(
         image.shape == enhanced.wave.shape,

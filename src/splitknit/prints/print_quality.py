@@ -252,18 +252,16 @@ def print_quality(
 ) -> PrintQuality:
     """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the finger.
 
+    Source: ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
+    uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
+    periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
+
     Parameters
     ----------
     values : (h, w) float32
         What is inked: the relief in um, or anything else that is high on ridges (`in_um` false: no heights then).
     weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0
     found : of the print
-
-    References
-    ----------
-    ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
-    uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
-    periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
     """
     settings = settings or PrintQualitySettings()
     figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)

@@ -62,8 +62,6 @@ def relief_print(
     upright_size : (rows, columns) of the upright frame
     settings : resolution and contrast, optional
 
-    Examples
-    --------
     >>> import numpy as np
     >>> relief = np.zeros((40, 60), np.float32)
     >>> relief_print(relief, np.ones((40, 60), bool), 500 / 25.4, np.eye(3), (40, 60)).shape
@@ -158,15 +156,13 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges. Returns (h, w) uint8:
     ridges dark, valleys and background white.
 
+    Source: L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation,
+    section 2.3 (mean and variance made even; here locally).
+
     Parameters
     ----------
     values : (h, w) float32; such as the relief; any unit
     weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1
-
-    References
-    ----------
-    L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.3
-    (mean and variance made even; here locally).
     """
     settings = settings or PrintSettings()
     if values.ndim != 2 or values.shape != weight.shape:
