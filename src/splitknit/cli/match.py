@@ -50,7 +50,6 @@ def add_match(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Compare."""
     from splitknit.cli.options import read_changes
     from splitknit.errors import BadInput
     from splitknit.io.provenance import known_json

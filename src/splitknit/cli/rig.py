@@ -43,7 +43,6 @@ def add_rig(verbs: Any) -> None:
 
 
 def _phantom(options: argparse.Namespace) -> Outcome:
-    """Write the phantom."""
     from splitknit.rig.phantom import phantom_to_folder
 
     facts = phantom_to_folder(options.out)
@@ -55,7 +54,6 @@ def _phantom(options: argparse.Namespace) -> Outcome:
 
 
 def _add_target(kinds: Any) -> None:
-    """Add the verb."""
     verb = new_verb(
         kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", _write_target
     )
@@ -70,7 +68,6 @@ def _add_target(kinds: Any) -> None:
 
 
 def _write_target(options: argparse.Namespace) -> Outcome:
-    """Write the sheet."""
     from splitknit.calibration.targets import Board
     from splitknit.io.atomic import atomic_folder, write_file
     from splitknit.io.targets import check_file, check_target
@@ -122,7 +119,6 @@ def _write_target(options: argparse.Namespace) -> Outcome:
 
 
 def _add_optimise(kinds: Any) -> None:
-    """Add ``splitknit rig optimise``."""
     verb = new_verb(kinds, "optimise", "sweep the rig's dimensions on simulated fingers and find the best", _optimise)
     verb.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder to write; a sweep left in it goes on"
@@ -254,7 +250,6 @@ def _tilts(text: str | None) -> tuple[float | None, ...]:
 
 
 def _add_circuit(kinds: Any) -> None:
-    """Add ``splitknit rig circuit``."""
     verb = new_verb(
         kinds,
         "circuit",
@@ -327,7 +322,6 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
 
 
 def _add_cad(kinds: Any) -> None:
-    """Add ``splitknit rig cad``."""
     verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _draw_parts)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)")

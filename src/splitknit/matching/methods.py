@@ -451,7 +451,7 @@ def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
         naming(side.path, partial(surface_code, one, settings.surface_code))
         for side, one in zip((a, b), surfaces, strict=True)
     ]
-    found = surface_code_match(*codes, settings.surface_match)
+    found = surface_code_match(codes[0], codes[1], settings.surface_match)
     sides = [
         replace(_side(side), code_mm2=one.area_mm2, acquired=not one.empty)
         for side, one in zip((a, b), codes, strict=True)
