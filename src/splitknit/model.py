@@ -240,10 +240,8 @@ def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = 
 
     Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
 
-    Parameters
-    ----------
-    image_size : rows, columns
-    px_per_mm : to work with, where there is a better guess than a picture of 25 mm (its shorter side), as of a finger
+    `image_size`: rows, columns. `px_per_mm`: to work with, where there is a better guess than a picture of 25 mm (its
+    shorter side), as of a finger.
     """
     guess = min(image_size) / _UNKNOWN_SIDE_MM if px_per_mm is None else px_per_mm
     return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
@@ -721,9 +719,7 @@ def nominal_rig(scale: float = 1.0) -> Rig:
     Raises BadInput if `scale` is out of range. Returns Rig of 7 white and 7 NIR LEDs of intensity one, aimed at the
     origin, with their data sheets' lobes.
 
-    Parameters
-    ----------
-    scale : size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1]
+    `scale`: size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1].
     """
     drawn = default_rig(scale)
     rows, columns = drawn.camera.image_size

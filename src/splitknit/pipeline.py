@@ -555,10 +555,8 @@ def metric_polarised(
     from there their difference, the specular image, measures the heights. Where films show hardly any specular
     reflection (matt or wet skin), the result is that of :func:`metric_skin`.
 
-    Parameters
-    ----------
-    images : whose `bands` are as without films, and whose `crossed` is not None
-    skin, p, networks : as for :func:`metric_skin`
+    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`, `networks`: as for
+    :func:`metric_skin`.
     """
     grid, both, crossed = images.grid, images.bands[0], images.crossed
     assert crossed is not None

@@ -150,10 +150,7 @@ def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     Raises BadInput if a field is not known (the nearest name is offered), a value has another type than the field, or
     the settings refuse the value.
 
-    Parameters
-    ----------
-    settings : dataclass
-    changes : from ``stage.field`` to the new value, or nested mappings
+    `settings`: dataclass. `changes`: from ``stage.field`` to the new value, or nested mappings.
     """
     result = settings
     for name, value in flatten(changes).items():

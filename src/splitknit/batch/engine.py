@@ -53,7 +53,7 @@ _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,sess
 def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
     """Comparisons of the store, ready to be evaluated.
 
-    Returns Scores: NaN where nothing was compared, with the names of fingers, subjects and sessions.
+    The result has NaN where nothing was compared, with the names of fingers, subjects and sessions.
 
     Parameters
     ----------

@@ -318,8 +318,8 @@ class Shards:
     def search(self, template: Template, k: int = 500, settings: ProbeSettings | None = None) -> Hits:
         """The `k` fingers whose codes are most similar.
 
-        Raises BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile. Returns
-        Hits: the same, whatever the number of shards and threads; equal ones in the order of their rows.
+        Raises BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile. The result
+        is the same, whatever the number of shards and threads; equal ones in the order of their rows.
 
         Parameters
         ----------

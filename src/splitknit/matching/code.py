@@ -125,10 +125,7 @@ def sampled(
 ) -> tuple[FloatArray, FloatArray]:
     """Channels and weights on the grid of a code, for the finger turned and then shifted by several amounts.
 
-    Parameters
-    ----------
-    turn_rad : (V,) counter-clockwise as seen
-    right_mm, down_mm : (V,)
+    `turn_rad`: (V,) counter-clockwise as seen. `right_mm`, `down_mm`: (V,).
 
     Returns
     -------

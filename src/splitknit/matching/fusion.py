@@ -99,9 +99,7 @@ def fused_match(a: Template | Prepared, b: Template | Prepared) -> _FusedMatch:
 
     Raises BadInput as :func:`splitknit.matching.ridge.ridge_match`.
 
-    Parameters
-    ----------
-    a, b : with minutiae, as :func:`splitknit.matching.inputs.print_template` makes them
+    `a`, `b`: with minutiae, as :func:`splitknit.matching.inputs.print_template` makes them.
     """
     left, right = prepared_sides(a, b, Prepared, None)
     swapped = _order(left) > _order(right)

@@ -331,13 +331,11 @@ def minutiae3d_match(
 
     Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space.
 
+    `a`, `b`: prepare a side that is compared more than once; then its settings must be those given here.
+
     Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
     Trans. PAMI 37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta
     and phi; the score is m^2 / (M_P M_Q).
-
-    Parameters
-    ----------
-    a, b : prepare a side that is compared more than once; then its settings must be those given here
     """
     return _compared(*prepared_sides(a, b, PreparedMinutiae3D, settings))
 

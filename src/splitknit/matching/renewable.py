@@ -60,9 +60,7 @@ class RenewableCode:
     def stored(self, codes: NDArray[np.int8]) -> tuple[NDArray[np.uint8], NDArray[np.int8]]:
         """Codes as a gallery keeps them.
 
-        Parameters
-        ----------
-        codes : (N, K) int8 of :func:`splitknit.matching.code.code_of`
+        `codes`: (N, K) int8 of :func:`splitknit.matching.code.code_of`.
 
         Returns
         -------

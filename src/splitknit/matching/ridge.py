@@ -337,13 +337,11 @@ def ridge_match(
     shift that the neighbouring patches support, times sqrt(min(1, overlap / least)) with least =
     min(60 mm2, half of the smaller template).
 
+    `a`, `b`: prepare a template that is compared more than once; then its settings must be those given here.
+
     Source: Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A fingerprint matching
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based
     fingerprint verification system (local patches).
-
-    Parameters
-    ----------
-    a, b : prepare a template that is compared more than once; then its settings must be those given here
     """
     left, right = prepared_sides(a, b, Prepared, settings)
     if left.template.empty or right.template.empty:

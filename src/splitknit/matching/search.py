@@ -191,10 +191,7 @@ def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: i
     Raises BadInput if the templates have different pitches. Returns agreement times the root of the number of
     patches; -1 for a failure to acquire.
 
-    Parameters
-    ----------
-    settings : of the probe's variants
-    variant : number of the one that fits best
+    `settings`: of the probe's variants. `variant`: number of the one that fits best.
     """
     if other.template.empty:
         return -1.0

@@ -284,13 +284,11 @@ def surface_code_match(
 
     Comparing A with B gives what B with A gives. Raises BadInput if the codes have different pitches.
 
+    `a`, `b`: prepare a side that is compared more than once; then its settings must be those given here.
+
     Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
     Trans. PAMI 37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our
     addition.
-
-    Parameters
-    ----------
-    a, b : prepare a side that is compared more than once; then its settings must be those given here
     """
     left, right = prepared_sides(a, b, PreparedSurface, settings)
     pitch = left.surface_code.pitch_mm

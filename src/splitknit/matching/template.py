@@ -69,7 +69,7 @@ class Template:
 def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
-    Raises BadInput if the band is larger than the format allows: larger than any finger. Returns Template: empty where
+    Raises BadInput if the band is larger than the format allows: larger than any finger. The result is empty where
     less than ``least_area_mm2`` is valid: a failure to acquire.
 
     Parameters

@@ -37,12 +37,10 @@ def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     Raises BadInput if a mask is empty. The lateral shift is found on masks reduced to about 128
     rows, then to the pixel.
 
+    `database`, `query`: (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding boxes, of one scale.
+
     Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the
     search removes that chance.
-
-    Parameters
-    ----------
-    database, query : (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding boxes, of one scale
     """
     require(bool(database.any()) and bool(query.any()), "a mask is empty: not one pixel belongs to the finger.")
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)

@@ -42,8 +42,8 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
     Every picture has one vote for a place. The place with most votes is taken first, and the minutiae that voted for it
     have then no vote left for another, so that each minutia counts once. A kept minutia lies at the mean of its voters,
     points in their mean direction and has the type of most of them. Raises BadInput if there are no pictures, or their
-    sizes differ. Returns Minutiae: by column and row; the quality is the fraction of the pictures that show it, 0 to
-    100. The order of the pictures changes nothing.
+    sizes differ. The result lists minutiae by column and row; the quality is the fraction of the pictures that show it,
+    0 to 100. The order of the pictures changes nothing.
 
     Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
     2018, as the thesis describes it (section 2.2.1).
@@ -205,13 +205,11 @@ def left_out_pictures(
     (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time. Raises BadInput if the
     capture shows no finger, or the white band has fewer than four images.
 
+    `settings`: of the mask and the orientation. `finger`: where the finger is, if that is known; otherwise it is found,
+    and its motion undone, as for a surface.
+
     Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
     2018, as the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
-
-    Parameters
-    ----------
-    settings : of the mask and the orientation
-    finger : where the finger is, if that is known; otherwise it is found, and its motion undone, as for a surface
 
     Yields
     ------
@@ -264,9 +262,7 @@ def voted_minutiae(
 
     Raises BadInput as :func:`left_out_pictures`, or if `nbis-py` is not installed.
 
-    Parameters
-    ----------
-    capture, settings, chosen : as of :func:`left_out_pictures`
+    `capture`, `settings`, `chosen`: as of :func:`left_out_pictures`.
     """
     found = [extract(one.print_image, PPI) for one in left_out_pictures(capture, settings, chosen)]
     return vote(found, votes) if found else no_minutiae()

@@ -69,9 +69,7 @@ def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
 
     Raises BadInput if either file is missing or damaged, or the weights are not those that the card describes.
 
-    Parameters
-    ----------
-    name : name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it
+    `name`: name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it.
 
     Returns
     -------

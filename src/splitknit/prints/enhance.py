@@ -106,10 +106,8 @@ def node_amplitudes(
 
     Returns (n, m) complex64: amplitude and phase at the node, in the image's unit; zero outside the field's mask.
 
-    Parameters
-    ----------
-    image : (h, w) uint8 or float32
-    sigma_periods : standard deviation of the window in which a wave is fitted, in local ridge periods
+    `image`: (h, w) uint8 or float32. `sigma_periods`: standard deviation of the window in which a wave is fitted, in
+    local ridge periods.
     """
     step, (n, m) = found.step_px, found.mask.shape
     frequency = found.frequency_px[found.mask]
@@ -278,13 +276,11 @@ def thin(shape: BoolArray) -> BoolArray:
 
     Raises BadInput if `shape` is not a boolean image.
 
+    `shape`: (h, w) bool.
+
     Source: T. Zhang and C. Suen 1984, A fast parallel algorithm for thinning digital patterns. Pixels are looked up by
     the code of their eight neighbours; at the end corners of staircases are taken off, so that lines are one pixel
     wide.
-
-    Parameters
-    ----------
-    shape : (h, w) bool
     """
     array = np.asarray(shape)
     if array.ndim != 2 or array.dtype != np.bool_:

@@ -156,13 +156,11 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges. Returns (h, w) uint8:
     ridges dark, valleys and background white.
 
+    `values`: (h, w) float32; such as the relief; any unit. `weight`: (h, w) float32; fraction of the pixel that lies on
+    the finger, 0 to 1.
+
     Source: L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation,
     section 2.3 (mean and variance made even; here locally).
-
-    Parameters
-    ----------
-    values : (h, w) float32; such as the relief; any unit
-    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1
     """
     settings = settings or PrintSettings()
     if values.ndim != 2 or values.shape != weight.shape:

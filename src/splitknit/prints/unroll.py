@@ -407,9 +407,7 @@ class Unrolled:
 def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolled:
     """Lay a surface flat. Raises BadInput if there is too little surface.
 
-    Parameters
-    ----------
-    grid : from :func:`splitknit.prints.unroll_grid.surface_grid`
+    `grid`: from :func:`splitknit.prints.unroll_grid.surface_grid`.
     """
     settings = settings or UnrollSettings()
     if settings.kind == "cylinder":

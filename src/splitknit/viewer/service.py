@@ -73,10 +73,7 @@ class Service:
     def answer(self, path: str, query: Query) -> Reply:
         """Answer a request. Raises BadInput if there is nothing there, or what is there cannot be used.
 
-        Parameters
-        ----------
-        path : below the token, as sent; no address needs an escape, so none is undone
-        query : name to value
+        `path`: below the token, as sent; no address needs an escape, so none is undone. `query`: name to value.
         """
         if path in static_files():
             return static_file(path)
