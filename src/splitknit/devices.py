@@ -12,8 +12,9 @@ import signal
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Protocol, Self
 
 import numpy as np
@@ -62,7 +63,7 @@ class ExposureRange:
         )
 
 
-class Camera(Protocol):
+class Camera(AbstractContextManager["Camera"], Protocol):
     """A camera whose exposure, gain and white balance stay as they are set.
 
     Every frame that :meth:`capture` and :meth:`preview` return was exposed wholly after the call, with what was locked.
@@ -100,14 +101,8 @@ class Camera(Protocol):
     def close(self) -> None:
         """Give the hardware back; may be called twice."""
 
-    def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class LightBank(Protocol):
+class LightBank(AbstractContextManager["LightBank"], Protocol):
     """LEDs that are switched one at a time; all are off after construction, an exception, an interrupt and closing.
 
     Also a context manager that switches all off and closes.
@@ -140,12 +135,6 @@ class LightBank(Protocol):
     def close(self) -> None:
         """Switch all off and give the hardware back; may be called twice."""
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
 
 def relative_exposure(frame: Frame) -> float:
     """Exposure time times gain, by which light is divided."""
@@ -163,9 +152,7 @@ class Closing(ABC):
         """Return it."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *unused: object) -> None:
         """Close."""
         self.close()
 

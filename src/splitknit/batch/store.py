@@ -162,7 +162,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
         "population": {"sha256": population.sha256},
         "matching": _hashed({"band": settings.matching.band, "template": settings.matching.template}),
         "cases": {case.name: plain_json(case.document()) for case in settings.cases},
-        "matchers": {name: _hashed(matcher(name, settings.matching).document()) for name in settings.matchers},
+        "matchers": {name: _hashed(matcher(name, settings.matching).document) for name in settings.matchers},
     }
     if settings.matchers:
         document["pairs"] = {"seed": settings.seed, "impostors": settings.impostors}

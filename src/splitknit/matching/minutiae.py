@@ -88,7 +88,7 @@ def extract(
     """Find the minutiae of a print with mindtct.
 
     Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed. The result lists
-    minutiae at most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to
+    at most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to
     acquire.
 
     Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
