@@ -179,7 +179,10 @@ def run_batch(
             not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
             f"'{one}' is known to this process alone; take --jobs 1 and no cluster, or another place.",
         )
-    tables = _tables(settings, folder / "csv" if csv is None else csv)
+    into = folder / "csv" if csv is None else csv
+    tables = {
+        (case.name, name): into / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
+    }
     with contextlib.ExitStack() as stack:
         stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
         for table in tables.values():
@@ -246,13 +249,6 @@ def _match(run: _Run) -> list[dict[str, Any]]:
     READY.forget()
     drop_cached()
     return facts
-
-
-def _tables(settings: BatchSettings, folder: Location) -> dict[tuple[str, str], Location]:
-    """Score files by case and matcher."""
-    return {
-        (case.name, name): folder / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
-    }
 
 
 def _export(run: _Run, tables: Mapping[tuple[str, str], Location]) -> list[str]:

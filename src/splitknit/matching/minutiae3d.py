@@ -167,12 +167,8 @@ def _voted(a: _Framed, b: _Framed, pairs: tuple[Index, Index]) -> list[Index]:
         around = np.abs((angle - top[0] + steps // 2) % steps - steps // 2) <= 1
         around &= (np.abs(cell - np.array(top[1:])) <= 1).all(axis=1)
         groups.append(np.flatnonzero(around))
-        votes[
-            np.ix_(
-                [(top[0] + d) % steps for d in (-1, 0, 1)],
-                *(_beside(k, votes.shape[1 + d]) for d, k in enumerate(top[1:])),
-            )
-        ] = 0.0
+        turns = [(top[0] + d) % steps for d in (-1, 0, 1)]
+        votes[turns, max(top[1] - 1, 0) : top[1] + 2, max(top[2] - 1, 0) : top[2] + 2] = 0.0
     return groups
 
 
@@ -237,10 +233,6 @@ def _plane_motions(a: _Framed, b: _Framed, left: Index, right: Index) -> tuple[A
     cosine, sine = np.cos(turn), np.sin(turn)
     moved = np.stack([cosine * middle[:, 0] - sine * middle[:, 1], sine * middle[:, 0] + cosine * middle[:, 1]], axis=1)
     return turn, there - moved
-
-
-def _beside(k: np.intp, size: int) -> list[int]:
-    return list(range(max(int(k) - 1, 0), min(int(k) + 2, size)))
 
 
 def _armed(side: _Framed, index: Index) -> Array:
@@ -456,12 +448,8 @@ def _compared(a: _Framed, b: _Framed) -> SpaceMatch:
     left, right = (b, a) if a.key > b.key else (a, b)
     pairs = left.correspondences(right)
     count = len(_best_agreement(left, right, pairs, left.settings.agreement).a)
-    return SpaceMatch(_fraction_of_both(count, a.minutiae.count, b.minutiae.count), count, len(pairs[0]), compared=True)
-
-
-def _fraction_of_both(count: int, a: int, b: int) -> float:
-    """Score of `count` agreeing minutiae of `a` and `b`: count squared over their product, 0 to 1."""
-    return count * count / (a * b) if a and b else 0.0
+    similarity = count * count / (a.minutiae.count * b.minutiae.count)
+    return SpaceMatch(similarity, count, len(pairs[0]), compared=True)
 
 
 def _best_order(a: PreparedTetrahedra, b: PreparedTetrahedra, i: Index, j: Index) -> tuple[Index, NDArray[np.bool_]]:

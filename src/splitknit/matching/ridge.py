@@ -234,11 +234,6 @@ def _ridge_pass() -> FloatArray:
     return np.asarray((cycles > 1.2) & (cycles < min(3.8, 0.5 / _PITCH_MM)), dtype=np.float32)
 
 
-def _band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
-    """Ridge band with the steps of its levels smoothed away, zero outside."""
-    return np.where(valid, gaussian_blur(value, 0.6), np.float32(0.0)).astype(np.float32)
-
-
 _REFINEMENTS = 2
 """Affine fits to the patches' shifts."""
 _MIN_OVERLAP_MM2 = 60.0
@@ -290,8 +285,9 @@ class Prepared:
 
     @cached_property
     def value(self) -> FloatArray:
-        """(H, W) smooth ridge band."""
-        return _band_of(self.template.value(), self.template.valid)
+        """(H, W) ridge band with the steps of its levels smoothed away, zero outside."""
+        smooth = gaussian_blur(self.template.value(), 0.6)
+        return np.where(self.template.valid, smooth, np.float32(0.0)).astype(np.float32)
 
     @cached_property
     def rotated(self) -> _RotatedViews:

@@ -200,11 +200,8 @@ def _edge_normals(inside: BoolArray, edge: NDArray[np.intp], side: int, degree: 
         for b, (k, m) in enumerate(powers):
             normal[:, a, b] = moments[i + k, j + m]
     # a touch of ridge regression: what the pixels there do not determine stays small
-    return normal + 1e-4 * moments[0, 0][:, None, None] * np.eye(len(powers)) * _penalised(powers)
-
-
-def _penalised(powers: list[tuple[int, int]]) -> NDArray[np.float64]:
-    return np.array([1.0 if sum(power) > 1 else 0.0 for power in powers])
+    penalised = np.diag([float(sum(power) > 1) for power in powers])
+    return normal + 1e-4 * moments[0, 0][:, None, None] * penalised
 
 
 def _blurred(image: FloatArray, across: list[float], down: list[float]) -> FloatArray:
