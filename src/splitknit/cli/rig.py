@@ -166,7 +166,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
         _numbers("--heights-mm", options.heights_mm, budget["heights"]),
         _numbers("--radii-mm", options.radii_mm, budget["radii"]),
         _numbers("--powers-w", options.powers_w, budget["powers"]),
-        _tilts(options.tilts_deg),
+        _numbers("--tilts-deg", options.tilts_deg, (None,)),
         _numbers("--resolutions", options.resolutions, budget["resolutions"]),
     )
     study = _study(options, budget)
@@ -226,27 +226,19 @@ def _given(**values: float | str | None) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _numbers(option: str, text: str | None, default: tuple[float, ...]) -> tuple[float, ...]:
-    """Numbers with commas between them."""
+def _numbers(option: str, text: str | None, default: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Numbers with commas between them; ``centre``, of beams, is None."""
     if text is None:
         return default
     words = [word.strip() for word in text.split(",") if word.strip()]
     require(len(words) > 0, f"{option} is empty; list numbers with commas between them, as {option} 100,140.")
-    values = []
+    values: list[float | None] = []
     for word in words:
         try:
-            values.append(float(word))
+            values.append(None if option == "--tilts-deg" and word == "centre" else float(word))
         except ValueError as error:
             raise BadInput(f"{option} must list numbers with commas between them, but it holds '{word}'.") from error
     return tuple(values)
-
-
-def _tilts(text: str | None) -> tuple[float | None, ...]:
-    if text is None:
-        return (None,)
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    require(len(words) > 0, "--tilts-deg is empty; list angles or 'centre', as --tilts-deg 0,20,centre.")
-    return tuple(None if word == "centre" else _numbers("--tilts-deg", word, ())[0] for word in words)
 
 
 def _add_circuit(kinds: Any) -> None:

@@ -186,11 +186,11 @@ def _agreeing(a: _Framed, b: _Framed, rotation: Array, shift_mm: Array, settings
     i, j, turned, risen = i[similar], j[similar], turned[similar], risen[similar]
     cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / _HEIGHT_MM) ** 2
     cost += (turned / np.deg2rad(_THETA_DEG)) ** 2 + (risen / np.deg2rad(_PHI_DEG)) ** 2
-    chosen = _one_to_one(i, j, cost)
+    chosen = one_to_one(i, j, cost)
     return _Agreement(i[chosen], j[chosen], rotation, shift_mm)
 
 
-def _one_to_one(i: Index, j: Index, cost: Array) -> Index:
+def one_to_one(i: Index, j: Index, cost: Array) -> Index:
     """Which of the pairs (i, j) are kept if each side is used once, the cheapest first."""
     kept, seen_i, seen_j = [], set(), set()
     for k in np.argsort(cost, kind="stable").tolist():

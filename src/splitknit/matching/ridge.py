@@ -382,16 +382,11 @@ def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
 
 def starts_by_ridges(a: Prepared, b: Prepared) -> list[Affine]:
     """Alignments to begin with, by correlation."""
-    pitch = a.template.pitch_mm
+    pitch, shapes = a.template.pitch_mm, (a.template.valid.shape, b.template.valid.shape)
     return [
-        start_at(a, b, float(np.deg2rad(one.angle_deg)), (one.right_mm / pitch, one.down_mm / pitch))
+        rigid(*shapes, float(np.deg2rad(one.angle_deg)), (one.right_mm / pitch, one.down_mm / pitch))
         for one in peaks(a.rotated, b.directions, b.ridges)
     ]
-
-
-def start_at(a: Prepared, b: Prepared, angle_rad: float, shift_px: tuple[float, float]) -> Affine:
-    """As :func:`splitknit.matching.elastic.rigid`, of two templates."""
-    return rigid(a.template.valid.shape, b.template.valid.shape, angle_rad, shift_px)
 
 
 def refined(a: Prepared, b: Prepared, start: Affine, found: Agreement) -> Affine:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
+from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean, upright_from_print
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
@@ -179,14 +179,7 @@ def plane_map(
     _check_scale(pitch_mm, ppi)
     step = MM_PER_INCH / ppi / pitch_mm
     size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
-    upright_from_print = np.array(
-        [
-            [-step, 0.0, (upright_size[1] - 1) / 2 + step * (size[1] - 1) / 2],
-            [0.0, step, (upright_size[0] - 1) / 2 - step * (size[0] - 1) / 2],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    input_from_print = input_from_upright @ upright_from_print
+    input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
     column, row = np.meshgrid(np.arange(size[1], dtype=np.float64), np.arange(size[0], dtype=np.float64))
     columns = input_from_print[0, 0] * column + input_from_print[0, 1] * row + input_from_print[0, 2]
     rows = input_from_print[1, 0] * column + input_from_print[1, 1] * row + input_from_print[1, 2]

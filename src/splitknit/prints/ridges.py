@@ -83,14 +83,14 @@ def relief_print(
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
-    upright_from_print = _upright_from_print(size, upright_size, input_per_print)
-    window_from_print = window_from_input @ input_from_upright @ upright_from_print
+    input_from_print = input_from_upright @ upright_from_print(size, upright_size, input_per_print)
+    window_from_print = window_from_input @ input_from_print
     weight = np.clip(warp(weight, window_from_print, size), 0.0, 1.0)
     relief = warp(relief.astype(np.float32), window_from_print, size)
     return _ink(relief, weight, settings)
 
 
-def _upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
+def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
     """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
     return np.array(
         [

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.matching.minutiae3d import one_to_one
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit.matching.template import make_template
@@ -151,16 +152,9 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     gaps = np.linalg.norm(a.place_mm[:, None, :2] - moved[None, :, :2], axis=2)
     here, there = (np.arctan2(step[:, 1], step[:, 0]) for step in (a.tail_mm - a.place_mm, tails - moved))
     turns = (here[:, None] - there[None, :] + np.pi) % (2 * np.pi) - np.pi
-    fits = (gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD)
-    pairs, used_a, used_b = [], set(), set()
-    rows, columns = np.nonzero(fits)
-    for k in np.argsort(gaps[rows, columns], kind="stable"):
-        i, j = int(rows[k]), int(columns[k])
-        if i not in used_a and j not in used_b:
-            pairs.append((i, j))
-            used_a.add(i)
-            used_b.add(j)
-    return pairs
+    rows, columns = np.nonzero((gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD))
+    kept = one_to_one(rows, columns, gaps[rows, columns])
+    return list(zip(rows[kept].tolist(), columns[kept].tolist(), strict=True))
 
 
 def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:
