@@ -80,14 +80,12 @@ def _write_target(options: argparse.Namespace) -> Outcome:
         target_pdf,
     )
 
-    as_file = options.out.suffix.lower() == ".pdf"  # as before, when only a file was taken
-    if not as_file:
+    as_file = options.out.suffix.lower() == ".pdf"
+    sheet = options.out if as_file else options.out / _SHEET
+    if as_file:
+        check_file(sheet, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
+    else:
         check_target(options.out, _SHEET, "an earlier sheet of targets")
-    check_file(
-        options.out if as_file else None,
-        "a sheet of targets",
-        lambda data: data.startswith(b"%PDF") and PRODUCER in data,
-    )
     board = Board.named(options.board, options.square_mm)
     settings = TargetSettings(
         columns=board.columns, rows=board.rows, square_mm=options.square_mm, spacing_mm=options.dot_mm
@@ -108,7 +106,6 @@ def _write_target(options: argparse.Namespace) -> Outcome:
         "disc": {"dots": len(dots_mm(settings)), "dot_mm": DOT_MM, "spacing_mm": settings.spacing_mm},
         "ruler_mm": RULER_MM,
     }
-    sheet = options.out if as_file else options.out / _SHEET
     lines = [
         f"{sheet}: {across * down} checkerboards of {width:g} x {height:g} mm (--board "
         f"{board.columns}x{board.rows}: inner corners, where four squares meet; {board.columns + 1} x {board.rows + 1} "
