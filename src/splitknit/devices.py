@@ -79,17 +79,10 @@ class Camera(AbstractContextManager["Camera"], Protocol):
         """What :meth:`lock` accepts."""
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
-        """Fix exposure, gain and white balance for all further frames.
+        """Fix exposure, gain (within :attr:`exposures`) and white balance for all further frames.
 
-        Parameters
-        ----------
-        exposure_s, gain : within :attr:`exposures`
-        band : ``white`` or ``nir``, whose LEDs a white card is white under
-
-        Raises
-        ------
-        BadInput
-            If they are outside :attr:`exposures`, or there is no such band.
+        A white card is white under the LEDs of `band`, ``white`` or ``nir``. Raises BadInput if exposure or gain are
+        outside :attr:`exposures`, or there is no such band.
         """
 
     def capture(self) -> Frame:

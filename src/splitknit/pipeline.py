@@ -236,14 +236,8 @@ def with_scale(
 
     Returns
     -------
-    capture : Capture
-        With the scale; the same one where neither is given.
-    note : str
-        How the scale was found in the ridges, and how well it is known; else empty.
-
-    >>> from splitknit.pipeline import with_scale
-    >>> capture, note = with_scale(splitknit.read_capture("photos_imported"), ridge_period_mm=0.45)  # doctest: +SKIP
-    """
+    capture : with the scale; the same one where neither is given
+    note : how the scale was found in the ridges, and how well it is known; else empty    """
     if px_per_mm is None and ridge_period_mm is None:
         return capture, ""
     camera, note = capture.rig.camera, ""

@@ -76,10 +76,7 @@ class Checked:
 def check_fields(settings: Checked) -> None:
     """Check every field of a settings dataclass against the range or the choices that its type declares.
 
-    Raises
-    ------
-    BadInput
-        Which field, what was expected, and what came.
+    Raises BadInput: which field, what was expected, and what came.
     """
     kind = type(settings)
     for name, rule in _rules(typing.cast(Hashable, kind)):

@@ -145,13 +145,7 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 
 @contextmanager
 def timed_run(progress: Progress | None, memory: Memory | None) -> Iterator[dict[str, float]]:
-    """Time the steps inside, report them to `progress`, and share results by `memory`.
-
-    Yields
-    ------
-    dict
-        Seconds of every stage so far.
-    """
+    """Time the steps inside, report them to `progress`, and share results by `memory`; yield the seconds of stages."""
     run = _Run(progress, memory)
     token = _RUN.set(run)
     try:

@@ -138,8 +138,6 @@ def export_records(
     out : folder to write
     settings : the format, and what the sources do not state
     key : of an encrypted gallery
-
-    >>> export_records([Path("scan.png")], Path("records"), Exporting("iso-19794-2"))  # doctest: +SKIP
     """
     require(len(sources) > 0, "name what is to be exported: captures, results, prints, records or galleries.")
     for source in sources:

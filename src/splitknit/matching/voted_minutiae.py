@@ -213,8 +213,7 @@ def left_out_pictures(
 
     Yields
     ------
-    _LeftOut
-        For each image that is left out, each of the pictures. A picture without any contrast is left out itself.
+    _LeftOut : for each image that is left out, each of the pictures. A picture without any contrast is left out itself.
     """
     # settings of this method belong to those of all, so that every comparison imports this module
     from splitknit.finger.locate import prepared_capture

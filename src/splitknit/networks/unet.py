@@ -193,8 +193,9 @@ def _onnxruntime() -> Any:
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
     """Run `network` on every image.
 
-    Raises BadInput if the images have the wrong number of channels, hold NaN, or are smaller than the network's stride.
-    Returns (N, D, H, W) float32.
+    Images whose sides are no multiples of the stride are lengthened by reflection at their lower and right borders, and
+    the result is cut back. Tiles overlap by the network's reach. Raises BadInput if the images have the wrong number of
+    channels, hold NaN, or are smaller than the network's stride. Returns (N, D, H, W) float32.
 
     Parameters
     ----------
@@ -204,11 +205,6 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     tile : int
         Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square. The
         result does not depend on it, but for rounding (about 1e-6).
-
-    Notes
-    -----
-    Images whose sides are no multiples of the stride are lengthened by reflection at their lower and right borders,
-    and the result is cut back. Tiles overlap by the network's reach, see :mod:`splitknit.networks.unet`.
     """
     stack = _checked(images, network.card)
     count, channels, height, width = stack.shape

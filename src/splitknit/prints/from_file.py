@@ -44,9 +44,6 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
     ----------
     path : file of any format of :data:`splitknit.io.print_formats.FORMATS`
     input_ppi : resolution of pictures, whatever they state
-
-    >>> read_print_file("scan.png", input_ppi=1000)[0].resolution_ppi  # doctest: +SKIP
-    1000
     """
     require(
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
@@ -135,11 +132,6 @@ def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
 
     The peak of the spectrum's mean over all directions, times the frequency to the power 2.5, which makes up for what
     pictures without ridges lose towards high frequencies.
-
-    >>> import numpy as np
-    >>> waves = 127 + 100 * np.sin(np.arange(300) * 2 * np.pi / 9)[None] * np.ones((300, 1))
-    >>> round(ridge_period_px(waves.astype(np.uint8)))
-    9
     """
     if min(image.shape) < 64:
         return None

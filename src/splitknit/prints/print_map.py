@@ -324,8 +324,7 @@ def resample(
     Returns
     -------
     values : (h, w) float32
-    weight : (h, w) float32
-        Fraction of the pixel that lies on the finger, 0 to 1.
+    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm

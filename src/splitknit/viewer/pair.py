@@ -116,10 +116,8 @@ def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tupl
 
     Returns
     -------
-    picture : (h, w) uint8
-        Over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``.
-    figures : dict
-        ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``.
+    picture : (h, w) uint8; over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``
+    figures : dict; ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``
     """
     height, width = (min(side, _PICTURE_PX) for side in a.size)
     rows, columns = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip((height, width), a.size, strict=True))
