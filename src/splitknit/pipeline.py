@@ -237,7 +237,8 @@ def with_scale(
     Returns
     -------
     capture : with the scale; the same one where neither is given
-    note : how the scale was found in the ridges, and how well it is known; else empty    """
+    note : how the scale was found in the ridges, and how well it is known; else empty
+    """
     if px_per_mm is None and ridge_period_mm is None:
         return capture, ""
     camera, note = capture.rig.camera, ""

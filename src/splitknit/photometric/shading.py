@@ -143,7 +143,8 @@ def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, Fl
     -------
     gradient : (2, H, W) float32
         dz/dx and dz/dy, y up. Slopes beyond 1.5 times the steepest calibrated one are shortened to it.
-    deviation : (H, W) float32; standard deviation of either slope    """
+    deviation : (H, W) float32; standard deviation of either slope
+    """
     lights, rows, columns = check_shading(shading, images)
     count = term_count(lights, shading.degree)
     places = len(shading.weights) // count

@@ -40,10 +40,8 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
     Raises BadInput as :func:`splitknit.io.print_formats.read_prints`; if a picture does not state its resolution, with
     the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
 
-    Parameters
-    ----------
-    path : file of any format of :data:`splitknit.io.print_formats.FORMATS`
-    input_ppi : resolution of pictures, whatever they state
+    `path`: file of any format of :data:`splitknit.io.print_formats.FORMATS`. `input_ppi`: resolution of pictures,
+    whatever they state.
     """
     require(
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
