@@ -96,10 +96,6 @@ SLOW_MM = 0.32
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 USUAL_PERIOD_MM = 0.45
-NO_NIR = (
-    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
-    "reflection bend it."
-)
 NO_SPECULAR = (
     "the difference of the parallel and the crossed series shows hardly any specular reflection (matt or wet skin, or "
     "films that are not crossed): ridge heights are modelled, as without films."
@@ -667,7 +663,11 @@ def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple
     if not from_nir:
         return (white,), ()
     if "nir" not in capture.bands:
-        return (white,), (NO_NIR,) if capture.material == "skin" else ()
+        note = (
+            "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and "
+            "specular reflection bend it."
+        )
+        return (white,), (note,) if capture.material == "skin" else ()
     return (white, capture.bands["nir"]), ()
 
 

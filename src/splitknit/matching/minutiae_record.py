@@ -35,8 +35,6 @@ class Packing:
     """Format of the sizes in the head, little-endian, as of :mod:`struct`."""
     remedy: str
     """What to do about bytes that cannot be read."""
-    plural: bool = True
-    """Whether the name is one of many things."""
 
     @property
     def head(self) -> struct.Struct:
@@ -53,7 +51,6 @@ class Packing:
         Raises BadInput if the bytes are damaged, of another version, or something else.
         """
         head, name = self.head, self.name
-        are, their = ("are", "their") if self.plural else ("is", "its")
         require(
             len(data) > head.size and data[:4] == self.magic,
             f"these {len(data)} bytes are no packed {name} (they begin with '{self.magic.decode('ascii')}'); "
@@ -62,13 +59,13 @@ class Packing:
         _, version, *sizes, sum_ = head.unpack_from(data)
         require(
             version == self.version,
-            f"the {name} {are} of version {version}, but this program reads version {self.version}; {self.remedy}",
+            f"the {name} are of version {version}, but this program reads version {self.version}; {self.remedy}",
         )
         body = data[head.size :]
         size = body_size(*sizes)
         require(
             size > 0 and len(body) == size and zlib.crc32(body) == sum_,
-            f"the packed {name} {are} damaged ({their} length or checksum does not fit); {self.remedy}",
+            f"the packed {name} are damaged (their length or checksum does not fit); {self.remedy}",
         )
         return tuple(sizes), body
 

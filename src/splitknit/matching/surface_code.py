@@ -30,9 +30,7 @@ NATURAL = np.arange(ZONES, dtype=np.uint8)
 GRAY = NATURAL ^ (NATURAL >> 1)
 CODINGS = {"gray": GRAY, "binary": NATURAL}
 LARGEST_SIDE_PX = 4096
-_PACKING = Packing(
-    "surface code", b"SKSC", SURFACE_CODE_VERSION, "HHH", "make it from the surface again.", plural=False
-)
+_PACKING = Packing("surface codes", b"SKSC", SURFACE_CODE_VERSION, "HHH", "make them from the surface again.")
 
 CODE_PITCH_MM = 0.1
 """Of the grid of places; a ridge's period has four to five of them."""
@@ -190,11 +188,6 @@ class SurfaceMatchSettings(Checked):
     coarse_mm: Annotated[float, Limits(0.05, 1)] = 0.15
     """Pitch of the first level."""
 
-    def turns_deg(self) -> list[float]:
-        """Turns of the first level, zero among them."""
-        count = int(self.turn_deg / self.turn_step_deg + 1e-9)
-        return [self.turn_step_deg * k for k in range(-count, count + 1)]
-
 
 @dataclass(frozen=True, slots=True)
 class _SurfaceMatch:
@@ -335,7 +328,8 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
     if not bool(enough.any()):
         return []
     found: list[tuple[float, float, int, int]] = []
-    for turn in settings.turns_deg():
+    count = int(settings.turn_deg / settings.turn_step_deg + 1e-9)
+    for turn in (settings.turn_step_deg * k for k in range(-count, count + 1)):
         equal = scipy.fft.irfft2((a.planes(turn, size).conj() * planes).sum(axis=0), size)[chosen]
         agreement = equal / common
         # how far above what is usual, in units of what chance gives at this overlap

@@ -50,19 +50,14 @@ def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     middle = round(start / factor)
     coarse, _ = _largest(small_database, small_query, range(middle - reach, middle + reach + 1))
     best, both = _largest(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
-    return _MaskAlignment(best, _intersection_over_union(database, query, both))
+    union = np.count_nonzero(database) + np.count_nonzero(query) - both
+    return _MaskAlignment(best, float(both / union))
 
 
 def _tip_column(mask: BoolArray) -> int:
     """Middle of the first row of a mask that has any pixel."""
     row = int(np.argmax(mask.any(axis=1)))
     return int(np.flatnonzero(mask[row]).mean())
-
-
-def _intersection_over_union(a: BoolArray, b: BoolArray, both: int) -> float:
-    """(5.1) of two masks that have `both` pixels in common."""
-    union = np.count_nonzero(a) + np.count_nonzero(b) - both
-    return float(both / union) if union else 0.0
 
 
 def _largest(a: BoolArray, b: BoolArray, shifts: range) -> tuple[int, int]:
