@@ -101,7 +101,8 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
         if running().device != "cpu":
             origin |= {"device": running().device}
-        origin |= {"population_sha256": task.population_sha256, "matching_sha256": _features_hash(task.matching)}
+        templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
+        origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         for kind in task.solids:  # before the features, by which a later run knows what is finished
             file = task.store / kind / case.name / f"{name}{SUFFIX}"
@@ -109,11 +110,6 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
             write_extracted(file, kind, found, origin)
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
     return TaskDone(sum(map(len, rows.values())), failures=tuple(failures))
-
-
-def _features_hash(matching: MatchingSettings) -> str:
-    """SHA-256 of the settings that templates follow from."""
-    return settings_hash({"band": matching.band, "template": matching.template})
 
 
 def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, last: bool) -> dict[str, Any]:
