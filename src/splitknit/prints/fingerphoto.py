@@ -1,0 +1,209 @@
+"""Fingerphotos: one photograph of a finger, by a telephone or any camera, as a source of prints.
+
+The finger is segmented by its colour, turned tip up and given a scale and a mean shape: an elliptic cross-section as
+wide as the outline. Its print is then made as that of a capture's photograph is, on the plane or unrolled. The camera
+is taken to look straight at the pad from afar; nothing is known of the relief.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+
+from splitknit.errors import BadInput, naming, require
+from splitknit.finger.mask import check_borders
+from splitknit.finger.orientation import Upright, find_upright
+from splitknit.finger.phalange import find_crease, phalange_mask
+from splitknit.finger.regions import fill_holes, largest_component, reduce_image, remove_spurs
+from splitknit.finger.ridge_period import PEOPLE
+from splitknit.imaging.geometry import bounding_box
+from splitknit.io.photos import SUFFIXES, read_photo
+from splitknit.io.prints import is_coloured
+from splitknit.matching.minutiae_record import PPI
+from splitknit.model import BoolArray, FloatArray
+from splitknit.plausible import FINGER_WIDTH
+from splitknit.prints.from_file import USUAL_PERIOD_MM
+from splitknit.prints.make import enhance, make_print
+from splitknit.prints.sources import Source
+
+USUAL_WIDTH_MM = 17.0
+_PEOPLE_WIDTH = 0.12
+"""Of fingers other than thumbs, and its relative standard deviation; most adults' are 14 to 20 mm wide (T. M. Greiner,
+"Hand anthropometry of U.S. Army personnel", 1991)."""
+_THICKNESS = 0.8
+"""Depth over breadth of a fingertip."""
+_LENGTH = 1.5
+"""From the tip, in widths, that is kept: about to the first crease."""
+_SEGMENTED_SIDE, _WIDEST = 480, 700
+"""Longer side of the picture that is segmented, and width of the finger in the picture that is kept, pixels."""
+_REDDER = 8.0
+"""Grey levels by which skin's Cr - Cb lies above the background's at least."""
+_ROUNDS = 4
+"""Of GrabCut."""
+
+
+def is_fingerphoto(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is a picture in colour; prints are grey. Damaged ones are not, and are refused elsewhere."""
+    if Path(path).suffix.lower() not in SUFFIXES:
+        return False
+    try:
+        return is_coloured(read_photo(path).pixels)
+    except BadInput:
+        return False
+
+
+def read_fingerphoto(path: str | os.PathLike[str], px_per_mm: float | None = None) -> Source:
+    """Read a photograph of one finger.
+
+    Parameters
+    ----------
+    path : any picture of :func:`splitknit.io.photos.read_photo`, in colour
+    px_per_mm : its scale on the finger; None: by the finger's width and its ridges, known to some 8 %
+
+    Returns
+    -------
+    Source
+        For :func:`splitknit.prints.make.make_print` with the method ``photo``; `scale` says what was taken for what.
+
+    Raises
+    ------
+    BadInput
+        As :func:`source_of_photo`, naming the file.
+
+    Examples
+    --------
+    >>> from splitknit.prints.make import make_print
+    >>> make_print(read_fingerphoto("thumb.jpg"), "photo", "free").image.shape  # doctest: +SKIP
+    (492, 431)
+    """
+    photo = read_photo(path)
+    found = naming(path, lambda: source_of_photo(photo.pixels, px_per_mm))
+    return replace(found, hashes={Path(path).name: photo.sha256})
+
+
+def source_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16], px_per_mm: float | None = None) -> Source:
+    """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
+
+    Raises
+    ------
+    BadInput
+        If nothing in it is redder than the rest and lies like a finger, it touches three borders, shows no ridges to
+        take the scale from, or has an impossible width by the scale that was given.
+
+    References
+    ----------
+    C. Rother, V. Kolmogorov and A. Blake, "GrabCut", ACM Transactions on Graphics 23, 2004 (segmentation); C. Stein,
+    C. Nickel and C. Busch, "Fingerphoto recognition with smartphone cameras", BIOSIG 2012 (the chain of steps).
+    """
+    mask = finger_mask_of_photo(pixels)
+    width = find_upright(mask).width_px
+    reduction = min(1.0, _WIDEST / width)
+    box = bounding_box(mask, round(0.1 * width))
+    light = reduce_image(np.ascontiguousarray(pixels[(*box, 1)], dtype=np.float32), reduction)
+    inside = reduce_image(mask[box].astype(np.float32), reduction) > 0.5
+    upright = find_upright(inside)
+    inside &= _upright_places(inside.shape, upright)[1] < upright.tip_row + _LENGTH * upright.width_px
+    shape = _mean_shape(inside, upright)
+
+    def source(scale: float, note: str) -> Source:
+        return Source(
+            "photo", inside, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape / np.float32(scale),
+            photo=light, scale=" ".join(["taken for a photograph of a finger;", note, upright.note]).strip(),
+        )  # fmt: skip
+
+    if px_per_mm is None:
+        found = source(*_usual_scale(source(upright.width_px / USUAL_WIDTH_MM, ""), upright.width_px))
+    else:
+        width_mm = upright.width_px / (px_per_mm * reduction)
+        odd = FINGER_WIDTH.notes(width_mm, "check the scale")
+        found = source(px_per_mm * reduction, " ".join([f"by the given scale it is {width_mm:.1f} mm wide.", *odd]))
+    crease = find_crease(light, inside, upright, 1.0 / found.pitch_mm)
+    return replace(found, mask=phalange_mask(inside, crease, upright))
+
+
+def finger_mask_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> BoolArray:
+    """Mask (H, W) of the finger in a photograph (H, W, 3) before a background that is less red.
+
+    Otsu's threshold on Cr - Cb, which no brightness and no skin tone decides alone, starts GrabCut.
+
+    Raises
+    ------
+    BadInput
+        If nothing is redder than the rest, or what is touches three borders of the picture.
+    """
+    factor = min(1.0, _SEGMENTED_SIDE / max(pixels.shape[:2]))
+    small = reduce_image(pixels.astype(np.float32), factor) * np.float32(255.0 / np.iinfo(pixels.dtype).max)
+    picture = np.asarray(np.clip(np.rint(small), 0, 255), dtype=np.uint8)
+    chroma = cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb).astype(np.float32)
+    red = np.clip(chroma[..., 1] - chroma[..., 2] + 128.0, 0, 255).astype(np.uint8)
+    level, _ = cv2.threshold(cv2.GaussianBlur(red, (0, 0), 2.0), 0, 255, cv2.THRESH_OTSU)
+    seed = largest_component(red > level)
+    rise = float(red[seed].mean() - red[~seed].mean()) if bool(seed.any()) and not bool(seed.all()) else 0.0
+    require(
+        rise >= _REDDER,
+        "no finger was found in the photograph: nothing is redder than the rest; photograph one finger, its pad to the "
+        "camera, before a background that is not of skin's colour.",
+    )
+    marks = np.where(seed, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    cv2.setRNGSeed(0)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    whole = 0, 0, picture.shape[1], picture.shape[0]  # not used where a mask is given
+    cv2.grabCut(picture, marks, whole, *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    found = (marks == cv2.GC_FGD) | (marks == cv2.GC_PR_FGD)
+    found = remove_spurs(fill_holes(largest_component(found)), 0.4)
+    require(bool(found.any()), "no finger was found in the photograph; move it closer, before a plain background.")
+    check_borders(found)
+    large = cv2.resize(found.astype(np.float32), pixels.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.GaussianBlur(large, (0, 0), max(0.5 / factor, 0.3)) > 0.5)
+
+
+def _upright_places(shape: tuple[int, ...], upright: Upright) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(H, W) column and row in the upright frame of every pixel."""
+    row, column = np.indices(shape[:2])
+    to = upright.upright_from_input
+    return to[0, 0] * column + to[0, 1] * row + to[0, 2], to[1, 0] * column + to[1, 1] * row + to[1, 2]
+
+
+def _mean_shape(inside: BoolArray, upright: Upright) -> FloatArray:
+    """(H, W) height in pixels of half an elliptic cylinder whose cross-sections are as wide as the outline."""
+    across, along = _upright_places(inside.shape, upright)
+    row = np.clip(np.rint(along), 0, upright.size[0] - 1).astype(np.intp)
+    rows = row[inside]
+    ends = [np.full(upright.size[0], start) for start in (np.inf, -np.inf)]
+    np.minimum.at(ends[0], rows, across[inside])
+    np.maximum.at(ends[1], rows, across[inside])
+    known = np.flatnonzero(ends[0] <= ends[1])
+    every = np.arange(upright.size[0])
+    left, right = (
+        gaussian_filter1d(np.interp(every, known, side[known]), 0.03 * upright.width_px, mode="nearest")
+        for side in ends
+    )
+    half = np.maximum(0.5 * (right - left), 1.0)
+    aside = (across - 0.5 * (left + right)[row]) / half[row]
+    height = _THICKNESS * half[row] * np.sqrt(np.clip(1.0 - aside**2, 0.0, 1.0))
+    return np.where(inside, height, 0.0).astype(np.float32)
+
+
+def _usual_scale(source: Source, width_px: float) -> tuple[float, str]:
+    """Pixels a millimetre by which width and ridges are as usual as they can be together, and how well it is known.
+
+    `source`: at the scale by which the width alone is usual; the ridges are measured on its unrolled print.
+    """
+    field = enhance(make_print(source, "photo", "free"), PPI).field
+    by_width = 1.0 / source.pitch_mm
+    by_ridges = by_width * float(np.median(field.period_mm(PPI)[field.mask])) / USUAL_PERIOD_MM
+    weight = PEOPLE**-2 / (PEOPLE**-2 + _PEOPLE_WIDTH**-2)
+    scale = by_ridges**weight * by_width ** (1.0 - weight)
+    note = (
+        f"its scale is assumed, to about {100 * PEOPLE:.0f} %: {width_px / scale:.1f} mm wide, ridges "
+        f"{USUAL_PERIOD_MM * by_ridges / scale:.2f} mm apart."
+    )
+    if abs(np.log(by_ridges / by_width)) > 3.0 * np.hypot(PEOPLE, _PEOPLE_WIDTH):
+        note += " Both together are unusual; give the scale."
+    return scale, note
