@@ -1,6 +1,6 @@
 """Photographs of simulated fingers, as a telephone takes them, against presses of the same fingers.
 
-    nice python validation/match/fingerphotos.py --work FOLDER                 # 40 fingers, 30 minutes of one core
+    nice python validation/match/fingerphotos.py --work FOLDER                 # 24 fingers, 20 minutes of one core
     nice python validation/match/fingerphotos.py --work FOLDER --fingers 4     # a quick look
 
 One photograph of each finger in a pose of its own, before blue-grey paper, at 30 px/mm by the drawn rig's perspective
@@ -107,7 +107,7 @@ def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--fingers", type=int, default=40)
+    parser.add_argument("--fingers", type=int, default=24)
     parser.add_argument("--write", action="store_true", help=f"write {OUT.name} and the table of impostor scores")
     options = parser.parse_args()
     cv2.setNumThreads(1)

@@ -42,8 +42,8 @@ _LENGTH = 1.5
 """From the tip, in widths, that is kept: about to the first crease."""
 _SEGMENTED_SIDE, _WIDEST = 480, 700
 """Longer side of the picture that is segmented, and width of the finger in the picture that is kept, pixels."""
-_REDDER = 8.0
-"""Grey levels by which skin's Cr - Cb lies above the background's at least."""
+_REDDER = 0.05
+"""By which skin's (Cr - Cb) / Y, the same in light and shade, lies above the background's at least."""
 _ROUNDS = 4
 """Of GrabCut."""
 
@@ -144,9 +144,10 @@ def finger_mask_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> Bool
     red = np.clip(chroma[..., 1] - chroma[..., 2] + 128.0, 0, 255).astype(np.uint8)
     level, _ = cv2.threshold(cv2.GaussianBlur(red, (0, 0), 2.0), 0, 255, cv2.THRESH_OTSU)
     seed = largest_component(red > level)
-    rise = float(red[seed].mean() - red[~seed].mean()) if bool(seed.any()) and not bool(seed.all()) else 0.0
+    parts = [chroma[part].mean(axis=0) for part in (seed, ~seed) if bool(part.any())]
+    redness = [float(cr - cb) / max(float(y), 1.0) for y, cr, cb in parts]
     require(
-        rise >= _REDDER,
+        len(redness) == 2 and redness[0] - redness[1] >= _REDDER,
         "no finger was found in the photograph: nothing is redder than the rest; photograph one finger, its pad to the "
         "camera, before a background that is not of skin's colour.",
     )
