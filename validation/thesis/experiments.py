@@ -302,6 +302,7 @@ PART_OF = {
     "matchers": run_matchers,
     "sensitivity": run_sensitivity,
     "failures": run_failures,
+    "rolls": run_rolls,
     "family": run_family,
 }
 
