@@ -151,7 +151,7 @@ def main() -> None:
             "fmr": [float(f"{rate:.3g}") for rate in table.fmr],
         }
         place = Path(methods.__file__).with_name("match_fmr_fingerphotos.json")
-        place.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        place.write_text(json.dumps(rows) + "\n", encoding="utf-8")
 
 
 def _score(a: Prepared | None, b: Prepared) -> float:

@@ -32,6 +32,8 @@ from splitknit.prints.from_file import USUAL_PERIOD_MM
 from splitknit.prints.make import enhance, make_print
 from splitknit.prints.sources import Source
 
+PRINTS = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"})
+"""Suffixes of pictures that may be prints."""
 USUAL_WIDTH_MM = 17.0
 _PEOPLE_WIDTH = 0.12
 """Of fingers other than thumbs, and its relative standard deviation; most adults' are 14 to 20 mm wide (T. M. Greiner,
@@ -49,9 +51,10 @@ _ROUNDS = 4
 
 
 def is_fingerphoto(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is a picture in colour; prints are grey. Damaged ones are not, and are refused elsewhere."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        return False
+    """Whether a file is a picture in colour, or of a kind that prints never are; damaged ones are refused elsewhere."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in PRINTS:
+        return suffix in SUFFIXES and Path(path).is_file()
     try:
         return is_coloured(read_photo(path).pixels)
     except BadInput:
@@ -148,8 +151,8 @@ def finger_mask_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> Bool
     redness = [float(cr - cb) / max(float(y), 1.0) for y, cr, cb in parts]
     require(
         len(redness) == 2 and redness[0] - redness[1] >= _REDDER,
-        "no finger was found in the photograph: nothing is redder than the rest; photograph one finger, its pad to the "
-        "camera, before a background that is not of skin's colour.",
+        "no finger was found in this picture in colour: nothing is redder than the rest; photograph one finger, its "
+        "pad to the camera, before a background that is not of skin's colour, or save a print in grey.",
     )
     marks = np.where(seed, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     cv2.setRNGSeed(0)
