@@ -46,6 +46,8 @@ from splitknit.simulator.twin import FingerScene
 OUT = Path(__file__).with_suffix(".json")
 SEED = 98_000
 OTHERS = 12
+STRANGERS = 30
+"""Other fingers, pressed on each sensor, with which the photographs by flash are compared for the table alone."""
 PRESSES = ("fvc2002_db2b", "fvc2004_db1b")
 PAPER = BackgroundSettings(colour=(0.25, 0.30, 0.35, 0.30))
 KINDS = {
@@ -140,6 +142,7 @@ def main() -> None:
             impostors += [float(one) for one in scores.impostor if np.isfinite(one)]
     print(facts["scale_error"])
     if options.write:
+        impostors += strangers([found for found, _, _ in everything], options.work)
         OUT.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
         table = calibrate_scores(np.array(impostors))
         rows = {
@@ -152,6 +155,20 @@ def main() -> None:
         }
         place = Path(methods.__file__).with_name("match_fmr_fingerphotos.json")
         place.write_text(json.dumps(rows) + "\n", encoding="utf-8")
+
+
+def strangers(photos: list[dict[str, Template]], folder: Path) -> list[float]:
+    """Scores of photographs by flash, unrolled and scale assumed, with presses of fingers that nobody photographed."""
+    file = folder / "strangers.pickle"
+    if not file.is_file():
+        masters = [draw_finger(SEED + 1000 + k).master() for k in range(STRANGERS)]
+        sides = [Prepared(print_template(press(one, k, SENSORS[name])))
+                 for one in masters for k, name in enumerate(PRESSES)]  # fmt: skip
+        probes = [Prepared(one["flash, unrolled, scale assumed"]) for one in photos]
+        kept(file, [_score(one, side) for one in probes for side in sides])
+    scores: list[float] = pickle.loads(file.read_bytes())
+    print("strangers", len(scores), "largest", sorted(scores)[-6:], flush=True)
+    return scores
 
 
 def _score(a: Prepared | None, b: Prepared) -> float:

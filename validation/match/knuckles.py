@@ -1,6 +1,6 @@
 """Two traits of the same simulated people: prints, and knuckles as the rig sees them; alone and fused.
 
-    nice python validation/match/knuckles.py --work FOLDER                 # 16 people, 10 minutes of one core
+    nice python validation/match/knuckles.py --work FOLDER                 # 12 people, 5 minutes of one core
 
 Each person's finger is pressed twice (sessions 1 and 2, the model of sensor named below), and its back is captured
 twice, in poses of its own, and reconstructed by `metric` without the cut at the crease. Prints are compared by the
@@ -60,7 +60,7 @@ def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--people", type=int, default=16)
+    parser.add_argument("--people", type=int, default=12)
     parser.add_argument("--scale", type=float, default=0.2, help="of the camera")
     parser.add_argument("--write", action="store_true", help=f"write {OUT.name}")
     options = parser.parse_args()
