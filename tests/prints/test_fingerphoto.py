@@ -78,6 +78,13 @@ def test_other_pictures_are_refused() -> None:
     nothing[..., 2] = np.random.default_rng(0).integers(100, 140, (300, 300))
     with pytest.raises(BadInput, match="no finger was found"):
         source_of_photo(nothing)
+    for few, words in (
+        (nothing[..., :1], "in colour"),
+        (nothing[:90, :90], "too small"),
+        (drawn()[0][::2, ::2], "nearer"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            source_of_photo(np.ascontiguousarray(few))
     with pytest.raises(BadInput, match="touches"):
         source_of_photo(np.ascontiguousarray(drawn()[0][:, 130:335]))
     with pytest.raises(BadInput, match="nothing is redder"):

@@ -42,12 +42,10 @@ _THICKNESS = 0.8
 """Depth over breadth of a fingertip."""
 _LENGTH = 1.5
 """From the tip, in widths, that is kept: about to the first crease."""
-_SEGMENTED_SIDE, _WIDEST = 480, 700
-"""Longer side of the picture that is segmented, and width of the finger in the picture that is kept, pixels."""
-_REDDER = 0.05
-"""By which skin's (Cr - Cb) / Y, the same in light and shade, lies above the background's at least."""
-_ROUNDS = 4
-"""Of GrabCut."""
+_SEGMENTED_SIDE, _NARROWEST, _WIDEST = 480, 130, 700
+"""Longer side of the picture that is segmented; widths of the finger: at least, and in the picture that is kept."""
+_REDDER, _ROUNDS = 0.05, 4
+"""By which skin's (Cr - Cb) / Y, the same in light and shade, lies above the background's at least; of GrabCut."""
 
 
 def is_fingerphoto(path: str | os.PathLike[str]) -> bool:
@@ -96,53 +94,55 @@ def source_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16], px_per_mm: f
     Raises
     ------
     BadInput
-        If nothing in it is redder than the rest and lies like a finger, it touches three borders, shows no ridges to
-        take the scale from, or has an impossible width by the scale that was given.
+        If it is not in colour, nothing in it is redder than the rest and lies like a finger, or the finger touches
+        three borders, is too small, shows no ridges, or has an impossible width by the given scale.
 
     References
     ----------
     C. Rother, V. Kolmogorov and A. Blake, "GrabCut", ACM Transactions on Graphics 23, 2004 (segmentation); C. Stein,
     C. Nickel and C. Busch, "Fingerphoto recognition with smartphone cameras", BIOSIG 2012 (the chain of steps).
     """
+    require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
+    require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")
     mask = finger_mask_of_photo(pixels)
     width = find_upright(mask).width_px
+    require(
+        width >= _NARROWEST, f"the finger is {width:.0f} pixels wide, too few for ridges; photograph it from nearer."
+    )
     reduction = min(1.0, _WIDEST / width)
     box = bounding_box(mask, round(0.1 * width))
     light = reduce_image(np.ascontiguousarray(pixels[(*box, 1)], dtype=np.float32), reduction)
     inside = reduce_image(mask[box].astype(np.float32), reduction) > 0.5
     upright = find_upright(inside)
     inside &= _upright_places(inside.shape, upright)[1] < upright.tip_row + _LENGTH * upright.width_px
-    shape = _mean_shape(inside, upright)
-
-    def source(scale: float, note: str) -> Source:
-        return Source(
-            "photo", inside, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape / np.float32(scale),
-            photo=light, scale=" ".join(["taken for a photograph of a finger;", note, upright.note]).strip(),
-        )  # fmt: skip
-
+    shape, scale = _mean_shape(inside, upright), upright.width_px / USUAL_WIDTH_MM
+    found = Source(
+        "photo", inside, 1.0 / scale, upright.input_from_upright, upright.size, shape_mm=shape / np.float32(scale),
+        photo=light,
+    )  # fmt: skip
     if px_per_mm is None:
-        found = source(*_usual_scale(source(upright.width_px / USUAL_WIDTH_MM, ""), upright.width_px))
+        scale, note = _usual_scale(found, upright.width_px)
     else:
-        width_mm = upright.width_px / (px_per_mm * reduction)
-        odd = FINGER_WIDTH.notes(width_mm, "check the scale")
-        found = source(px_per_mm * reduction, " ".join([f"by the given scale it is {width_mm:.1f} mm wide.", *odd]))
-    crease = find_crease(light, inside, upright, 1.0 / found.pitch_mm)
-    return replace(found, mask=phalange_mask(inside, crease, upright))
+        scale = px_per_mm * reduction
+        note = f"by the given scale it is {upright.width_px / scale:.1f} mm wide."
+        note = " ".join([note, *FINGER_WIDTH.notes(upright.width_px / scale, "check the scale")])
+    note += "" if upright.clear else " Which way its tip points is not clear; turn the photograph upright."
+    return replace(
+        found, mask=phalange_mask(inside, find_crease(light, inside, upright, scale), upright), pitch_mm=1.0 / scale,
+        shape_mm=shape / np.float32(scale), scale=f"taken for a photograph of a finger; {note}",
+    )  # fmt: skip
 
 
 def finger_mask_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> BoolArray:
-    """Mask (H, W) of the finger in a photograph (H, W, 3) before a background that is less red.
+    """Mask (H, W) of the finger in a photograph (H, W, 3) before a background that is less red; raises BadInput where
+    there is none.
 
-    Otsu's threshold on Cr - Cb, which no brightness and no skin tone decides alone, starts GrabCut.
-
-    Raises
-    ------
-    BadInput
-        If nothing is redder than the rest, or what is touches three borders of the picture.
+    Otsu's threshold on Cr - Cb, which neither brightness nor tone of skin decides alone, starts GrabCut.
     """
+    require(min(pixels.shape[:2]) >= _NARROWEST, "the photograph is too small to show the ridges of a finger.")
     factor = min(1.0, _SEGMENTED_SIDE / max(pixels.shape[:2]))
-    small = reduce_image(pixels.astype(np.float32), factor) * np.float32(255.0 / np.iinfo(pixels.dtype).max)
-    picture = np.asarray(np.clip(np.rint(small), 0, 255), dtype=np.uint8)
+    small = cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    picture = np.asarray(small if pixels.dtype == np.uint8 else small // 257, dtype=np.uint8)
     chroma = cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb).astype(np.float32)
     red = np.clip(chroma[..., 1] - chroma[..., 2] + 128.0, 0, 255).astype(np.uint8)
     level, _ = cv2.threshold(cv2.GaussianBlur(red, (0, 0), 2.0), 0, 255, cv2.THRESH_OTSU)
