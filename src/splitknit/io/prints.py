@@ -131,18 +131,17 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
 def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
     """(H, W) of (H, W, 1 or 3)."""
     require(pixels.dtype in (np.uint8, np.uint16), f"{name} holds {pixels.dtype}; save the print with 8 bits.")
-    if pixels.shape[2] == 3:
-        spread = pixels.max(axis=2) - pixels.min(axis=2)
-        limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
-        coloured = float((spread > limit).mean())
-        require(
-            coloured <= _COLOURED,
-            f"{name} is a colour image ({100 * coloured:.0f} % of it is no grey), not an 8-bit grey image; save the "
-            "print as one.",
-        )
-        pixels = pixels[..., 1:2]
-    grey = pixels[..., 0]
+    require(not is_coloured(pixels), f"{name} is a colour image, not an 8-bit grey image; save the print as one.")
+    grey = pixels[..., pixels.shape[2] // 2]
     return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey.astype(np.uint32) + 128) // 257, np.uint8)
+
+
+def is_coloured(pixels: NDArray[Any]) -> bool:
+    """Whether a picture (H, W, 1 or 3) is more than grey stored in colour."""
+    if pixels.shape[2] != 3 or pixels.dtype not in (np.uint8, np.uint16):
+        return False
+    limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
+    return float((pixels.max(axis=2) - pixels.min(axis=2) > limit).mean()) > _COLOURED
 
 
 def _png_facts(data: bytes) -> tuple[float | None, dict[str, str]]:
