@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from splitknit.errors import require
 from splitknit.imaging.band import has_colour, linear_channels
 from splitknit.imaging.geometry import smoothed
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, vector_at_origin
@@ -29,14 +30,49 @@ _FACING = 0.8
 _SLOW_MM, _FINE_MM = 0.35, 0.06
 """Standard deviations of the Gaussians around the band of ridges."""
 _LEAST_MM2 = 20.0
+_COLOURS = ("red", "green", "blue")
 
 
-def features(capture: Capture, result: Reconstruction) -> dict[str, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Photographs:
+    """What of a capture's images is measured, at `PX_PER_MM` or as coarse as the capture is."""
+
+    binning: float
+    light: Mapping[str, FloatArray]  # (L, h, w) linear, above zero: red, green, blue (or grey), nir
+    vectors: Mapping[str, NDArray[np.float64]]  # (L, 3) light on the origin in the images of each
+    exposed: bool  # whether exposures are stated, so that bands compare
+    polarised: tuple[FloatArray, FloatArray] | None  # (3, h, w) mean of the parallel and of the crossed images
+
+
+def photographs(capture: Capture) -> Photographs:
+    """Bring a capture's images to the features' pixels."""
+    binning = max(round(8 * capture.rig.camera.px_per_mm / PX_PER_MM) / 8, 1.0)
+    white, nir, crossed = (capture.bands.get(name) for name in ("white", "nir", "white_crossed"))
+    assert white is not None
+    colours = _COLOURS if has_colour(white) and not white.colours else ("grey",)
+    light = dict(zip(colours, linear_channels(white, capture.encoding, colours, None, binning), strict=True))
+    vectors = dict.fromkeys(colours, _vectors(capture, white))
+    if nir is not None:
+        light["nir"] = linear_channels(nir, capture.encoding, ("grey",), None, binning)[0]
+        vectors["nir"] = _vectors(capture, nir)
+    polarised = None
+    if crossed is not None and colours == _COLOURS and has_colour(crossed):
+        parallel, across = (
+            linear_channels(one, capture.encoding, colours, None, binning).mean(axis=1)
+            for one in (replace(white, crossed=None), crossed)
+        )
+        polarised = parallel, across
+    exposed = any(bool((band.exposure != 1.0).any()) for band in capture.bands.values())
+    lit = {name: np.maximum(one, 1e-6 * float(one.max()) + 1e-12) for name, one in light.items()}
+    return Photographs(binning, lit, vectors, exposed, polarised)
+
+
+def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
     """What tells skin from copies, by name; NaN where the capture lacks the part.
 
     Parameters
     ----------
-    capture : white light at least; colours, near infrared, known exposures and polarised series add features
+    seen : :func:`photographs` of the capture; colours, near infrared, exposures and polarised series add features
     result : of this capture, any preset
 
     Returns
@@ -49,32 +85,23 @@ def features(capture: Capture, result: Reconstruction) -> dict[str, float]:
     ----------
     Spread: the contrast of ridges falls with the radius over which a colour scatters (Jensen et al. 2001, section 2).
     """
-    binning = max(round(8 * capture.rig.camera.px_per_mm / PX_PER_MM) / 8, 1.0)
-    shape, relief, mask = _coarse(result, binning)
-    pitch = result.pitch_mm * binning
+    shape, relief, mask = _coarse(result, seen.binning)
+    pitch = result.pitch_mm * seen.binning
     inside = _facing(shape, mask, pitch)
     found = dict.fromkeys(FEATURES, np.nan)
     if not result.scale_known or inside.sum() < 100:
         return found
     found |= _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch)
-    white, nir = capture.bands["white"], capture.bands.get("nir")
-    colours = ("red", "green", "blue") if has_colour(white) and not white.colours else ("grey",)
-    light = dict(zip(colours, linear_channels(white, capture.encoding, colours, None, binning), strict=True))
-    if nir is not None:
-        light["nir"] = linear_channels(nir, capture.encoding, ("grey",), None, binning)[0]
-    stacks = {name: np.maximum(one, 1e-6 * float(one.max()) + 1e-12) for name, one in light.items()}
-    found |= _of_colour(stacks, inside, capture) | _of_spread(stacks, inside, pitch)
-    vectors = {"nir": nir, **dict.fromkeys(colours, white)}
-    for name in stacks.keys() & {"grey", "green", "nir"}:
-        band = vectors[name]
-        assert band is not None
-        found |= _of_gloss("nir" if name == "nir" else "white", stacks[name], inside, _vectors(capture, band))
-    if (crossed := capture.bands.get("white_crossed")) is not None:
-        found |= _of_films(capture, crossed, inside, binning)
-    moved = result.quality.get("white", {}).get("motion_mm") if isinstance(result.quality.get("white"), Mapping) else None
-    if moved:
-        found["motion_um"] = 1000 * float(np.median(moved))
-    return {name: value if np.isfinite(value) else np.nan for name, value in found.items()}
+    found |= _of_colour(seen, inside) | _of_spread(seen.light, inside, pitch)
+    for name, band in (("grey", "white"), ("green", "white"), ("nir", "nir")):
+        if name in seen.light:
+            found |= _of_gloss(band, seen.light[name], inside, seen.vectors[name])
+    if seen.polarised is not None:
+        found |= _of_films(*(one[:, inside] for one in seen.polarised))
+    quality = result.quality.get("white")
+    if isinstance(quality, Mapping) and quality.get("motion_mm"):
+        found["motion_um"] = 1000 * float(np.median(quality["motion_mm"]))
+    return {name: float(value) if np.isfinite(value) else np.nan for name, value in found.items()}
 
 
 FEATURES = (
@@ -85,13 +112,13 @@ FEATURES = (
 )  # fmt: skip
 
 
-def _coarse(result: Reconstruction, binning: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _coarse(result: Reconstruction, binning: float) -> tuple[NDArray[Any], NDArray[Any], BoolArray]:
     """Shape (mm), relief (um) and mask on the features' pixels."""
     size = tuple(int(n // binning) for n in result.mask.shape[::-1])
     whole = result.mask & np.isfinite(result.height_mm)
 
-    def mean(field: NDArray[Any]) -> FloatArray:
-        return np.asarray(cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    def mean(field: NDArray[Any]) -> NDArray[Any]:
+        return cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
     weight = mean(whole)
     shape, relief = (mean(np.where(whole, np.nan_to_num(one), 0)) for one in (result.shape_mm, result.ridge_mm))
@@ -149,16 +176,14 @@ def _vectors(capture: Capture, band: Band) -> NDArray[np.float64]:
     return np.array([sum(vector_at_origin(leds[k]) for k in group) for group in band.lights])
 
 
-def _of_colour(stacks: Mapping[str, FloatArray], inside: BoolArray, capture: Capture) -> dict[str, float]:
+def _of_colour(seen: Photographs, inside: BoolArray) -> dict[str, float]:
     """Medians over the lights leave reflections out."""
-    level = {name: np.log(np.median(one[:, inside], axis=0)) for name, one in stacks.items()}
-    found = {}
-    if "green" in level:
-        found = {f"colour_{one}": float(np.median(level[one] - level["green"])) for one in ("red", "blue")}
-    nir = capture.bands.get("nir")
-    exposed = any(bool((band.exposure != 1.0).any()) for band in capture.bands.values())
-    if nir is not None and "red" in level and exposed:
-        here, there = (np.median(_vectors(capture, band)[:, 2]) for band in (nir, capture.bands["white"]))
+    level = {name: np.log(np.median(one[:, inside], axis=0)) for name, one in seen.light.items()}
+    if "green" not in level:
+        return {}
+    found = {f"colour_{one}": float(np.median(level[one] - level["green"])) for one in ("red", "blue")}
+    if "nir" in level and seen.exposed:
+        here, there = (np.median(seen.vectors[name][:, 2]) for name in ("nir", "red"))
         found["colour_nir"] = float(np.median(level["nir"] - level["red"]) - np.log(here / there))
     return found
 
@@ -190,18 +215,84 @@ def _of_gloss(name: str, stack: FloatArray, inside: BoolArray, vectors: NDArray[
     }
 
 
-def _of_films(capture: Capture, crossed: Band, inside: BoolArray, binning: float) -> dict[str, float]:
-    """Light that kept its polarisation: the surface's, and once scattered, which is deeper in red."""
-    from dataclasses import replace
+def _of_films(parallel: FloatArray, crossed: FloatArray) -> dict[str, float]:
+    """Light (3, n) that kept its polarisation: the surface's, and light scattered once, of which red has most."""
+    kept = np.maximum(np.median(parallel - crossed, axis=1), 1e-9)
+    share = np.log(max(kept[1] / np.median(crossed[1]), 1e-3))
+    return {"polarised_share": float(share), "polarised_red": float(np.log(kept[0] / kept[2]))}
 
-    bands = replace(capture.bands["white"], crossed=None), crossed
-    colours = ("red", "green", "blue")
-    if not all(has_colour(one) for one in bands):
-        return {}
-    parallel, across = (
-        linear_channels(one, capture.encoding, colours, None, binning)[..., inside].mean(axis=1) for one in bands
+
+# The model: how far each group of features lies from live skin's, and a logistic regression on these distances.
+
+
+Model = Mapping[str, Any]
+"""``groups``: names of the features of each; ``mean`` and ``covariance`` of live skin's features; ``usual``: mean distance
+of live skin by group; ``weights`` of the distances, none negative; ``offset``; ``threshold`` of the probability."""
+
+
+@lru_cache(maxsize=1)
+def shipped_model() -> Model:
+    """Return the shipped model."""
+    model: Model = json.loads(resources.files("splitknit").joinpath("pad_model.json").read_bytes())
+    return model
+
+
+def distances(model: Model, found: Mapping[str, float]) -> dict[str, float]:
+    """Logarithm of one plus the mean squared Mahalanobis distance to live skin, by group; NaN where all is missing.
+
+    P. C. Mahalanobis, "On the generalised distance in statistics", 1936; a group that lacks some features is compared
+    by the others.
+    """
+    result = {}
+    for group, names in model["groups"].items():
+        there = [name for name in names if np.isfinite(found.get(name, np.nan))]
+        if not there:
+            result[group] = float("nan")
+            continue
+        away = np.array([found[name] - model["mean"][name] for name in there])
+        covariance = np.array([[model["covariance"][a][b] for b in there] for a in there])
+        squared = float(away @ np.linalg.solve(covariance, away))
+        result[group] = float(np.log1p(squared / len(there)))
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class Presentation:
+    """What was decided of one capture."""
+
+    probability: float
+    """Of live skin, if attacks were as frequent as it."""
+    live: bool
+    threshold: float
+    suspicion: Mapping[str, float]
+    """By group of features: what it takes from the log odds, 0 = typical live skin; NaN where the capture lacks it."""
+
+
+def judge(found: Mapping[str, float], model: Model | None = None) -> Presentation:
+    """Probability that features are those of live skin.
+
+    Parameters
+    ----------
+    found : of :func:`features`
+    model : by default the shipped one, which was fitted to simulated attacks only
+
+    Raises
+    ------
+    BadInput
+        If relief or shape are missing: the result has no scale, or shows too little.
+
+    Examples
+    --------
+    >>> judge(shipped_model()["mean"]).live
+    True
+    """
+    model = model or shipped_model()
+    away = distances(model, found)
+    require(
+        bool(np.isfinite([away["relief"], away["shape"]]).all()),
+        "presentation attacks are detected on results with a known scale that show at least some mm² of a finger.",
     )
-    kept = [float(np.median(parallel[c] - across[c])) for c in range(3)]
-    scattered = [float(np.median(across[c])) for c in range(3)]
-    share = np.log(max(kept[1] / scattered[1], 1e-3))
-    return {"polarised_share": float(share), "polarised_red": float(np.log(max(kept[0], 1e-9) / max(kept[2], 1e-9)))}
+    suspicion = {group: model["weights"][group] * (away[group] - model["usual"][group]) for group in model["groups"]}
+    odds = model["offset"] - float(np.nansum(list(suspicion.values())))
+    probability = float(1 / (1 + np.exp(-np.clip(odds, -60, 60))))
+    return Presentation(probability, probability >= model["threshold"], model["threshold"], suspicion)

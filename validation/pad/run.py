@@ -1,4 +1,4 @@
-"""Presentation attack detection on simulated captures: `python validation/pad/run.py --out validation/out/pad [--live 170]`.
+"""Presentation attack detection on simulated captures: `python validation/pad/run.py [--live 230] [--each 19]`.
 
 Captures are simulated, reconstructed and measured one by one; each is written to --out and not made twice. Then
 `--score` prints the tables of docs/experiments/pad.md from what is there, leaving out one species at a time, and
@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 import splitknit
-from splitknit.pad import features
+from splitknit.pad import features, photographs
 from splitknit.simulator.attacks import SPECIES, present
 from splitknit.simulator.twin import lay_down, twin_settings
 
@@ -43,7 +43,7 @@ def measure(name: str, seed: int, out: Path, scale: float = SCALE) -> None:
     capture, _ = present(lay_down(seed, None, settings), name, settings)
     facts: dict[str, object] = {"name": name, "seed": seed, "state": state}
     try:
-        facts["features"] = features(capture, splitknit.reconstruct(capture, "metric"))
+        facts["features"] = features(photographs(capture), splitknit.reconstruct(capture, "metric"))
     except splitknit.BadInput as error:
         facts["failed"] = str(error)
     path.write_text(json.dumps(facts))

@@ -33,30 +33,18 @@ class Species:
     """Ranges from which one instrument of a species is drawn."""
 
     words: str
-    reflectance: tuple[Range, Range, Range, Range] = (_NONE, _NONE, _NONE, _NONE)
-    """Diffuse reflectance in red, green, blue and NIR."""
-    scattering_per_mm: Range = (1.0, 4.0)
-    """Reduced scattering at 500 nm; the twin's media reach 13.8."""
-    roughness: Range = (0.15, 0.4)
-    """GGX alpha."""
-    gloss: Range = (0.7, 1.2)
-    """Weight of the surface reflection, 1 = Fresnel."""
-    tint: Range = _NONE
-    """How far its visible colour is brought to that of the finger: 1 = the same."""
-    live: Range = _NONE
-    """Fraction of the wearer's skin in its optics, near infrared included: a thin film on a finger."""
-    relief: Range = _NONE
-    """Height of its ridges over that of the finger's."""
-    blur_mm: Range = _NONE
-    """Standard deviation of their smoothing."""
-    flat: Range = _NONE
-    """0: the finger's shape, 1: a plane."""
-    layer_um: Range = _NONE
-    """Steps of a printer."""
-    picture: bool = False
-    """It shows a photograph of the finger."""
-    glow: Range = _NONE
-    """Emitted light over that of a white card under one LED."""
+    reflectance: tuple[Range, Range, Range, Range] = (_NONE, _NONE, _NONE, _NONE)  # diffuse: red, green, blue, NIR
+    scattering_per_mm: Range = (1.0, 4.0)  # reduced, at 500 nm; the twin's media reach 13.8
+    roughness: Range = (0.15, 0.4)  # GGX alpha
+    gloss: Range = (0.7, 1.2)  # weight of the surface reflection, 1 = Fresnel
+    tint: Range = _NONE  # how far its visible colour is brought to that of the finger: 1 = the same
+    live: Range = _NONE  # fraction of the wearer's skin in its optics, near infrared included: a film on a finger
+    relief: Range = _NONE  # height of its ridges over that of the finger's
+    blur_mm: Range = _NONE  # standard deviation of their smoothing
+    flat: Range = _NONE  # 0: the finger's shape, 1: a plane
+    layer_um: Range = _NONE  # steps of a printer
+    picture: bool = False  # it shows a photograph of the finger
+    glow: Range = _NONE  # emitted light over that of a white card under one LED
 
 
 _PAPER: Any = ((0.75, 0.82), (0.75, 0.82), (0.72, 0.8), (0.7, 0.8))
