@@ -68,7 +68,7 @@ def photographs(capture: Capture) -> Photographs:
 
 
 def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
-    """What tells skin from copies, by name; NaN where the capture lacks the part.
+    """What differs between skin and copies, by name; what the capture has no part for is left out.
 
     Parameters
     ----------
@@ -81,17 +81,19 @@ def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
         ``relief_*`` (of the result), ``shape_*`` (1/mm), ``colour_*`` (logarithms of ratios of diffuse light),
         ``spread_*`` (contrast of ridges by colour, logarithms), ``gloss_*``, ``polarised_*`` and ``motion_um``.
 
-    References
-    ----------
-    Spread: the contrast of ridges falls with the radius over which a colour scatters (Jensen et al. 2001, section 2).
+    Raises
+    ------
+    BadInput
+        If the result has no scale, or shows too little.
     """
     shape, relief, mask = _coarse(result, seen.binning)
     pitch = result.pitch_mm * seen.binning
     inside = _facing(shape, mask, pitch)
-    found = dict.fromkeys(FEATURES, np.nan)
-    if not result.scale_known or inside.sum() < 100:
-        return found
-    found |= _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch)
+    require(
+        result.scale_known and int(inside.sum()) >= 100,
+        "presentation attacks show in results with a known scale and at least some mm² of a finger.",
+    )
+    found = _of_relief(relief, inside, pitch) | _of_shape(shape, inside, pitch)
     found |= _of_colour(seen, inside) | _of_spread(seen.light, inside, pitch)
     for name, band in (("grey", "white"), ("green", "white"), ("nir", "nir")):
         if name in seen.light:
@@ -101,15 +103,7 @@ def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
     quality = result.quality.get("white")
     if isinstance(quality, Mapping) and quality.get("motion_mm"):
         found["motion_um"] = 1000 * float(np.median(quality["motion_mm"]))
-    return {name: float(value) if np.isfinite(value) else np.nan for name, value in found.items()}
-
-
-FEATURES = (
-    "relief_rms", "relief_fine", "relief_skew", "relief_coherence", "shape_across", "shape_along", "shape_rest",
-    "colour_red", "colour_blue", "colour_nir", "spread_red", "spread_green", "spread_nir", "spread_blue",
-    "spread_fixed", "spread_fixed_nir", "spread_fixed_red", "gloss_white", "gloss_nir", "gloss_rest_white",
-    "gloss_rest_nir", "gloss_tail_white", "gloss_tail_nir", "polarised_share", "polarised_red", "motion_um",
-)  # fmt: skip
+    return {name: value for name, value in found.items() if np.isfinite(value)}
 
 
 def _coarse(result: Reconstruction, binning: float) -> tuple[NDArray[Any], NDArray[Any], BoolArray]:
@@ -226,8 +220,8 @@ def _of_films(parallel: FloatArray, crossed: FloatArray) -> dict[str, float]:
 
 
 Model = Mapping[str, Any]
-"""``groups``: names of the features of each; ``mean`` and ``covariance`` of live skin's features; ``usual``: mean distance
-of live skin by group; ``weights`` of the distances, none negative; ``offset``; ``threshold`` of the probability."""
+"""``groups``: names of their features; ``mean`` and ``covariance`` of live skin's features; ``usual``: live skin's
+mean distance by group; ``weights`` of the distances, none negative; ``offset``; ``threshold`` of the probability."""
 
 
 @lru_cache(maxsize=1)
@@ -238,16 +232,14 @@ def shipped_model() -> Model:
 
 
 def distances(model: Model, found: Mapping[str, float]) -> dict[str, float]:
-    """Logarithm of one plus the mean squared Mahalanobis distance to live skin, by group; NaN where all is missing.
+    """Logarithm of one plus the mean squared Mahalanobis distance to live skin, by group, of what is there.
 
-    P. C. Mahalanobis, "On the generalised distance in statistics", 1936; a group that lacks some features is compared
-    by the others.
+    P. C. Mahalanobis, "On the generalised distance in statistics", 1936.
     """
     result = {}
     for group, names in model["groups"].items():
-        there = [name for name in names if np.isfinite(found.get(name, np.nan))]
+        there = [name for name in names if name in found]
         if not there:
-            result[group] = float("nan")
             continue
         away = np.array([found[name] - model["mean"][name] for name in there])
         covariance = np.array([[model["covariance"][a][b] for b in there] for a in there])
@@ -265,7 +257,7 @@ class Presentation:
     live: bool
     threshold: float
     suspicion: Mapping[str, float]
-    """By group of features: what it takes from the log odds, 0 = typical live skin; NaN where the capture lacks it."""
+    """By group of features: what it takes from the log odds, 0 = usual live skin."""
 
 
 def judge(found: Mapping[str, float], model: Model | None = None) -> Presentation:
@@ -276,11 +268,6 @@ def judge(found: Mapping[str, float], model: Model | None = None) -> Presentatio
     found : of :func:`features`
     model : by default the shipped one, which was fitted to simulated attacks only
 
-    Raises
-    ------
-    BadInput
-        If relief or shape are missing: the result has no scale, or shows too little.
-
     Examples
     --------
     >>> judge(shipped_model()["mean"]).live
@@ -288,11 +275,7 @@ def judge(found: Mapping[str, float], model: Model | None = None) -> Presentatio
     """
     model = model or shipped_model()
     away = distances(model, found)
-    require(
-        bool(np.isfinite([away["relief"], away["shape"]]).all()),
-        "presentation attacks are detected on results with a known scale that show at least some mm² of a finger.",
-    )
-    suspicion = {group: model["weights"][group] * (away[group] - model["usual"][group]) for group in model["groups"]}
-    odds = model["offset"] - float(np.nansum(list(suspicion.values())))
+    suspicion = {name: model["weights"][name] * (far - model["usual"][name]) for name, far in away.items()}
+    odds = model["offset"] - sum(suspicion.values())
     probability = float(1 / (1 + np.exp(-np.clip(odds, -60, 60))))
     return Presentation(probability, probability >= model["threshold"], model["threshold"], suspicion)

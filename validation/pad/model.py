@@ -32,14 +32,14 @@ def read(out: Path) -> list[Row]:
     rows = [json.loads(path.read_text()) for path in sorted(out.glob("*.json"))]
     for row in rows:
         if "features" in row:
-            row["features"] = {k: np.nan if v is None else v for k, v in row["features"].items()}
+            row["features"] = {k: v for k, v in row["features"].items() if v is not None and np.isfinite(v)}
     return rows
 
 
 def fit(live: Sequence[Row], attacks: Sequence[Row], groups: dict = GROUPS) -> dict:
     """Live skin's mean and covariance (Ledoit and Wolf 2004), then a logistic regression on the distances to it."""
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
-    table = np.array([[row["features"][name] for name in names] for row in live])
+    table = np.array([[row["features"].get(name, np.nan) for name in names] for row in live])
     mean = np.nanmean(table, axis=0)
     table = np.where(np.isnan(table), mean, table)
     scale = table.std(axis=0)
@@ -47,10 +47,12 @@ def fit(live: Sequence[Row], attacks: Sequence[Row], groups: dict = GROUPS) -> d
     model = {
         "groups": {name: list(members) for name, members in groups.items()},
         "mean": dict(zip(names, mean.tolist(), strict=True)),
-        "covariance": {a: dict(zip(names, line.tolist(), strict=True)) for a, line in zip(names, covariance, strict=True)},
+        "covariance": {
+            a: dict(zip(names, line.tolist(), strict=True)) for a, line in zip(names, covariance, strict=True)
+        },
     }
     rows = [*live, *attacks]
-    away = np.array([[distances(model, row["features"])[name] for name in groups] for row in rows])
+    away = np.array([[distances(model, row["features"]).get(name, np.nan) for name in groups] for row in rows])
     usual = np.nanmean(away[: len(live)], axis=0)
     away = np.where(np.isnan(away), usual, away) - usual
     truth = np.arange(len(rows)) < len(live)
@@ -124,7 +126,11 @@ def words(hits: int, tried: int) -> str:
 def table(rows: list[Row]) -> list[str]:
     lines = []
     for one in rates(rows):
-        cells = [one["species"], *(words(one[point][0], one["tried"]) for point in ("0.006", "0.01")), str(one["silent"])]
+        cells = [
+            one["species"],
+            *(words(one[point][0], one["tried"]) for point in ("0.006", "0.01")),
+            str(one["silent"]),
+        ]
         lines.append("| " + " | ".join(cells) + " |")
         live = one["live"]
         lines[-1] += f" <!-- live rejected {words(one['0.006'][1], live)}; {words(one['0.01'][1], live)} -->"

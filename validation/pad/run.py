@@ -20,8 +20,8 @@ import numpy as np
 
 import splitknit
 from splitknit.pad import features, photographs
-from splitknit.simulator.attacks import SPECIES, present
-from splitknit.simulator.twin import lay_down, twin_settings
+from splitknit.simulator.attacks import SPECIES, simulate_attack
+from splitknit.simulator.twin import twin_settings
 
 SCALE = 0.2
 CONDITIONS = ("wet", "dry", "dusty", "scarred", "glossy")
@@ -40,7 +40,7 @@ def measure(name: str, seed: int, out: Path, scale: float = SCALE) -> None:
         changes |= {"condition.kind": state, "condition.severity": float(rng.uniform(0.1, 0.6))}
     changes["films.kind"] = "analyser" if out.name.endswith("films") else "none"
     settings = twin_settings(scale, changes)
-    capture, _ = present(lay_down(seed, None, settings), name, settings)
+    capture, _ = simulate_attack(seed, name, settings)
     facts: dict[str, object] = {"name": name, "seed": seed, "state": state}
     try:
         facts["features"] = features(photographs(capture), splitknit.reconstruct(capture, "metric"))

@@ -81,16 +81,6 @@ J. Biomed. Opt. 11, 041102; casts lose height and sharpness: Matsumoto et al. 20
 the twin's (Jacques 1998). All other numbers are assumed: nobody has measured these instruments on this rig."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Instrument:
-    """One instrument that was drawn."""
-
-    species: Species
-    drawn: Mapping[str, float]
-    optics: SkinOptics
-    seed: np.random.SeedSequence
-
-
 def simulate_attack(
     seed: int, species: str, settings: TwinSettings | None = None, *, impression: int = 0
 ) -> tuple[Capture, dict[str, NDArray[Any]]]:
@@ -101,7 +91,7 @@ def simulate_attack(
     seed : of the finger and of the instrument
     species : a name of `SPECIES`, or ``live`` for the finger itself
     settings : of the simulator; a still finger without mirrors, before a camera with parallel rays
-    impression : number of the capture: pose and noise change with it, and the instrument
+    impression : number of the capture: pose, noise and instrument change with it
 
     Returns
     -------
@@ -121,31 +111,26 @@ def simulate_attack(
     (176, 256)
     """
     settings = settings or TwinSettings()
-    require(
-        settings.motion.amplitude_mm == 0 and not settings.between_mirrors,
-        "an attack is simulated still and without mirrors; leave out motion and mirrors.",
-    )
-    return present(lay_down(seed, None, settings, impression=impression), species, settings)
-
-
-def present(
-    laid: tuple[SimulatedSurface, Drawn], species: str, settings: TwinSettings
-) -> tuple[Capture, dict[str, NDArray[Any]]]:
-    """Photograph an instrument made of a finger that was laid down; see :func:`simulate_attack`."""
     require(species == "live" or species in SPECIES, f"attacks are {', '.join(SPECIES)}; not '{species}'.")
-    (surface, drawn), emission = laid, None
-    require(surface.camera.model == "orthographic", "attacks are simulated before a camera with parallel rays.")
-    optics = drawn.skin
-    number = [*SPECIES, "live"].index(species)
-    background, noise, own = np.random.SeedSequence([*_entropy(drawn.photo_seed), 0xA7, number]).spawn(3)
+    surface, drawn = lay_down(seed, None, settings, impression=impression)
+    require(
+        settings.motion.amplitude_mm == 0 and not drawn.rig.mirrors and surface.camera.model == "orthographic",
+        "attacks lie still before a camera with parallel rays; leave out motion, mirrors and a perspective rig.",
+    )
+    seeds = [*_entropy(drawn.photo_seed), 0xA7, [*SPECIES, "live"].index(species)]
+    background, noise, own = np.random.SeedSequence(seeds).spawn(3)
+    optics, glow = drawn.skin, None
     if species != "live":
-        instrument = _draw(SPECIES[species], drawn.skin, own)
-        emission = _picture_of(surface, drawn, instrument) if instrument.species.picture else None
-        surface, optics = _copied(surface, instrument, emission), instrument.optics
+        kind = SPECIES[species]
+        numbers, optics = _draw(kind, drawn.skin, own)
+        picture = _picture_of(surface, drawn, own) if kind.picture else None
+        surface = _copied(surface, numbers, own, picture)
+        if kind is not SPECIES["bloodless"]:  # skin keeps its pigment
+            surface = replace(surface, pigment=surface.mask.astype(np.float32))
+        if picture is not None and numbers["glow"] > 0:
+            glow = np.float32(numbers["glow"]) * picture[:3]
     scene = _Scene((surface, drawn.rig, optics), settings, np.random.default_rng(background))
-    if species != "live" and emission is not None and instrument.drawn["glow"] > 0:
-        scene.glow = np.float32(instrument.drawn["glow"]) * emission[:3]
-    truth = surface_truth(surface)
+    scene.glow, truth = glow, surface_truth(surface)
     capture = take_capture(scene, scene.photograph, noise, truth)
     truth["attack"] = np.array(species)
     bands = {}
@@ -161,16 +146,15 @@ def _entropy(seed: np.random.SeedSequence) -> list[int]:
     return [*np.atleast_1d(np.asarray(seed.entropy)).tolist(), *seed.spawn_key]
 
 
-def _draw(species: Species, skin: SkinOptics, seed: np.random.SeedSequence) -> _Instrument:
-    """Draw one instrument of a species that imitates a finger with this skin."""
+def _draw(species: Species, skin: SkinOptics, seed: np.random.SeedSequence) -> tuple[Mapping[str, float], SkinOptics]:
+    """Draw one instrument of a species that imitates a finger with this skin: its numbers and its optics."""
     rng = np.random.default_rng(seed)
     names = ("scattering_per_mm", "roughness", "gloss", "tint", "live", "relief", "blur_mm", "flat", "layer_um", "glow")
     drawn = {name: float(rng.uniform(*getattr(species, name))) for name in names}
     light = rng.random()
     own = [low + (high - low) * np.clip(light + 0.2 * rng.standard_normal(), 0, 1) for low, high in species.reflectance]
     if not any(high for _, high in species.reflectance):  # the finger itself, without its blood
-        drawn |= {"relief": 1.0}
-        return _Instrument(species, drawn, replace(skin, blood=skin.blood * rng.uniform(0.0, 0.05)), seed)
+        return drawn | {"relief": 1.0}, replace(skin, blood=skin.blood * rng.uniform(0.0, 0.05))
     media = [skin.channel(name) for name in CHANNELS]
     skins = [diffusion_profile(one.scattering_per_mm, one.absorption_per_mm).albedo for one in media]
     mixed = []
@@ -189,7 +173,7 @@ def _draw(species: Species, skin: SkinOptics, seed: np.random.SeedSequence) -> _
         _absorption(one.scattering_per_mm, reflectance) / one.absorption_per_mm
         for one, reflectance in zip(media, mixed, strict=True)
     )
-    return _Instrument(species, drawn, replace(plain, layers=layers), seed)
+    return drawn, replace(plain, layers=layers)
 
 
 def _absorption(scattering_per_mm: float, reflectance: float) -> float:
@@ -202,9 +186,9 @@ def _absorption(scattering_per_mm: float, reflectance: float) -> float:
     return scattering_per_mm * float(np.exp(low if excess(low) < 0 else brentq(excess, low, high, xtol=1e-3)))
 
 
-def _picture_of(surface: SimulatedSurface, drawn: Drawn, instrument: _Instrument) -> FloatArray:
+def _picture_of(surface: SimulatedSurface, drawn: Drawn, seed: np.random.SeedSequence) -> FloatArray:
     """(4, H, W) a photograph of the finger under one LED, as red, green, blue and NIR show it; mean one, 0 outside."""
-    rng = np.random.default_rng([*_entropy(instrument.seed), 1])
+    rng = np.random.default_rng([*_entropy(seed), 1])
     leds: Sequence[Led] = [led for led in drawn.rig.leds if led.band == "white"]
     light = render_band(surface, [leds[int(rng.integers(len(leds)))]], drawn.skin.medium("white"))
     seen = light.diffuse[0] + np.float32(0.5) * light.glare[0]
@@ -220,10 +204,12 @@ def _picture_of(surface: SimulatedSurface, drawn: Drawn, instrument: _Instrument
     return whole
 
 
-def _copied(surface: SimulatedSurface, instrument: _Instrument, picture: FloatArray | None) -> SimulatedSurface:
+def _copied(
+    surface: SimulatedSurface, drawn: Mapping[str, float], seed: np.random.SeedSequence, picture: FloatArray | None
+) -> SimulatedSurface:
     """Give a finger's surface the relief, the flatness and the layers of an instrument."""
-    drawn, mask = instrument.drawn, surface.mask
-    rng = np.random.default_rng([*_entropy(instrument.seed), 2])
+    mask = surface.mask
+    rng = np.random.default_rng([*_entropy(seed), 2])
     pitch, weight = surface.camera.pitch_mm, mask.astype(np.float32)
     sigma = drawn["blur_mm"] / pitch
 
@@ -257,41 +243,37 @@ def _copied(surface: SimulatedSurface, instrument: _Instrument, picture: FloatAr
         steps = cv2.GaussianBlur(steps.astype(np.float32), (0, 0), 0.7)
         ridges += np.stack([np.gradient(steps, pitch, axis=1), -np.gradient(steps, pitch, axis=0)])
         raised, relief = raised + steps, relief + 1000 * steps
-    outside = ~mask
 
     def normals(gradient: NDArray[Any]) -> FloatArray:
         vectors = np.stack([-gradient[0], -gradient[1], np.ones_like(gradient[0])], axis=-1)
         vectors /= np.linalg.norm(vectors, axis=-1, keepdims=True)
-        vectors[outside] = 0
+        vectors[~mask] = 0
         return np.asarray(vectors, dtype=np.float32)
 
     shape = np.where(mask, shape, np.nan).astype(np.float32)
     zero = np.zeros(mask.shape, dtype=np.float32)
-    own = instrument.species.reflectance[0][1] == 0  # skin keeps its pigment
-    texture = surface.texture if picture is None else Texture(np.ones_like(zero), zero, np.maximum(picture, 0.05))
+    texture = surface.texture if picture is None else Texture(zero + 1, zero, np.maximum(picture, 0.05))
     return replace(
         surface, height_mm=shape + np.where(mask, raised, 0).astype(np.float32), shape_mm=shape,
         normals=normals(shaped + ridges), shape_normals=normals(shaped), relief_um=np.where(mask, relief, 0),
-        pigment=surface.pigment if own else np.where(mask, np.float32(1), 0), texture=texture, coat=None,
+        texture=texture, coat=None,
     )  # fmt: skip
 
 
 class _Scene(Scene):
     """A scene whose object may glow."""
 
-    glow: FloatArray | None = None
-    """(3, H, W) emitted light over that of a white card under one LED."""
+    glow: FloatArray | None = None  # (3, H, W) emitted light over that of a white card under one LED
 
     def ambient(self, name: str, leds: Sequence[Led]) -> FloatArray:
         """(H, W, 3) radiance with all LEDs off."""
-        frame = super().ambient(name, leds)
-        if self.glow is not None and name != "nir":
-            frame = frame + np.moveaxis(self.glow, 0, -1) * np.float32(ambient_level(self.rig.camera, leds, 1.0))
-        return frame
+        return super().ambient(name, leds) + np.moveaxis(self._emitted(name, leds), 0, -1)
 
     def brightest(self, light: BandLight, groups: Sequence[Sequence[int]], leds: Sequence[Led]) -> float:
         """Brightest light that the exposure is set to."""
-        found = super().brightest(light, groups, leds)
-        if self.glow is None or leds[0].band == "nir":
-            return found
-        return found + float(self.glow.max()) * ambient_level(self.rig.camera, leds, 1.0)
+        return super().brightest(light, groups, leds) + float(self._emitted(leds[0].band, leds).max())
+
+    def _emitted(self, name: str, leds: Sequence[Led]) -> FloatArray:
+        if self.glow is None or name == "nir":
+            return np.zeros((3, 1, 1), dtype=np.float32)
+        return self.glow * np.float32(ambient_level(self.rig.camera, leds, 1.0))
