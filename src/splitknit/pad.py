@@ -1,13 +1,12 @@
 """Presentation attack detection: what of a capture and its result differs between skin and copies, and a probability.
 
-Terms and rates: ISO/IEC 30107-3. The shipped model (``data/pad.json``) was fitted to simulated attacks only:
-``docs/experiments/pad.md``.
+Terms and rates: ISO/IEC 30107-3; what the shipped model was fitted to, and its rates: ``docs/experiments/pad.md``.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -18,18 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
 from splitknit.imaging.band import has_colour, linear_channels
 from splitknit.imaging.geometry import smoothed
 from splitknit.model import Band, BoolArray, Capture, FloatArray, Reconstruction, vector_at_origin
 
-PX_PER_MM = 15.0
-"""At which everything is measured: photographs and results are brought to it."""
-_FACING = 0.8
-"""Cosine between the surface without ridges and the view: flanks are left out."""
-_SLOW_MM, _FINE_MM = 0.35, 0.06
-"""Standard deviations of the Gaussians around the band of ridges."""
-_LEAST_MM2 = 20.0
+BASIS = "the model was fitted to simulated attacks only; nobody has measured it on real ones."
+PX_PER_MM = 15.0  # at which photographs and results are measured
+_FACING = 0.8  # cosine between the surface without ridges and the view: flanks are left out
+_SLOW_MM, _FINE_MM = 0.35, 0.06  # standard deviations of the Gaussians around the band of ridges
 _COLOURS = ("red", "green", "blue")
 
 
@@ -41,7 +37,14 @@ class Photographs:
     light: Mapping[str, FloatArray]  # (L, h, w) linear, above zero: red, green, blue (or grey), nir
     vectors: Mapping[str, NDArray[np.float64]]  # (L, 3) light on the origin in the images of each
     exposed: bool  # whether exposures are stated, so that bands compare
-    polarised: tuple[FloatArray, FloatArray] | None  # (3, h, w) mean of the parallel and of the crossed images
+    polarised: Sequence[FloatArray]  # (3, h, w) mean of the parallel and of the crossed images, or nothing
+
+
+def is_judged(capture: Capture) -> bool:
+    """Whether a capture has what the shipped model was fitted to: skin in white colours and near infrared."""
+    coarse = capture.rig.camera.px_per_mm < 0.95 * PX_PER_MM or not capture.rig.camera.scale_known
+    white = capture.bands["white"]
+    return capture.material == "skin" and "nir" in capture.bands and has_colour(white) and not (coarse or white.colours)
 
 
 def photographs(capture: Capture) -> Photographs:
@@ -55,13 +58,8 @@ def photographs(capture: Capture) -> Photographs:
     if nir is not None:
         light["nir"] = linear_channels(nir, capture.encoding, ("grey",), None, binning)[0]
         vectors["nir"] = _vectors(capture, nir)
-    polarised = None
-    if crossed is not None and colours == _COLOURS and has_colour(crossed):
-        parallel, across = (
-            linear_channels(one, capture.encoding, colours, None, binning).mean(axis=1)
-            for one in (replace(white, crossed=None), crossed)
-        )
-        polarised = parallel, across
+    series = () if crossed is None or colours != _COLOURS else (replace(white, crossed=None), crossed)
+    polarised = [linear_channels(one, capture.encoding, colours, None, binning).mean(axis=1) for one in series]
     exposed = any(bool((band.exposure != 1.0).any()) for band in capture.bands.values())
     lit = {name: np.maximum(one, 1e-6 * float(one.max()) + 1e-12) for name, one in light.items()}
     return Photographs(binning, lit, vectors, exposed, polarised)
@@ -70,21 +68,9 @@ def photographs(capture: Capture) -> Photographs:
 def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
     """What differs between skin and copies, by name; what the capture has no part for is left out.
 
-    Parameters
-    ----------
-    seen : :func:`photographs` of the capture; colours, near infrared, exposures and polarised series add features
-    result : of this capture, any preset
-
-    Returns
-    -------
-    dict
-        ``relief_*`` (of the result), ``shape_*`` (1/mm), ``colour_*`` (logarithms of ratios of diffuse light),
-        ``spread_*`` (contrast of ridges by colour, logarithms), ``gloss_*``, ``polarised_*`` and ``motion_um``.
-
-    Raises
-    ------
-    BadInput
-        If the result has no scale, or shows too little.
+    ``relief_*`` of the result, ``shape_*`` (1/mm), ``colour_*`` (ratios of diffuse light), ``spread_*`` (contrast of
+    ridges by colour), ``gloss_*`` and ``polarised_*`` (logarithms), ``motion_um``. Raises BadInput if the result has no
+    scale, or shows too little.
     """
     shape, relief, mask = _coarse(result, seen.binning)
     pitch = result.pitch_mm * seen.binning
@@ -98,7 +84,7 @@ def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
     for name, band in (("grey", "white"), ("green", "white"), ("nir", "nir")):
         if name in seen.light:
             found |= _of_gloss(band, seen.light[name], inside, seen.vectors[name])
-    if seen.polarised is not None:
+    if seen.polarised:
         found |= _of_films(*(one[:, inside] for one in seen.polarised))
     quality = result.quality.get("white")
     if isinstance(quality, Mapping) and quality.get("motion_mm"):
@@ -114,10 +100,9 @@ def _coarse(result: Reconstruction, binning: float) -> tuple[NDArray[Any], NDArr
     def mean(field: NDArray[Any]) -> NDArray[Any]:
         return cv2.resize(field.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
-    weight = mean(whole)
+    weight = np.maximum(mean(whole), 1e-3)
     shape, relief = (mean(np.where(whole, np.nan_to_num(one), 0)) for one in (result.shape_mm, result.ridge_mm))
-    over = np.maximum(weight, 1e-3)
-    return shape / over, 1000 * relief / over, weight > 0.99
+    return shape / weight, 1000 * relief / weight, weight > 0.99
 
 
 def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
@@ -126,7 +111,7 @@ def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
     down, right = np.gradient(slow, pitch)
     far = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1] * pitch > 1.0
     facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
-    return np.asarray(facing if facing.sum() * pitch**2 > _LEAST_MM2 else far)
+    return np.asarray(facing if facing.sum() * pitch**2 > 20.0 else far)
 
 
 def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
@@ -200,8 +185,7 @@ def _of_gloss(name: str, stack: FloatArray, inside: BoolArray, vectors: NDArray[
     """Light that no matt surface sends: what Lambert's law leaves, and the tail of highlights."""
     images = stack[:, inside].astype(np.float64)
     rest = images - vectors @ (np.linalg.pinv(vectors) @ images)
-    typical = np.median(images, axis=0)
-    bright = np.max(images, axis=0) / np.maximum(typical, 1e-9)
+    bright = np.max(images, axis=0) / np.maximum(np.median(images, axis=0), 1e-9)
     return {
         f"gloss_rest_{name}": float(np.log(np.sqrt(np.mean(rest**2)) / np.mean(images) + 1e-4)),
         f"gloss_{name}": float(np.log(np.median(bright))),
@@ -218,9 +202,8 @@ def _of_films(parallel: FloatArray, crossed: FloatArray) -> dict[str, float]:
 
 # The model: how far each group of features lies from live skin's, and a logistic regression on these distances.
 
-
 Model = Mapping[str, Any]
-"""``groups``: names of their features; ``mean`` and ``covariance`` of live skin's features; ``usual``: live skin's
+"""``names``, ``mean`` and ``covariance`` of live skin's features; ``groups``: names of theirs; ``usual``: live skin's
 mean distance by group; ``weights`` of the distances, none negative; ``offset``; ``threshold`` of the probability."""
 
 
@@ -236,15 +219,14 @@ def distances(model: Model, found: Mapping[str, float]) -> dict[str, float]:
 
     P. C. Mahalanobis, "On the generalised distance in statistics", 1936.
     """
-    result = {}
+    covariance, result = np.array(model["covariance"]), {}
     for group, names in model["groups"].items():
         there = [name for name in names if name in found]
-        if not there:
-            continue
-        away = np.array([found[name] - model["mean"][name] for name in there])
-        covariance = np.array([[model["covariance"][a][b] for b in there] for a in there])
-        squared = float(away @ np.linalg.solve(covariance, away))
-        result[group] = float(np.log1p(squared / len(there)))
+        if there:
+            at = [model["names"].index(name) for name in there]
+            away = np.array([found[name] - model["mean"][k] for k, name in zip(at, there, strict=True)])
+            squared = float(away @ np.linalg.solve(covariance[np.ix_(at, at)], away))
+            result[group] = float(np.log1p(squared / len(there)))
     return result
 
 
@@ -252,25 +234,18 @@ def distances(model: Model, found: Mapping[str, float]) -> dict[str, float]:
 class Presentation:
     """What was decided of one capture."""
 
-    probability: float
-    """Of live skin, if attacks were as frequent as it."""
-    live: bool
+    probability: float  # of live skin, if attacks were as frequent as it
+    live: bool  # at least the threshold
     threshold: float
-    suspicion: Mapping[str, float]
-    """By group of features: what it takes from the log odds, 0 = usual live skin."""
+    suspicion: dict[str, float]  # by group of features: what it takes from the log odds, 0 = usual live skin
 
 
 def judge(found: Mapping[str, float], model: Model | None = None) -> Presentation:
-    """Probability that features are those of live skin.
-
-    Parameters
-    ----------
-    found : of :func:`features`
-    model : by default the shipped one, which was fitted to simulated attacks only
+    """Probability that :func:`features` are those of live skin, by the shipped model or by another one.
 
     Examples
     --------
-    >>> judge(shipped_model()["mean"]).live
+    >>> judge(dict(zip(shipped_model()["names"], shipped_model()["mean"])).live
     True
     """
     model = model or shipped_model()
@@ -279,3 +254,12 @@ def judge(found: Mapping[str, float], model: Model | None = None) -> Presentatio
     odds = model["offset"] - sum(suspicion.values())
     probability = float(1 / (1 + np.exp(-np.clip(odds, -60, 60))))
     return Presentation(probability, probability >= model["threshold"], model["threshold"], suspicion)
+
+
+def with_probability(result: Reconstruction, seen: Photographs | None) -> Reconstruction:
+    """Add the probability of live skin to a result's facts, where there is one."""
+    try:
+        found = {} if seen is None else {"live_probability": round(judge(features(seen, result)).probability, 4)}
+    except BadInput:  # too little of it
+        found = {}
+    return replace(result, facts={**result.facts, **found})

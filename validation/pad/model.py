@@ -25,6 +25,7 @@ GROUPS = {
 }  # fmt: skip
 GROUPS["all"] = tuple(name for names in GROUPS.values() for name in names)
 FOLDS = 10
+MODEL = Path(__file__).parents[2] / "src" / "splitknit" / "pad_model.json"
 Row = dict
 
 
@@ -46,13 +47,13 @@ def fit(live: Sequence[Row], attacks: Sequence[Row], groups: dict = GROUPS) -> d
     covariance = LedoitWolf(assume_centered=True).fit((table - mean) / scale).covariance_ * np.outer(scale, scale)
     model = {
         "groups": {name: list(members) for name, members in groups.items()},
-        "mean": dict(zip(names, mean.tolist(), strict=True)),
-        "covariance": {
-            a: dict(zip(names, line.tolist(), strict=True)) for a, line in zip(names, covariance, strict=True)
-        },
+        "names": names,
+        "mean": mean.tolist(),
+        "covariance": covariance.tolist(),
     }
     rows = [*live, *attacks]
-    away = np.array([[distances(model, row["features"]).get(name, np.nan) for name in groups] for row in rows])
+    found = [distances(model, row["features"]) for row in rows]
+    away = np.array([[one.get(name, np.nan) for name in groups] for one in found])
     usual = np.nanmean(away[: len(live)], axis=0)
     away = np.where(np.isnan(away), usual, away) - usual
     truth = np.arange(len(rows)) < len(live)
@@ -120,18 +121,42 @@ def rates(rows: list[Row], groups: dict = GROUPS) -> list[dict]:
 
 def words(hits: int, tried: int) -> str:
     low, high = interval(hits, tried)
-    return f"{hits} of {tried}, {100 * hits / tried:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+    return f"{hits} of {tried}: {100 * hits / tried:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
 def table(rows: list[Row]) -> list[str]:
-    lines = []
-    for one in rates(rows):
-        cells = [
-            one["species"],
-            *(words(one[point][0], one["tried"]) for point in ("0.006", "0.01")),
-            str(one["silent"]),
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-        live = one["live"]
-        lines[-1] += f" <!-- live rejected {words(one['0.006'][1], live)}; {words(one['0.01'][1], live)} -->"
+    """Rows of the page's table, and what stands below it."""
+    found = rates(rows)
+    lines = [
+        f"| {one['species']} | {words(one['0.006'][0], one['tried'])} "
+        f"| {words(one['0.01'][0], one['tried'])} | {one['silent']} |"
+        for one in found
+    ]
+    live = [one for one in found if one["tried"]]
+    for point in ("0.006", "0.01"):
+        worst = max(one[point][1] for one in live)
+        total = words(sum(one[point][0] for one in found), sum(one["tried"] for one in found))
+        lines.append(f"BPCER {point}: {words(worst, live[0]['live'])} live rejected at most; all species {total}")
+    states = [row["state"] for row in rows if row["name"] == "live"]
+    silent = sum("failed" in row for row in rows if row["name"] == "live")
+    lines.append(f"live: {len(states)}, not clean {sum(one != 'clean' for one in states)}, no result {silent}")
     return lines
+
+
+def ship(rows: list[Row]) -> str:
+    """Fit to everything, set the threshold at a BPCER of 0.6 % on live fingers left out, and write the model."""
+    good = [row for row in rows if "features" in row]
+    live, attacks = ([row for row in good if (row["name"] == "live") is what] for what in (True, False))
+    scores, _ = leave_out(rows, "none")
+    model = fit(live, attacks)
+    model["threshold"] = float(1 / (1 + np.exp(-threshold_at(scores, 0.006))))
+
+    def rounded(value: object) -> object:
+        if isinstance(value, float):
+            return float(f"{value:.6g}")
+        if isinstance(value, list):
+            return [rounded(one) for one in value]
+        return {k: rounded(v) for k, v in value.items()} if isinstance(value, dict) else value
+
+    MODEL.write_text(json.dumps(rounded(model)) + "\n")
+    return f"{MODEL}: threshold {model['threshold']:.3g}, weights {model['weights']}"

@@ -65,7 +65,15 @@ if __name__ == "__main__":
     parser.add_argument("--live", type=int, default=230)
     parser.add_argument("--each", type=int, default=19, help="instruments of each species")
     parser.add_argument("--scale", type=float, default=SCALE)
+    parser.add_argument("--score", action="store_true", help="print the tables from what is there")
+    parser.add_argument("--write", action="store_true", help="fit the shipped model to what is there")
     options = parser.parse_args()
     cv2.setNumThreads(1)
     options.out.mkdir(parents=True, exist_ok=True)
-    simulate(options.out, options.live, options.each, options.scale)
+    if options.score or options.write:
+        import model  # needs scikit-learn (extra `pad`)
+
+        rows = model.read(options.out)
+        print("\n".join(model.table(rows) if options.score else [model.ship(rows)]))
+    else:
+        simulate(options.out, options.live, options.each, options.scale)

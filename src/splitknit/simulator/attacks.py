@@ -95,13 +95,8 @@ def simulate_attack(
 
     Returns
     -------
-    capture : with the exposures of its bands, so that near infrared compares with visible light
-    truth : as of :func:`splitknit.simulator.twin.simulate_capture`, of the instrument
-
-    Raises
-    ------
-    BadInput
-        If there is no such species, or the settings ask for what instruments do not have.
+    The capture, with exposures, so that near infrared compares with visible light; the truth of the instrument, as of
+    :func:`splitknit.simulator.twin.simulate_capture`. Raises BadInput if there is no such species, or no such setting.
 
     Examples
     --------
@@ -113,9 +108,9 @@ def simulate_attack(
     settings = settings or TwinSettings()
     require(species == "live" or species in SPECIES, f"attacks are {', '.join(SPECIES)}; not '{species}'.")
     surface, drawn = lay_down(seed, None, settings, impression=impression)
+    plain = settings.motion.amplitude_mm == 0 and not drawn.rig.mirrors and surface.camera.model == "orthographic"
     require(
-        settings.motion.amplitude_mm == 0 and not drawn.rig.mirrors and surface.camera.model == "orthographic",
-        "attacks lie still before a camera with parallel rays; leave out motion, mirrors and a perspective rig.",
+        plain, "attacks lie still before a camera with parallel rays; leave out motion, mirrors, a perspective rig."
     )
     seeds = [*_entropy(drawn.photo_seed), 0xA7, [*SPECIES, "live"].index(species)]
     background, noise, own = np.random.SeedSequence(seeds).spawn(3)
@@ -168,11 +163,8 @@ def _draw(species: Species, skin: SkinOptics, seed: np.random.SeedSequence) -> t
         scattering_factor=min(scattering / 4.6, 3.0), melanin=0.0, blood=0.0, water=0.0, yellow_per_mm=0.0,
         roughness=drawn["roughness"], glare=drawn["gloss"], scattering_power=power, relief_gain=skin.relief_gain,
     )  # fmt: skip
-    media = [plain.channel(name) for name in CHANNELS]
-    layers: Any = tuple(
-        _absorption(one.scattering_per_mm, reflectance) / one.absorption_per_mm
-        for one, reflectance in zip(media, mixed, strict=True)
-    )
+    pairs = zip((plain.channel(name) for name in CHANNELS), mixed, strict=True)
+    layers: Any = tuple(_absorption(one.scattering_per_mm, seen) / one.absorption_per_mm for one, seen in pairs)
     return drawn, replace(plain, layers=layers)
 
 
@@ -221,14 +213,12 @@ def _copied(
         return np.asarray(cv2.GaussianBlur(field, (0, 0), sigma) / covered * weight, dtype=np.float32)
 
     def slopes(normals: FloatArray) -> NDArray[Any]:
-        up = np.maximum(normals[..., 2], np.float32(0.15))
-        return np.stack([-normals[..., 0] / up, -normals[..., 1] / up])
+        return np.moveaxis(-normals[..., :2] / np.maximum(normals[..., 2:], np.float32(0.15)), -1, 0)
 
     gain, flat = drawn["relief"], drawn["flat"]
     shaped = slopes(surface.shape_normals)
     ridges = np.stack([gain * smooth(one) for one in slopes(surface.normals) - shaped])
-    raised = gain * smooth(surface.height_mm - surface.shape_mm)
-    relief = gain * smooth(surface.relief_um)
+    raised, relief = (gain * smooth(one) for one in (surface.height_mm - surface.shape_mm, surface.relief_um))
     tilt = rng.normal(0.0, 0.06, 2) * (flat > 0.5)
     rows, columns = np.indices(mask.shape)
     x, y = (columns - mask.shape[1] / 2) * pitch, (mask.shape[0] / 2 - rows) * pitch
