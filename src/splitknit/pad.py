@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from splitknit.errors import BadInput, require
 from splitknit.imaging.band import has_colour, linear_channels
@@ -109,7 +108,8 @@ def _facing(shape: FloatArray, mask: BoolArray, pitch: float) -> BoolArray:
     """Where the surface faces the camera, 1 mm from its outline."""
     slow = smoothed(shape, mask, 0.5 / pitch)
     down, right = np.gradient(slow, pitch)
-    far = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1] * pitch > 1.0
+    outline = np.pad(mask, 1).astype(np.uint8)
+    far = cv2.distanceTransform(outline, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] * pitch > 1.0
     facing = far & (1 / np.sqrt(1 + down**2 + right**2) > _FACING)
     return np.asarray(facing if facing.sum() * pitch**2 > 20.0 else far)
 

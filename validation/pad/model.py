@@ -24,6 +24,7 @@ GROUPS = {
     "gloss": ("gloss_white", "gloss_nir", "gloss_rest_white", "gloss_rest_nir", "gloss_tail_white", "gloss_tail_nir"),
 }  # fmt: skip
 GROUPS["all"] = tuple(name for names in GROUPS.values() for name in names)
+GROUPS["optics"] = (*GROUPS["colour"], "spread_red", "spread_green", "spread_nir")  # blood and scattering change both
 FOLDS = 10
 MODEL = Path(__file__).parents[2] / "src" / "splitknit" / "pad_model.json"
 Row = dict
