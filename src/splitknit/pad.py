@@ -41,9 +41,9 @@ class Photographs:
 
 def is_judged(capture: Capture) -> bool:
     """Whether a capture has what the shipped model was fitted to: skin in white colours and near infrared."""
-    coarse = capture.rig.camera.px_per_mm < 0.95 * PX_PER_MM or not capture.rig.camera.scale_known
-    white = capture.bands["white"]
-    return capture.material == "skin" and "nir" in capture.bands and has_colour(white) and not (coarse or white.colours)
+    white, camera = capture.bands["white"], capture.rig.camera
+    fine = camera.scale_known and camera.px_per_mm > 0.95 * PX_PER_MM and has_colour(white) and not white.colours
+    return fine and capture.material == "skin" and "nir" in capture.bands
 
 
 def photographs(capture: Capture) -> Photographs:
@@ -85,9 +85,8 @@ def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
             found |= _of_gloss(band, seen.light[name], inside, seen.vectors[name])
     if seen.polarised:
         found |= _of_films(*(one[:, inside] for one in seen.polarised))
-    quality = result.quality.get("white")
-    if isinstance(quality, Mapping) and quality.get("motion_mm"):
-        found["motion_um"] = 1000 * float(np.median(quality["motion_mm"]))
+    if moved := dict(result.quality.get("white", {})).get("motion_mm"):
+        found["motion_um"] = 1000 * float(np.median(moved))
     return {name: value for name, value in found.items() if np.isfinite(value)}
 
 
@@ -124,16 +123,15 @@ def _band_of(image: FloatArray, inside: BoolArray, pitch: float) -> FloatArray:
 
 def _of_relief(relief: FloatArray, inside: BoolArray, pitch: float) -> dict[str, float]:
     band = _band_of(relief, inside, pitch)
-    values = band[inside]
     rest = (relief - smoothed(relief, inside, 0.1 / pitch))[inside]
     right, down = (cv2.Sobel(band, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
     xx, yy, xy = (smoothed(one, inside, 0.5 / pitch) for one in (right * right, down * down, right * down))
     coherence = np.hypot(xx - yy, 2 * xy) / np.maximum(xx + yy, 1e-12)
-    deviation = float(values.std()) + 1e-3
+    deviation = float(band[inside].std()) + 1e-3
     return {
         "relief_rms": float(np.log(deviation)),
         "relief_fine": float(np.log(rest.std() / deviation + 1e-3)),
-        "relief_skew": float(np.mean((values / deviation) ** 3)),
+        "relief_skew": float(np.mean((band[inside] / deviation) ** 3)),
         "relief_coherence": float(np.mean(coherence[inside])),
     }
 
@@ -210,15 +208,11 @@ mean distance by group; ``weights`` of the distances, none negative; ``offset``;
 @lru_cache(maxsize=1)
 def shipped_model() -> Model:
     """Return the shipped model."""
-    model: Model = json.loads(resources.files("splitknit").joinpath("pad_model.json").read_bytes())
-    return model
+    return dict(json.loads(resources.files("splitknit").joinpath("pad_model.json").read_bytes()))
 
 
 def distances(model: Model, found: Mapping[str, float]) -> dict[str, float]:
-    """Logarithm of one plus the mean squared Mahalanobis distance to live skin, by group, of what is there.
-
-    P. C. Mahalanobis, "On the generalised distance in statistics", 1936.
-    """
+    """Logarithm of one plus the mean squared distance to live skin (Mahalanobis 1936), by group, of what is there."""
     covariance, result = np.array(model["covariance"]), {}
     for group, names in model["groups"].items():
         there = [name for name in names if name in found]

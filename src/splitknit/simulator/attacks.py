@@ -93,10 +93,8 @@ def simulate_attack(
     settings : of the simulator; a still finger without mirrors, before a camera with parallel rays
     impression : number of the capture: pose, noise and instrument change with it
 
-    Returns
-    -------
-    The capture, with exposures, so that near infrared compares with visible light; the truth of the instrument, as of
-    :func:`splitknit.simulator.twin.simulate_capture`. Raises BadInput if there is no such species, or no such setting.
+    Returns the capture, with exposures, so that near infrared compares with visible light, and the truth, as those
+    of :func:`splitknit.simulator.twin.simulate_capture`. Raises BadInput if there is no such species, or setting.
 
     Examples
     --------
@@ -184,15 +182,14 @@ def _picture_of(surface: SimulatedSurface, drawn: Drawn, seed: np.random.SeedSeq
     leds: Sequence[Led] = [led for led in drawn.rig.leds if led.band == "white"]
     light = render_band(surface, [leds[int(rng.integers(len(leds)))]], drawn.skin.medium("white"))
     seen = light.diffuse[0] + np.float32(0.5) * light.glare[0]
-    size = float(rng.uniform(0.03, 0.08)) * surface.camera.px_per_mm
-    clear = float(rng.uniform(0.0, 0.7))  # ink in near infrared: dyes 0, carbon black near 1
+    size, ink = (float(rng.uniform(*span)) for span in ((0.03, 0.08), (0.0, 0.7)))  # mm; near infrared: dyes 0, black 1
     whole = np.zeros((4, *surface.mask.shape), dtype=np.float32)
     window, inside = light.window, surface.mask[light.window]
     for c in range(3):
         one = np.minimum(seen[c], np.percentile(seen[c][inside], 99))
-        one = cv2.GaussianBlur(one, (0, 0), max(size, 0.2)) / one[inside].mean()
+        one = cv2.GaussianBlur(one, (0, 0), max(size * surface.camera.px_per_mm, 0.2)) / one[inside].mean()
         whole[c][window] = np.where(inside, np.clip(one, 0.05, 1.6), 0)
-    whole[3][window] = np.where(inside, whole[1][window] ** clear, 0)
+    whole[3][window] = np.where(inside, whole[1][window] ** ink, 0)
     return whole
 
 
