@@ -72,6 +72,7 @@ def test_the_surface_is_the_finger(finger: Rolled) -> None:
     assert np.sqrt((off[rows] ** 2).mean()) < 0.15
 
 
+@pytest.mark.slow
 def test_one_mirror_is_enough_and_none_is_refused() -> None:
     capture, masks = scene.capture()
     settings = ReliefSettings()

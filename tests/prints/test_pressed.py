@@ -109,3 +109,13 @@ def test_confidence_is_that_of_ridges(sigma: float) -> None:
     noise = np.random.default_rng(4).normal(0, sigma, wave.shape) * (wave != 0)
     sure = pressed_ridges(np.clip(patch(wave) + noise, 0, 255).astype(np.uint8)).confidence[60:100, 70:110]
     assert (sure.min() > 0.9) if sigma == 0 else (0.2 < sure.mean() < 0.7)
+
+
+def test_a_border_of_plain_paper_changes_no_ridges() -> None:
+    noise = np.random.default_rng(2).normal(0, 110, (200, 200))
+    inside = np.pad(np.ones((160, 160), np.bool_), 20)
+    image = np.clip(np.where(inside, 130 + 60 * waves(30, 9.0, (200, 200)) + noise, 232 + noise / 50), 0, 255)
+    alone, bordered = (pressed_ridges(np.pad(image.astype(np.uint8), size, constant_values=240)) for size in (0, 80))
+    core = np.s_[50:150, 50:150]
+    one, other = alone.image[core].astype(float), bordered.image[80:-80, 80:-80][core].astype(float)
+    assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.95

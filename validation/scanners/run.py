@@ -255,7 +255,7 @@ def rates(out: Path, seeds: list[int], name: str) -> dict[str, tuple[float, bool
         if f"{a}-{b}" not in kept:
             try:
                 found = splitknit.match(out / f"{a}-{name}", out / f"{b}-second", "ridge", fmr=1e-3)
-                kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision["match"])
+                kept[f"{a}-{b}"] = float(found.similarity), bool(found.decision.match)
             except splitknit.BadInput:  # too little of it to compare
                 kept[f"{a}-{b}"] = 0.0, False
             path.write_text(json.dumps(kept))

@@ -276,6 +276,20 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
     return _facts(table, table.trials) | {"people": people, "scales": list(scales), "own_seed": seed}
 
 
+def run_normals(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
+    """Normals of the surface and normals as measured, by case, on four fingers of each person."""
+    from neighbours import FINGERS
+    from normals import normals_table
+
+    table = normals_table(options.population, options.scratch / "normals", FINGERS, options.jobs)
+    work = _work(options, table, truth)
+    groups = list(zip(table.trials[::2], table.trials[1::2], strict=True))
+    groups += [(table.trials[k], table.trials[k + 2]) for k in range(4)]
+    rows = rate_rows(work, table.trials, options.jobs, (PLAIN, THESIS))
+    _write(options, "normals", rows, difference_rows(work, groups, (PLAIN,), options.jobs))
+    return _facts(table, table.trials) | {"fingers_of_a_person": list(FINGERS)}
+
+
 def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
     """Figures 3.1, 3.20, 3.22, 5.6 and 5.9, measured."""
     from figures import choose, run
@@ -292,9 +306,10 @@ def run_part(part: str, options: argparse.Namespace, store: Any, truth: Mapping[
 
 PARTS = (
     "fusion", "cases", "matchers", "sensitivity", "failures", "rolls", "descriptors", "figures", "scales", "neighbours",
+    "normals",
 )  # fmt: skip
 """What ``all`` makes; ``family`` has cases of its own, and a store of its own, of fewer people."""
-WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "figures": run_figures}
+WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "normals": run_normals, "figures": run_figures}
 PART_OF = {
     "descriptors": run_descriptors,
     "fusion": run_fusion,
@@ -302,6 +317,7 @@ PART_OF = {
     "matchers": run_matchers,
     "sensitivity": run_sensitivity,
     "failures": run_failures,
+    "rolls": run_rolls,
     "family": run_family,
 }
 

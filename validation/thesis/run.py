@@ -3,7 +3,7 @@
     python validation/thesis/run.py all --store STORE --population POPULATION
     python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|descriptors --store STORE \\
         --population POPULATION
-    python validation/thesis/run.py scales|neighbours|figures --population POPULATION
+    python validation/thesis/run.py scales|neighbours|normals|figures --population POPULATION
     python validation/thesis/run.py family --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
     python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third

@@ -154,8 +154,9 @@ class Live(Generic[T]):
 
     Examples
     --------
+    >>> import itertools
     >>> import numpy as np
-    >>> source = FrameSource("still", iter(lambda: np.zeros((2, 2, 3), np.uint8), None), "linear", 0.01)
+    >>> source = FrameSource("still", itertools.repeat(np.zeros((2, 2, 3), np.uint8)), "linear", 0.01)
     >>> with Live(source, lambda pixels: int(pixels.max())) as live:
     ...     live.newest(0, 5.0).measured
     0

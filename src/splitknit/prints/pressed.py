@@ -26,8 +26,8 @@ _SHORTEST_PX, _LONGEST_PX = 4.5, 15.0
 """Periods of ridges: 0.23 to 0.76 mm."""
 _CONTRAST_PX = 11.0
 """Sigma over which mean and contrast are made even."""
-_LEVEL = 8.0
-"""Grey levels; contrast below that is not raised further."""
+_LEVEL, _RAISED = 8.0, 0.3
+"""Grey levels, and part of the print's usual contrast; contrast below the larger one is not raised further."""
 _DIRECTIONS, _PERIODS = 24, 10
 """Directions and periods that a window may have; means between them are taken."""
 _ANGLES = np.arange(_DIRECTIONS, dtype=np.float32) * np.float32(np.pi / _DIRECTIONS)
@@ -42,8 +42,8 @@ _TYPICAL = 0.3
 """Sigma of periods about the print's own, relative."""
 _REACHES = (4.0, 3.0, 2.0, 1.5, 1.5, 1.5)
 """Sigma of the surroundings, in windows, of one pass after the other."""
-_WEAK = 0.1
-"""Power of the evened print, of variance one, below which a window says little."""
+_WEAK = 0.03
+"""Power of a window, relative to noise of the evened print's variance, below which it says little."""
 _FANS_DEG = (16.0, 22.0, 30.0, 42.0)
 """Sigma of the filter across directions: where they agree, to where they do not."""
 _BAND_PER_PX = 0.035
@@ -113,9 +113,9 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
     inner, bank, _, _ = _bank()
     power = power.reshape(rows * columns, -1)[:, inner]
     weighed = (power @ bank).reshape(rows, columns, _DIRECTIONS, _PERIODS)
-    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1)
-    weighed /= total + np.float32(_WEAK)
-    direction, frequency, agreement, part = _field(weighed)
+    total = (power @ np.ones(power.shape[1], dtype=np.float32)).reshape(rows, columns, 1, 1) + np.float32(1e-6)
+    unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
+    direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)))
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
     wave /= np.sqrt(_blur(wave * wave, 0.7 * _CONTRAST_PX)) + np.float32(0.02)
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
@@ -125,8 +125,7 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
         dtype=np.float32,
     )
     strong = contrast[confidence >= 0.5 * _clearest(confidence)]
-    usual = (strong * strong).sum() / np.maximum(strong.sum(), np.float32(1e-6))  # of the strong ones, however few
-    confidence *= np.minimum(contrast / (_FAINT * usual + np.float32(1e-6)), np.float32(1)) ** 2
+    confidence *= np.minimum(contrast / (_FAINT * _usual(strong) + np.float32(1e-6)), np.float32(1)) ** 2
     inside = _extent(confidence)
     soft = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 2.0, borderType=cv2.BORDER_REPLICATE)
     grey = 1.0 - soft * (0.5 - 0.5 * np.tanh(np.float32(_STEEPNESS) * wave))
@@ -147,7 +146,13 @@ def _evened(image: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the frame
         centred = np.asarray((centred - _blur(centred * known, _CONTRAST_PX) / weight) * known, dtype=np.float32)
     contrast = np.sqrt(_blur(centred * centred, _CONTRAST_PX) / weight)
-    return np.clip(centred / np.maximum(contrast, np.float32(_LEVEL)), -3.0, 3.0).astype(np.float32), contrast
+    level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
+    return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
+
+
+def _usual(contrast: FloatArray) -> np.float32:
+    """Mean contrast, weighted by itself: of the strong places, however few."""
+    return np.float32((contrast * contrast).sum() / np.maximum(contrast.sum(), np.float32(1e-6)))
 
 
 def _frame(image: NDArray[np.uint8]) -> BoolArray:
@@ -214,17 +219,19 @@ def _apart(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.mod(a - b + np.pi / 2, np.pi) - np.pi / 2))
 
 
-def _field(weighed: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _field(weighed: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Direction across the ridges, frequency, how well the directions agree, and the part of the power that has both.
 
-    `weighed` (n, m, directions, periods): what each window's own power says.
+    `weighed` (n, m, directions, periods): parts of each window's own power; `trust` (n, m, 1, 1): little where a window
+    has little power, so that the edge of a sheet says nothing about ridges.
     """
     n, m = weighed.shape[:2]
-    clear = weighed.reshape(n, m, -1).max(axis=2)
-    votes = np.einsum("nmf,nm->f", weighed.max(axis=2), clear**3)
+    said = weighed * trust
+    clear = said.reshape(n, m, -1).max(axis=2)
+    votes = np.einsum("nmf,nm->f", said.max(axis=2), clear**3)
     own = float((votes**4 * _LOGS).sum() / max(float((votes**4).sum()), 1e-30))  # logarithm of the print's frequency
     usual = (np.exp(-0.5 * ((_LOGS - own) / _TYPICAL) ** 2) + 0.05).astype(np.float32)
-    said = weighed @ usual
+    said = said @ usual
     strength = said.sum(axis=2, keepdims=True) + np.float32(1e-12)
     turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / np.deg2rad(_TURN_DEG)) ** 2).astype(np.float32)
     belief = said
@@ -241,7 +248,7 @@ def _field(weighed: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     agreement = np.abs((belief * np.exp(2j * _ANGLES)).sum(axis=2)).astype(np.float32)
     near = np.exp(-0.5 * (_apart(direction[..., None], _ANGLES) / np.deg2rad(1.5 * _DIRECTION_DEG)) ** 2)
     along = np.matmul(near.astype(np.float32)[:, :, None], weighed)[:, :, 0]
-    period = _blur(along * usual, 1.5) ** 2
+    period = _blur(along * usual * trust[..., 0], 1.5) ** 2
     frequency = (period @ _LOGS) / (period.sum(axis=2) + np.float32(1e-20))
     of_period = np.exp(-0.5 * ((frequency[..., None] - _LOGS) / (2 * _PERIOD_WIDTH)) ** 2)
     return direction, frequency, agreement, (along * of_period).sum(axis=2).astype(np.float32)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -292,6 +293,7 @@ def _find_landmarks(
         "cores_px": pixels(master.cores_mm),
         "deltas_px": pixels(master.deltas_mm),
         "minutiae_px": minutiae[np.isfinite(minutiae).all(axis=1)],
+        "pores_px": visible(_pores_mm(master)),
         "seed": finger.seed,
         "pattern": master.pattern,
         "yaw_rad": pose.yaw_rad,
@@ -302,6 +304,12 @@ def _find_landmarks(
         "height_mm": pose.height_mm,
         "period_mm": master.period_mm,
     }
+
+
+def _pores_mm(master: MasterPrint) -> Array:
+    """(N, 2) places of the pores on the chart."""
+    rows, columns = np.nonzero((master.pores > 0.25) & (master.pores >= cv2.dilate(master.pores, np.ones((3, 3)))))
+    return np.stack([master.u_mm[columns], master.v_mm[rows]], axis=1)
 
 
 class _Lattice:
