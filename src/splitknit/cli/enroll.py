@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.gallery_options import add_gallery, count
+from splitknit.cli.pad import add_refusal, refuse_attacks
 from splitknit.cli.verb import (
     FINGERS,
     Outcome,
@@ -17,6 +18,7 @@ from splitknit.cli.verb import (
     from_options,
     natural,
     new_verb,
+    refuse_given,
 )
 
 if TYPE_CHECKING:
@@ -49,13 +51,13 @@ def add_enroll(verbs: Any) -> None:
     )
     verb.add_argument("--replace", action="store_true", help="let a capture take the place of one of the same names")
     verb.add_argument("--with-time", action="store_true", help="keep the time of enrolment as well")
+    add_refusal(verb)
     add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Enrol."""
     from splitknit.cli.options import read_changes
     from splitknit.gallery.enrol import Enrolling, enroll_files  # verbs import what they need
     from splitknit.gallery.key import key_of
@@ -67,6 +69,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     settings = from_options(Enrolling, options, matching=matching, keep=options.keep_images)
     key = key_of(options.key_file)
     with Progress(options) as progress:
+        refuse_attacks(options, options.sources, progress.update)
         if options.population is not None:
             facts, lines = _population(options, settings, key, progress)
         else:
@@ -90,8 +93,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 def _population(options: argparse.Namespace, settings: Any, key: Any, progress: Progress) -> Outcome:
     from splitknit.batch.enrol import enroll_population
 
-    mixed = [name for name in ("person", "finger", "session") if getattr(options, name) is not None]
-    require(not mixed, f"--{mixed[0] if mixed else ''} does not go with --population, whose folders have names.")
+    refuse_given(options, ("person", "finger", "session"), "does not go with --population, whose folders have names.")
     require(not options.sources, "name sources or a --population, not both.")
     facts = enroll_population(
         options.gallery, options.population, settings,

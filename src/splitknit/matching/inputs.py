@@ -61,10 +61,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
 ) -> Side:
     """Read one side, whatever it is, and make its template; `input_ppi` as for prints in ``prints.from_file``.
 
-    Raises
-    ------
-    BadInput
-        If it is none of these, or cannot be read.
+    Raises BadInput if it is none of these, or cannot be read.
     """
     if isinstance(given, Reconstruction | Capture):
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
@@ -153,10 +150,7 @@ def is_of_minutiae(path: Path) -> bool:
 def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: MatchingSettings | None = None) -> Template:
     """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
 
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.matching.ridge_band.print_band`.
+    Raises BadInput as :func:`splitknit.matching.ridge_band.print_band`.
     """
     from splitknit.io.prints import PrintFile  # templates of others need none of these
     from splitknit.prints.from_file import pressed_print
@@ -173,13 +167,7 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: Matchin
 
 
 def _read_surface(path: Path) -> Surface:
-    """Read a result's ``height.npz``.
-
-    Raises
-    ------
-    BadInput
-        If it is damaged, or an array is missing or of another shape.
-    """
+    """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or of another shape."""
     from splitknit.io.results import read_fields  # a template needs none of it
 
     arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))

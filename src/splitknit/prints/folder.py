@@ -75,12 +75,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
     A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
-    shape.
-
-    Raises
-    ------
-    BadInput
-        Naming the input at fault.
+    shape. Raises BadInput, naming the input at fault.
     """
     started = time.perf_counter()
     settings, path, ppi = override(PrintingSettings(), dict(job.changes)), job.path, job.ppi
@@ -115,8 +110,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "binary.png": as_print(ridges),
             "thinned.png": as_print(lines),
         }
-        _write_pictures(target, pictures, ppi, origin)
-        write_npz(target / "map.npz", _map_arrays(made.map))
+        _write_pictures(target, pictures, made.map, origin)
         facts: dict[str, Any] = {
             "method": method,
             "surface": place,
@@ -124,7 +118,12 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "ppi": ppi,
             "enhanced": settings.enhance,
             **({"scale": source.scale} if source.scale else {}),
-            **_sizes(made, enhanced, ppi),
+            "size": list(made.image.shape),
+            "mirrored": True,
+            "ridges": "dark",
+            "ridge_period_mm": _periods(enhanced, ppi),
+            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
         }
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion.figures()
@@ -159,11 +158,15 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
 
 
 def _write_pictures(
-    target: Path, pictures: Mapping[str, NDArray[np.uint8]], ppi: float, origin: dict[str, JsonValue]
+    target: Path, pictures: Mapping[str, NDArray[np.uint8]], print_map: PrintMap, origin: dict[str, JsonValue]
 ) -> None:
+    """Write the pictures, and where their pixels come from (``map.npz``)."""
     texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
     for name, picture in pictures.items():
-        write_print_png(target / name, picture, ppi, texts)
+        write_print_png(target / name, picture, print_map.ppi, texts)
+    arrays = {name: getattr(print_map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
+    arrays |= {"ppi": np.float64(print_map.ppi), "surface": np.array(print_map.surface)}
+    write_npz(target / "map.npz", arrays)
 
 
 def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
@@ -227,17 +230,6 @@ def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:
     if method != "rolled":
         found.pop("rolled")
     return found
-
-
-def _sizes(made: Print, enhanced: Enhanced, ppi: float) -> dict[str, Any]:
-    return {
-        "size": list(made.image.shape),
-        "mirrored": True,
-        "ridges": "dark",
-        "ridge_period_mm": _periods(enhanced, ppi),
-        "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
-        "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
-    }
 
 
 def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
@@ -438,15 +430,3 @@ def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
         place = int(4 + fraction * (width - 8 - length))
         cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
     return bar
-
-
-def _map_arrays(print_map: PrintMap) -> dict[str, Any]:
-    """What ``map.npz`` holds."""
-    return {
-        "columns": print_map.columns,
-        "rows": print_map.rows,
-        "ppi": np.float64(print_map.ppi),
-        "input_from_grid": print_map.input_from_grid,
-        "print_of_grid": print_map.print_of_grid,
-        "surface": np.array(print_map.surface),
-    }

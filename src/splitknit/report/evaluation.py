@@ -32,10 +32,7 @@ _FILES = ("report.html", "report.json")
 def write_evaluation(found: Evaluation, out: Path) -> dict[str, Any]:
     """Write the page, the facts and the tables of an evaluation into the folder `out`, all or nothing.
 
-    Returns
-    -------
-    dict
-        What ``report.json`` holds.
+    Returns what ``report.json`` holds.
     """
     facts = _facts_of(found)
     html = _page(facts, found.results)
