@@ -75,6 +75,7 @@ VERBS_RUN = [  # snk runs its network at any size of the images, metric its two 
     ["demo", "--scale", "0.165"],
     ["reconstruct", "CAPTURE", "--out", "result", "--preset", "snk"],
     ["print", "CAPTURE", "--out", "print", "--preset", "snk"],
+    ["pad", "CAPTURE", "--preset", "snk"],
     ["match", "CAPTURE", "--template", "finger.skt", "--preset", "snk"],
     ["enroll", "one.skg", "CAPTURE", "--person", "one", "--finger", "right_index", "--preset", "snk"],
     ["identify", "one.skg", "CAPTURE", "--preset", "snk"],

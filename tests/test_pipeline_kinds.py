@@ -98,6 +98,7 @@ def test_colours_of_a_grey_capture_are_refused(material: str, capture: Capture) 
         quick(kinds.grey(capture, material), "lin")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(323, 459), pytest.param((329, 470), marks=pytest.mark.slow)])
 def test_odd_sizes(size: tuple[int, int], capture: Capture, truth: Truth) -> None:
     rows, columns = slice(0, size[0]), slice(7, 7 + size[1])

@@ -71,6 +71,7 @@ def test_the_report_tells_the_motion(moved, undone):
     json.dumps(told)
 
 
+@pytest.mark.slow
 def test_the_reference_shot_and_the_capture_given_are_not_touched(moved):
     capture, _ = moved
     before = {name: band.pixels.copy() for name, band in capture.bands.items()}
@@ -113,6 +114,7 @@ def test_cases_of_one_capture_share_the_registration(moved, undone):
     assert again.facts["motion"] == first.facts["motion"]
 
 
+@pytest.mark.slow
 def test_too_much_motion_is_refused(moved, tmp_path, capsys):
     capture, truth = moved
     with pytest.raises(BadInput, match=r"moved by 0\.\d\d mm .* at most 0\.05 mm can be undone"):

@@ -73,6 +73,7 @@ def test_the_top_sets_the_scale(photographed: tuple[Capture, Truth], reconstruct
     assert truth["height_mm"].shape == low.height_mm.shape
 
 
+@pytest.mark.slow
 def test_shading_is_divided_out(photographed: tuple[Capture, Truth], reconstructed: Reconstruction) -> None:
     (capture, truth), kept = photographed, reconstructed
     darker = {name: replace(band, shading=()) for name, band in capture.bands.items()}

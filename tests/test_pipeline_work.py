@@ -74,6 +74,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     return found
 
 
+@pytest.mark.slow
 def test_no_more_is_computed_than_was(capture: Capture, counts: Counter[str]) -> None:
     splitknit.reconstruct(capture)
     pixels = counts["pixels"]
@@ -105,6 +106,7 @@ def test_the_finger_is_looked_at_in_its_window(capture: Capture, monkeypatch: py
     assert measured["decoded"] < 13.5 * size  # white and its ambient image whole, near-infrared in the finger's window
 
 
+@pytest.mark.slow
 def test_images_are_let_go_before_the_surface_where_they_may_be(
     capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -166,6 +166,7 @@ def test_copies_are_private_and_go_with_their_turn(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_work_of_a_batch_by_counting(
     memory: Objects, people: Path, moved: Moved, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -55,6 +55,7 @@ def test_a_lost_chunk_is_made_again(people: Path, store: Path) -> None:
     assert chunks(store) == whole
 
 
+@pytest.mark.slow
 def test_without_surfaces(people: Path, reconstructed: Path, tmp_path: Path) -> None:
     """They can be made with the reconstruction, not afterwards."""
     bare = replace(CODES, surfaces=False)

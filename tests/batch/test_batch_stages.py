@@ -68,6 +68,7 @@ def test_chunks_say_where_they_come_from(people: Path, reconstructed: Path) -> N
     assert all(len(one) == 64 for one in origin["inputs"].values())
 
 
+@pytest.mark.slow
 def test_two_processes_leave_what_one_leaves(people: Path, reconstructed: Path, tmp_path: Path) -> None:
     run_batch(people, tmp_path / "other", EA, jobs=2)
     assert chunks(tmp_path / "other") == chunks(reconstructed)

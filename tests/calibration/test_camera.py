@@ -90,6 +90,7 @@ def test_a_bad_photograph_is_left_out_and_named():
     assert abs(kept.matrix[0, 0] - 2650) > abs(found.lens.matrix[0, 0] - 2650)
 
 
+@pytest.mark.slow
 def test_even_photographs_are_all_believed():
     rejected = [len(fit_camera(views(seed, 13), BOARD, SIZE).rejected) for seed in range(10, 13)]
     assert sum(rejected) == 0

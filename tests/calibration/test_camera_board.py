@@ -76,6 +76,7 @@ def test_only_the_board_that_was_asked_for_is_found():
     assert size_in_view(picture(Board(7, 5, 3.0))[0]) == (7, 5)
 
 
+@pytest.mark.slow
 def test_a_board_that_is_cut_off_or_absent_is_not_found():
     board = Board(9, 6, 3.0)
     image, _ = picture(board, middle=(9.0, 0.0, 140.0))

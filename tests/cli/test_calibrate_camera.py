@@ -249,6 +249,7 @@ def test_folders_that_do_not_do(photos, tmp_path, capsys):
     assert "9.png has 100 x 200 pixels (rows x columns), but 0.png has 330 x 480" in refused(capsys, out, few)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["8x6", "10x7", "7x5"])
 def test_a_board_of_another_size_is_named(photos, tmp_path, capsys, size):
     place, _ = photos

@@ -44,6 +44,7 @@ def test_a_small_sweep_gives_a_result(swept: Path) -> None:
     assert {row["tilt_deg"] for row in rows} == {"centre"}
 
 
+@pytest.mark.slow
 def test_a_finished_sweep_is_not_done_again(swept: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured) -> None:
     def never(*unused: object) -> None:
         raise AssertionError("measured again")

@@ -48,6 +48,7 @@ def test_what_does_not_go_is_said_in_one_sentence(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_reconstruct_tells_of_dust_and_is_silent_about_clean_skin(tmp_path: Path, capsys: Captured) -> None:
     for name, more in (("clean", []), ("dusty", ["--condition", "dusty", "--severity", "0.5"])):
         command = ["simulate", "--out", str(tmp_path / name), "--seed", "3", "--scale", "0.165", *more]

@@ -41,6 +41,7 @@ def test_distance_does_not_count_but_tilt_does() -> None:
     assert comparison.figures["surface_rms_mm"] == pytest.approx(float(inside.std()), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_edge_is_left_out() -> None:
     result, truth = finger()
     surface = compare(result, truth).surface

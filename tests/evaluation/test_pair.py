@@ -92,6 +92,7 @@ def test_a_perspective_camera_sees_the_same_surface() -> None:
     assert found["above 8 mm"][MAIN]["rms_um"]["value"] < 2.0
 
 
+@pytest.mark.slow
 def test_skin_that_has_shifted_is_followed_by_the_elastic_fit() -> None:
     a, b = laid_down(), laid_down(**POSE, stretched=0.03)
     stiff, soft = compare_results(a, b), compare_results(a, b, fit="elastic")
@@ -127,6 +128,7 @@ def test_the_verb_writes_a_private_report_and_states_the_protocols_error(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_phantom_is_closed_and_as_high_as_stated() -> None:
     result, fields = phantom()
     vertices, faces = phantom_mesh(result)

@@ -51,6 +51,7 @@ def test_the_left_camera(folder, tmp_path, capsys):
     assert np.asarray(camera.matrix)[0, 0] == fit["focal_length_px"][0]
 
 
+@pytest.mark.slow
 def test_part_of_a_board_is_not_the_board(folder):
     """OpenCV finds 8 x 6 corners in a board of 9 x 6; a calibration with them would be one square off in places."""
     pixels = read_image(folder / "left01.jpg")

@@ -36,6 +36,7 @@ def images_of(data_dir: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.nda
     return np.maximum(stack - dark, 0) / stack.max(), directions, read[-1] > 127
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETS)
 def test_all_eight_frames(data_dir, name):
     if not all((data_dir / folder).is_dir() for folder in ("diligent", "psm_spheres", "blender_finger")):
@@ -48,6 +49,7 @@ def test_all_eight_frames(data_dir, name):
         assert fit.frame == frame
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETS)
 def test_wrong_orders_are_found_and_the_right_one_never_doubted(data_dir, name):
     if not all((data_dir / folder).is_dir() for folder in ("diligent", "psm_spheres", "blender_finger")):

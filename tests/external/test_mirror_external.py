@@ -15,7 +15,7 @@ from splitknit.mirrors.captured import SeenInMirrors, seen_in_mirrors
 from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Band, Camera, Capture, Led, Mirror, Rig
 
-pytestmark = pytest.mark.external
+pytestmark = [pytest.mark.external, pytest.mark.slow]
 
 FOCAL_PX, PX_PER_MM = 6800.0, 20.0
 """From the mirrors' corners, which are squares at 45 deg; the scale is that of a finger 16 mm broad."""

@@ -14,6 +14,8 @@ from script_folder import VALIDATION, scripts_of
 from splitknit.imaging.band import linear_channels
 from splitknit.model import Capture
 
+pytestmark = pytest.mark.slow
+
 FINGERS = ("loop", "print")
 EDGE_MM = 0.33
 

@@ -17,6 +17,8 @@ from splitknit.imaging.polarised import specular_of, without_films
 from splitknit.model import Capture
 from splitknit.presets import preset_settings
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def capture(data_dir: Path) -> Capture:

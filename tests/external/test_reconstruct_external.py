@@ -86,6 +86,7 @@ LINEAR = {"enhance.cells.grey": "linear"}
 """Equalise linear light; the thesis's images were equalised in their sRGB code, which bends shapes twice as much."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("preset", "changes", "limit_deg"),
     [("metric", {}, 6.0), ("snk", {}, 9.6), ("ea", {}, 9.6), ("pr", LINEAR, 12.8), ("pr", {}, 19.6)],

@@ -130,6 +130,7 @@ def test_shadows_and_gloss_do_not_count(dome):
     assert found.suspect is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lights", ["near", "distant"])
 def test_skin_does_not_mislead(lights):
     """A simulated finger with gloss, wandering light and shadows; the surface that the lights meet is known or not."""

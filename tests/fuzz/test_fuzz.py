@@ -49,6 +49,7 @@ def test_every_reader_gives_a_result_or_one_sentence(tmp_path: Path) -> None:
     assert " 0 findings" in done.stdout
 
 
+@pytest.mark.slow
 def test_what_goes_wrong_is_found_made_small_and_kept(tmp_path: Path) -> None:
     done = run("-c", HARNESS, str(tmp_path))
     assert done.returncode == 1, done.stdout + done.stderr

@@ -126,6 +126,7 @@ def test_voted_minutiae_are_those_that_most_pictures_show(capture: Capture) -> N
     assert found.quality.min() >= 50
 
 
+@pytest.mark.slow
 def test_match_by_votes_needs_captures(capture: Capture, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("nbis")
     write_capture(capture, tmp_path / "a")

@@ -32,6 +32,7 @@ def taken():
         return training_crops(7000, SMALL), seen, surfaces[0]
 
 
+@pytest.mark.slow
 def test_pieces_hold_skin_relief_and_glare(taken) -> None:
     pieces = taken[0]
     assert pieces.shape[1:] == (CHANNELS, SIDE, SIDE) and 1 <= len(pieces) <= 3 and pieces.dtype == np.float16

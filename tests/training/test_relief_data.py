@@ -160,6 +160,7 @@ def photographed():
     return scene, *photograph_scene(scene)
 
 
+@pytest.mark.slow
 def test_a_scene_is_photographed_as_the_twin_photographs(photographed, monkeypatch) -> None:
     scene, capture, truth = photographed
     monkeypatch.setattr(twin, "default_rig", lambda *args: scene.rig)
@@ -228,6 +229,7 @@ def test_ranges_that_make_no_sense_are_refused(change, words) -> None:
         ReliefData(**change)
 
 
+@pytest.mark.slow
 def test_a_part_of_the_fingers_has_the_ridges_of_real_prints(tmp_path) -> None:
     with pytest.raises(BadInput, match="prints_folder"):
         _draw_scene(5000, ReliefData(prints_folder=str(tmp_path), prints_share=1.0))

@@ -41,6 +41,7 @@ def twin(bench: Any) -> Any:
     return bench.twin
 
 
+@pytest.mark.slow
 def test_the_finger_is_that_of_the_accuracy(twin: Any) -> None:
     capture, _ = simulate_capture(1000, None, TwinSettings(scale=0.15))
     for name, band in capture.bands.items():

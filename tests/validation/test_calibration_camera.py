@@ -5,9 +5,12 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
+import pytest
+
 SCRIPT = Path(__file__).resolve().parents[2] / "validation" / "calibration" / "camera.py"
 
 
+@pytest.mark.slow
 def test_one_rig_at_a_seventh_of_the_size():
     spec = importlib.util.spec_from_file_location("validation_calibration_camera", SCRIPT)
     module = importlib.util.module_from_spec(spec)

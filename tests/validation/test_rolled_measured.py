@@ -32,6 +32,7 @@ def scene():
     return rolled_scene
 
 
+@pytest.mark.slow
 def test_every_point_is_held_against_the_pixel_it_came_from(scene) -> None:
     capture, masks = scene.capture(("right",))
     rolled = rolled_finger(capture, scene.views_of(capture, masks), ReliefSettings(), QUICK)

@@ -99,6 +99,7 @@ def read(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_crossed_images_are_a_case_of_their_own(tmp_path: Path, thesis: Script, monkeypatch) -> None:
     run, chain, crossed = thesis("run"), thesis("chain"), thesis("crossed")
     people, apart = tmp_path / "people", tmp_path / "people-crossed"
@@ -246,6 +247,7 @@ def test_a_finger_is_discarded_by_its_largest_difference(thesis: Script) -> None
     assert variants.spreads(finger, np.array([-8.0, 0.0, 9.0, 3.0, np.nan])) == {"A": 17.0, "B": 0.0}
 
 
+@pytest.mark.slow
 def test_reliefs_of_all_scales_are_those_of_the_preset(thesis: Script) -> None:
     from splitknit.matching.surface import surface_images
     from splitknit.model import surface_of
@@ -354,6 +356,7 @@ def test_linear_neighbours_within_a_pixel_change_the_diagonal_bits_alone(thesis:
     assert [way.name for way in neighbours.ways_of(1.0, (1.0, 0.4))][::2] == ["scale 1, 13 um", "scale 1, 33 um"]
 
 
+@pytest.mark.slow
 def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) -> None:
     """A tiny population: ridges are found at their frequency, more scales take in more of the shape."""
     from splitknit.batch.simulate import simulate_population

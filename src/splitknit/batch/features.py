@@ -18,8 +18,7 @@ from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_extracted
 from splitknit.batch.surfaces import pack_surface
 from splitknit.errors import BadInput
-from splitknit.io.capture import ReadSettings, read_capture
-from splitknit.io.images import ImageSettings
+from splitknit.io.capture import read_capture
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from splitknit.matching.surface import MatchingSettings, surface_template
@@ -76,12 +75,12 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
     rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
     seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
     failures = []
-    reading = ReadSettings(ImageSettings(threads=running().threads))
+    threads = running().threads
     with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
         for ref, folder in zip(task.captures, folders, strict=True):
             memory: Memory | str
             try:
-                memory = Memory(read_capture(folder / ref.name, reading))
+                memory = Memory(read_capture(folder / ref.name, threads=threads))
             except BadInput as error:
                 memory = str(error).replace(f"{folder}/", "")  # wherever the population lies, the row is the same
             cases = [case for case, wanted in task.cases if ref.name in wanted]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.gallery_options import add_gallery, count
+from splitknit.cli.pad import add_refusal, refuse_attacks
 from splitknit.cli.verb import (
     FINGERS,
     Outcome,
@@ -50,6 +51,7 @@ def add_enroll(verbs: Any) -> None:
     )
     verb.add_argument("--replace", action="store_true", help="let a capture take the place of one of the same names")
     verb.add_argument("--with-time", action="store_true", help="keep the time of enrolment as well")
+    add_refusal(verb)
     add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
@@ -67,6 +69,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     settings = from_options(Enrolling, options, matching=matching, keep=options.keep_images)
     key = key_of(options.key_file)
     with Progress(options) as progress:
+        refuse_attacks(options, options.sources, progress.update)
         if options.population is not None:
             facts, lines = _population(options, settings, key, progress)
         else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.gallery_options import add_gallery, count
 from splitknit.cli.match import add_raw, basis_words, one_in
+from splitknit.cli.pad import add_refusal, refuse_attacks
 from splitknit.cli.verb import (
     FINGERS,
     Outcome,
@@ -58,6 +59,7 @@ def add_identify(verbs: Any) -> None:
         help="compare the codes that 'splitknit gallery index --shards' keeps here, with the gallery's key",
     )
     add_raw(verb)
+    add_refusal(verb)
     add_input_ppi(verb)
     add_preset(verb)
     add_settings(verb)
@@ -74,6 +76,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     question = from_options(Question, options)
     key = key_of(options.key_file)
     with Progress(options) as progress:
+        refuse_attacks(options, [options.probe], progress.update)
         found = identify_file(
             options.gallery, options.probe, question, settings,
             key=key, preset=options.preset, progress=progress.update, input_ppi=options.input_ppi,

@@ -97,6 +97,7 @@ _VERBS = {
     "batch": "batch.add_batch",
     "view": "view.add_view",
     "print": "print.add_print",
+    "pad": "pad.add_pad",
     "completion": "completion.add_completion",
 }
 """Every verb, in the order of ``--help``, and the function that adds it."""

@@ -104,6 +104,7 @@ def _words(found: Match, raw: bool) -> list[str]:
         lines.append(f"Estimated false match rate: {rate} (measured on {basis}).")
     if raw:
         lines += _raw_words(found)
+    lines += [f"{side.path}: {side.note}" for side in (found.a, found.b) if side.note]
     lines += _how(found) + _failure_notes(found.method, found.a, found.b)
     return lines if found.template is None else [*lines, _template_words(found.template)]
 

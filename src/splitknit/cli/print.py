@@ -18,7 +18,8 @@ def add_print(verbs: Any) -> None:
         type=Path,
         metavar="FINGER",
         help="result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP, WSQ, "
-        "ISO 19794-4, ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae",
+        "ISO 19794-4, ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae; or a photograph "
+        "of a finger in colour, which is unrolled by a mean shape",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the print into")
     verb.add_argument(

@@ -14,7 +14,7 @@ PRESETS = ("metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng"
 
 FINGERS = (
     "capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL) or "
-    "record of minutiae (ISO 19794-2, ANSI 378)"
+    "record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour"
 )
 """What is matched, for help."""
 

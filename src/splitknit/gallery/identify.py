@@ -208,6 +208,7 @@ def identify_file(
         found, facts = _search(opened, made, pool if mapped is None else mapped, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
     by = {"minutiae": "minutiae_of_prints"}.get(facts.compared_by, facts.compared_by)
+    by = "fingerphotos" if (side.kind, by) == ("photo", "fusion") else by
     threshold = similarity_at(question.fmr, by) if calibrated else None
     candidates = _merged(found, question.merge)[: question.top]
     rated = by if calibrated else None

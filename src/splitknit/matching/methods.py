@@ -32,6 +32,7 @@ METHODS = ("auto", "ridge", "fusion", "thesis", "minutiae", "voted", *SPACE_METH
 TABLES = {
     "ridge": "match_fmr.json",
     "fusion": "match_fmr_prints.json",
+    "fingerphotos": "match_fmr_fingerphotos.json",
     "minutiae": "match_fmr_minutiae.json",
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
     "minutiae3d": "match_fmr_minutiae3d.json",
@@ -53,7 +54,7 @@ class ComparedSide:
 
     path: str
     kind: str
-    """``capture``, ``result``, ``template``, ``print`` or ``minutiae``."""
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
     area_mm2: float
     """Of its ridges."""
     acquired: bool
@@ -66,6 +67,8 @@ class ComparedSide:
     """Whether its print was enhanced first."""
     code_mm2: float | None = None
     """Area of its finger surface code."""
+    note: str | None = None
+    """What a photograph was taken for, and how its scale is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +173,8 @@ def match_files(
         ``fusion`` where both sides have minutiae of a print, else ``ridge``.
     template : file to write the template of `a` into
     preset : by which captures are reconstructed
-    input_ppi : resolution of prints whose files do not state it
+    input_ppi : resolution of prints whose files do not state it; where a photograph of a finger is compared with a print,
+        that of the photograph alone
     fmr
         False match rate at which is decided whether it is one finger (``decision``); by default 1e-4, or the smallest
         one that the method's impostor scores can state.
@@ -180,7 +184,11 @@ def match_files(
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
         _check_template_file(template, a, b)
-    first, second = (read_side(side, preset, chosen, progress, input_ppi) for side in (a, b))
+    photos = [_is_photo(side) for side in (a, b)]
+    scales = [input_ppi if photo or not any(photos) else None for photo in photos]
+    first, second = (
+        read_side(side, preset, chosen, progress, ppi) for side, ppi in zip((a, b), scales, strict=True)
+    )  # fmt: skip
     if method == "auto":
         method = _usual_method(first, second)
     progress("comparing", 0.9)
@@ -234,6 +242,14 @@ def _written(template: Path, side: Side) -> TemplateFile:
     return TemplateFile(str(template), template.stat().st_size)
 
 
+def _is_photo(side: Path | Reconstruction | Capture) -> bool:
+    if not isinstance(side, Path) or side.suffix.lower() in (".skt", ".npz") or not side.is_file():
+        return False
+    from splitknit.prints.fingerphoto import is_fingerphoto  # a template needs none of it
+
+    return is_fingerphoto(side)
+
+
 def _usual_method(a: Side, b: Side) -> str:
     if a.template is None or b.template is None:
         return "minutiae"
@@ -274,6 +290,8 @@ def _laid(found: RidgeMatch) -> PlaneAlignment:
 
 def _scores_of(method: str, a: Side, b: Side) -> str:
     """Which table holds the impostor scores of a comparison."""
+    if "photo" in (a.kind, b.kind):
+        return "fingerphotos" if method == "fusion" else f"{method} on photographs"
     of_surfaces = a.surface is not None and b.surface is not None
     return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
 
@@ -332,7 +350,12 @@ def similarity_at(fmr: float, method: str = "ridge") -> float:
 def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
     """Whether scores mean what they meant when the table was measured."""
     ridges = ("band", "template", "ridge")
-    names = {"ridge": ridges, "fusion": ridges, "surface_code": ("surface_code", "surface_match")}
+    names = {
+        "ridge": ridges,
+        "fusion": ridges,
+        "fingerphotos": ridges,
+        "surface_code": ("surface_code", "surface_match"),
+    }
     plain = MatchingSettings()
     asked = names.get(method, (method,) if hasattr(plain, method) else ())
     return all(getattr(settings, name) == getattr(plain, name) for name in asked)
@@ -361,7 +384,7 @@ def _side(side: Side) -> ComparedSide:
     if template is None:
         assert side.minutiae is not None
         return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
-    return ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty)
+    return ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty, note=side.note)
 
 
 def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:

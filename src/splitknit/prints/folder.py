@@ -28,6 +28,7 @@ from splitknit.matching.space_features import bilinear, in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin
+from splitknit.prints.fingerphoto import is_fingerphoto, read_fingerphoto
 from splitknit.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit.prints.make import (
     Print,
@@ -54,7 +55,7 @@ class PrintJob:
     """What is asked for; see ``splitknit print --help``."""
 
     path: Path
-    """Of a result, a capture or a print."""
+    """Of a result, a capture, a print or a photograph of a finger."""
     out: Path
     method: str | None = None
     """None: ``unroll`` for surfaces."""
@@ -73,7 +74,8 @@ class PrintJob:
 def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
-    A print that is a file already is brought to 500 ppi and enhanced. Raises BadInput, naming the input at fault.
+    A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
+    shape. Raises BadInput, naming the input at fault.
     """
     started = time.perf_counter()
     settings, path, ppi = override(PrintingSettings(), dict(job.changes)), job.path, job.ppi
@@ -173,6 +175,13 @@ def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
     if not path.is_file() or path.suffix.lower() == ".npz":
         method = job.method or "unroll"
         return method, checked_surface(method, job.surface, settings)
+    if is_fingerphoto(path):
+        method = job.method or "photo"
+        require(
+            (method, job.ridge_period_mm, job.input_ppi) == ("photo", None, None),
+            f"'{path}' is a photograph of a finger: its `method` is photo, its scale, if it is known, `px_per_mm`.",
+        )
+        return method, checked_surface(method, job.surface or "free", settings)
     require(
         (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
         f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",
@@ -201,6 +210,8 @@ def _read(
     if method == "file":
         source, given = _of_file(job.path, job.input_ppi)
         return source, None, given
+    if method == "photo" and job.path.is_file() and is_fingerphoto(job.path):
+        return read_fingerphoto(job.path, job.px_per_mm), None, None
     if method == "rolled":
         unscaled = job.px_per_mm is None and job.ridge_period_mm is None
         require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")

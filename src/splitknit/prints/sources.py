@@ -28,7 +28,7 @@ class Source:
     """A finger on its input's pixel grid."""
 
     kind: str
-    """``result`` or ``capture``."""
+    """``result``, ``capture`` or ``photo``."""
     mask: BoolArray
     pitch_mm: float
     input_from_upright: NDArray[np.float64]

@@ -302,6 +302,7 @@ def _flat(value: Any) -> str:
 # What the names in a report mean, for readers who do not know the code.
 
 EXPLAINED = {
+    "live_probability": "Of live skin, if attacks were as frequent. The model was fitted to simulated attacks only.",
     "ridge_contrast": "How much the ridges change the brightness, relative. Good: above 0.006; more is better.",
     "ridge_contrast_per_image": "The same for every image. Good: all similar.",
     "sharpness": "Focus: fine detail relative to brightness. Compare it between captures of one rig.",

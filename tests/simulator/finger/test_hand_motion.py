@@ -51,6 +51,7 @@ def test_twice_the_amplitude_is_twice_the_motion():
     np.testing.assert_allclose(two.yaw_rad, 2 * one.yaw_rad)
 
 
+@pytest.mark.slow
 def test_the_reference_shot_shows_what_a_still_finger_shows(still, moved):
     (capture, truth), (other, moved_truth) = still, moved
     np.testing.assert_array_equal(moved_truth["height_mm"], truth["height_mm"])
@@ -90,6 +91,7 @@ def test_no_motion_changes_nothing(still):
         np.testing.assert_array_equal(again.bands[name].pixels, band.pixels)
 
 
+@pytest.mark.slow
 def test_workers_change_nothing(moved):
     settings = twin(amplitude_mm=0.5)
     one = replace(settings, render=replace(settings.render, workers=1))

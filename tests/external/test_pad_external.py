@@ -1,0 +1,38 @@
+"""Real photographs of an opaque gel are no skin."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from script_folder import VALIDATION, scripts_of
+from splitknit.model import Band, Camera, Capture, Led, Rig
+from splitknit.pad import features, judge, photographs
+from splitknit.pipeline import reconstruct
+
+pytestmark = pytest.mark.external
+
+
+@pytest.mark.parametrize("part", ["BGA-001", "Flat-001"])
+@pytest.mark.parametrize("material", ["skin", "opaque"])
+def test_an_opaque_gel_is_no_skin(data_dir, part, material):
+    folder = data_dir / "elastomer" / part
+    if not folder.is_dir():
+        pytest.skip("data set is absent")
+    with scripts_of(VALIDATION / "accuracy") as script:
+        lights = script("light_orders").lights_of_balls(data_dir)
+    files = [folder / f"image{k:02d}.png" for k in range(7, 13)]
+    images = [
+        cv2.resize(cv2.imread(str(one), 0), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA) for one in files
+    ]
+    strength = np.linalg.norm(lights, axis=1)
+    leds = tuple(
+        Led("white", direction=tuple(one / s), intensity=float(s)) for one, s in zip(lights, strength, strict=True)
+    )
+    stack = np.stack(images)[..., None]
+    band = Band("white", stack, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
+    camera = Camera(1 / 0.0034035 / 8, stack.shape[1:3])
+    capture = Capture(Rig(camera, leds), {"white": band}, material=material, mask=np.ones(stack.shape[1:3], dtype=bool))
+    found = judge(features(photographs(capture), reconstruct(capture, "metric")))
+    assert not found.live and found.probability < 0.01
