@@ -173,8 +173,8 @@ def match_files(
         ``fusion`` where both sides have minutiae of a print, else ``ridge``.
     template : file to write the template of `a` into
     preset : by which captures are reconstructed
-    input_ppi : resolution of prints whose files do not state it; where a photograph of a finger is compared with a
-        print, that of the photograph alone
+    input_ppi : resolution of prints whose files do not state it; beside a photograph of a finger,
+        that of the photograph alone
     fmr
         False match rate at which is decided whether it is one finger (``decision``); by default 1e-4, or the smallest
         one that the method's impostor scores can state.
