@@ -684,7 +684,7 @@ its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and 46
 def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
     """Return the thesis's rig: seven white and seven NIR LEDs on a circle of 52.5 mm at the camera's height.
 
-    Raises BadInput if `scale` or `intensity_spread` is out of range. Returns Rig whose LEDs 0 to 6 are white, at
+    Raises BadInput if `scale` or `intensity_spread` is out of range. Returns a rig whose LEDs 0 to 6 are white, at
     azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further.
 
     Parameters
@@ -716,7 +716,7 @@ def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: f
 def nominal_rig(scale: float = 1.0) -> Rig:
     """Return the rig as the drawings and data sheets have it, with a perspective camera.
 
-    Raises BadInput if `scale` is out of range. Returns Rig of 7 white and 7 NIR LEDs of intensity one, aimed at the
+    Raises BadInput if `scale` is out of range. Returns a rig of 7 white and 7 NIR LEDs of intensity one, aimed at the
     origin, with their data sheets' lobes.
 
     `scale`: size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1].

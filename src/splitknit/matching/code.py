@@ -127,10 +127,7 @@ def sampled(
 
     `turn_rad`: (V,) counter-clockwise as seen. `right_mm`, `down_mm`: (V,).
 
-    Returns
-    -------
-    channels : (V, CHANNELS, CELLS) float32
-    weights : (V, CELLS) float32, 0 to 1
+    Returns channels (V, CHANNELS, CELLS) and weights (V, CELLS), 0 to 1, both float32.
     """
     x = (np.arange(COLUMNS) - (COLUMNS - 1) / 2) * STEP_MM
     y = (1.0 + np.arange(ROWS)) * STEP_MM

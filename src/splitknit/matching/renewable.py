@@ -62,10 +62,8 @@ class RenewableCode:
 
         `codes`: (N, K) int8 of :func:`splitknit.matching.code.code_of`.
 
-        Returns
-        -------
-        bits : (N, BITS / 8) uint8, packed
-        fine : (N, K) int8, the turned codes, whose products are those of `codes` but for rounding
+        Returns packed bits (N, BITS / 8) uint8, and the turned codes (N, K) int8, whose products are those of `codes`
+        but for rounding.
 
         >>> code = np.arange(-96, 96, dtype=np.int8)[None]
         >>> bits, fine = RenewableCode(b"a secret").stored(code)

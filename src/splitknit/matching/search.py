@@ -87,16 +87,13 @@ class CodeIndex:
     ) -> tuple[list[str], FloatArray]:
         """The `k` fingers whose codes are most like the probe's.
 
+        Returns ids, best first, equal ones in the order of their ids, and scores (k,) float32, -1 to about 1.
+
         Parameters
         ----------
         probe : Template, not empty
         k : at least 1; fewer come back from a smaller index
         settings : of the probe's variants
-
-        Returns
-        -------
-        ids : list of str, best first; equal scores in the order of their ids
-        scores : (k,) float32, -1 to about 1
         """
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         if not self.ids:

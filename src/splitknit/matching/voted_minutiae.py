@@ -208,12 +208,10 @@ def left_out_pictures(
     `settings`: of the mask and the orientation. `finger`: where the finger is, if that is known; otherwise it is found,
     and its motion undone, as for a surface.
 
+    Yields each of the pictures for each image that is left out; a picture without any contrast is left out itself.
+
     Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
     2018, as the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
-
-    Yields
-    ------
-    _LeftOut : for each image that is left out, each of the pictures. A picture without any contrast is left out itself.
     """
     # settings of this method belong to those of all, so that every comparison imports this module
     from splitknit.finger.locate import prepared_capture

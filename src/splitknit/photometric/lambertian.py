@@ -92,6 +92,9 @@ MIN_REST = 1e-3
 def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Normals and albedo of a matt surface from all images but one, for every image in its turn.
 
+    Yields normals (H, W, 3) and albedo (H, W) without image k, k = 0 ... L - 1: as :func:`lambertian` of the other
+    images gives them, but for rounding.
+
     Leaving out a row of a least-squares problem is a rank-one change of its normal equations. With A = L^T L, g the
     solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, the solution without image k is g_k = g -
     A^-1 l_k (I_k - l_k . g) / (1 - h_k): one scaled picture is added, nothing is solved again. What is kept between two
@@ -107,13 +110,6 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     stack : (L, H, W) float32; linear light, one image a light; four at least
     lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
     mask : (H, W) bool, optional; the surface; everything by default
-
-    Yields
-    ------
-    normals : (H, W, 3) float32
-        Without image k, k = 0 ... L - 1: as :func:`splitknit.photometric.lambertian` of the other images gives them,
-        but for rounding.
-    albedo : (H, W) float32
     """
     images = check_stack(stack, least=4)
     count, rows, columns = images.shape

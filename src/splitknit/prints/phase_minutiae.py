@@ -51,8 +51,8 @@ def phase_minutiae(
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
     is known up to its sign, which is made the same around each square of four pixels; where it turns by 2 pi around
-    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes. Returns
-    _PhaseMinutiae: by rows, then columns.
+    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes. They come by
+    rows, then columns.
 
     Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
     Optics Express 15, 2007.

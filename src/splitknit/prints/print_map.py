@@ -312,6 +312,8 @@ def resample(
 ) -> tuple[FloatArray, FloatArray]:
     """Read `field` on a print.
 
+    Returns values (h, w) and weight (h, w), the fraction of a pixel that lies on the finger, 0 to 1, both float32.
+
     Parameters
     ----------
     field : (H, W) float32; ignored outside `mask`
@@ -320,11 +322,6 @@ def resample(
     sigma_px : float
         Of the Gaussian, in pixels of the print, that takes out what the print is too coarse for; used only where it is
         coarser than the input.
-
-    Returns
-    -------
-    values : (h, w) float32
-    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm
