@@ -107,7 +107,7 @@ def in_memory(probe: Template, others: list[Template], stored: list[bytes], roun
         },
         rounds,
     )
-    print(f"Memory: codes {index.nbytes / 1e6:.1f} MB.")
+    print(f"Memory: codes {index.codes.nbytes / 1e6:.1f} MB.")
 
 
 def in_shards(

@@ -260,7 +260,7 @@ def evaluate(
     dissimilarity: bool = False,
     cluster: Literal["auto", "plain", "finger", "subject"] = "auto",
     average: bool = False,
-    fuse: Literal["linear", "trained"] | None = None,
+    fuse: Literal["linear", "minmax", "llr", "trained", "all"] | None = None,
     bootstrap: BootstrapSettings | None = None,
 ) -> Evaluation:
     """Error rates with their intervals from score files.
@@ -272,7 +272,8 @@ def evaluate(
     dissimilarity : whether a lower score means more similar
     cluster : what intervals are drawn by; ``auto``: fingers, else subjects, else comparisons
     average : whether scores are averaged over sessions as well
-    fuse : whether the systems' fusion is one more
+    fuse : whether the systems' fusion is one more: of z-scores (``linear``), of min-max scores, of log-likelihood
+        ratios (``llr``), by logistic regression (``trained``), or the first three with intervals by subject (``all``)
     bootstrap : of the intervals, :class:`splitknit.evaluation.intervals.BootstrapSettings`, optional
 
     Returns

@@ -12,8 +12,9 @@ import signal
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Protocol, Self
 
 import numpy as np
@@ -48,13 +49,7 @@ class ExposureRange:
     highest_gain: float
 
     def check(self, exposure_s: float, gain: float) -> None:
-        """Refuse an exposure outside the range.
-
-        Raises
-        ------
-        BadInput
-            Naming the quantity and the range.
-        """
+        """Refuse an exposure outside the range. Raises BadInput, naming the quantity and the range."""
         slack = 1e-9
         require(
             bool(np.isfinite(exposure_s))
@@ -68,7 +63,7 @@ class ExposureRange:
         )
 
 
-class Camera(Protocol):
+class Camera(AbstractContextManager["Camera"], Protocol):
     """A camera whose exposure, gain and white balance stay as they are set.
 
     Every frame that :meth:`capture` and :meth:`preview` return was exposed wholly after the call, with what was locked.
@@ -84,17 +79,10 @@ class Camera(Protocol):
         """What :meth:`lock` accepts."""
 
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
-        """Fix exposure, gain and white balance for all further frames.
+        """Fix exposure, gain (within :attr:`exposures`) and white balance for all further frames.
 
-        Parameters
-        ----------
-        exposure_s, gain : within :attr:`exposures`
-        band : ``white`` or ``nir``, whose LEDs a white card is white under
-
-        Raises
-        ------
-        BadInput
-            If they are outside :attr:`exposures`, or there is no such band.
+        A white card is white under the LEDs of `band`, ``white`` or ``nir``. Raises BadInput if exposure or gain are
+        outside :attr:`exposures`, or there is no such band.
         """
 
     def capture(self) -> Frame:
@@ -106,14 +94,8 @@ class Camera(Protocol):
     def close(self) -> None:
         """Give the hardware back; may be called twice."""
 
-    def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
-
-class LightBank(Protocol):
+class LightBank(AbstractContextManager["LightBank"], Protocol):
     """LEDs that are switched one at a time; all are off after construction, an exception, an interrupt and closing.
 
     Also a context manager that switches all off and closes.
@@ -134,10 +116,7 @@ class LightBank(Protocol):
     def on(self, led: int) -> None:
         """Switch every other LED off, then `led` on, and wait until it has settled.
 
-        Raises
-        ------
-        BadInput
-            If there is no such LED, or the bank is closed.
+        Raises BadInput if there is no such LED, or the bank is closed.
         """
 
     def on_together(self, leds: Sequence[int]) -> None:
@@ -148,12 +127,6 @@ class LightBank(Protocol):
 
     def close(self) -> None:
         """Switch all off and give the hardware back; may be called twice."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 def relative_exposure(frame: Frame) -> float:
@@ -172,9 +145,7 @@ class Closing(ABC):
         """Return it."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *unused: object) -> None:
         """Close."""
         self.close()
 

@@ -136,8 +136,6 @@ def refusing(message: str) -> Iterator[None]:
 
     A :class:`BadInput` passes as it is, and so does a :class:`MemoryError`: it is no fault of the input.
 
-    Examples
-    --------
     >>> with refusing("the table is damaged; write it again."):
     ...     {}["rows"]
     Traceback (most recent call last):
@@ -157,11 +155,7 @@ def open_file(path: str | os.PathLike[str], max_bytes: int) -> Iterator[tuple[io
     """Open a regular file of at most `max_bytes`; yield the stream and the file's size.
 
     Devices and pipes are refused without being opened for reading, and what cannot be read in the block is refused too.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, not a regular file, too large, or cannot be read.
+    Raises BadInput if the file is missing, not a regular file, too large, or cannot be read.
     """
     name = shown_path(path)
     try:
@@ -225,10 +219,7 @@ def _in_given_folders(given: tuple[str, ...], work: Callable[[J], T], job: J) ->
 def refuse_links(path: str | os.PathLike[str]) -> None:
     """Refuse a path that leads through a link inside a given folder, the nearest above it that was named.
 
-    Raises
-    ------
-    BadInput
-        Naming the link.
+    Raises BadInput, naming the link.
     """
     whole = Path(path).absolute() if _GIVEN else None
     if whole is None or str(whole) in _GIVEN:
@@ -250,15 +241,8 @@ def read_bytes(path: str | os.PathLike[str], max_bytes: int) -> bytes:
     """Read a whole regular file of at most `max_bytes`; every reader of a file goes through here.
 
     The size is checked before memory is taken, and again while reading, for a file that grows and for those of
-    ``/proc``, which have no size.
+    ``/proc``, which have no size. Raises BadInput as :func:`open_file`.
 
-    Raises
-    ------
-    BadInput
-        As :func:`open_file`.
-
-    Examples
-    --------
     >>> read_bytes("/dev/zero", 1000)
     Traceback (most recent call last):
     ...
@@ -315,13 +299,9 @@ def check_lights(lights: Any, count: int | None = None, *, name: str = "lights")
     """Return `lights` as a float64 array (L, 3) that determines a normal: finite, non-zero, distinct, not coplanar.
 
     The length of each row is the light's relative strength and is kept. Rows whose directions agree within 0.5 deg are
-    duplicates. Directions whose smallest singular value is below 1 % of the largest lie in one plane for all
-    practical purposes: the normal's component across that plane would be noise.
-
-    Raises
-    ------
-    BadInput
-        If the shape is wrong, a value is not finite, or the directions do not span three dimensions.
+    duplicates. Directions whose smallest singular value is below 1 % of the largest lie in one plane for all practical
+    purposes: the normal's component across that plane would be noise. Raises BadInput if the shape is wrong, a value is
+    not finite, or the directions do not span three dimensions.
     """
     import numpy as np
 

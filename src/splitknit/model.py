@@ -238,15 +238,10 @@ _UNKNOWN_SIDE_MM = 25.0
 def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = None) -> Camera:
     """A camera with parallel rays whose scale nobody has measured.
 
-    Parameters
-    ----------
-    image_size : rows, columns
-    px_per_mm : to work with, where there is a better guess than a picture of 25 mm (its shorter side), as of a finger
+    Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
 
-    Returns
-    -------
-    Camera
-        Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
+    `image_size`: rows, columns. `px_per_mm`: to work with, where there is a better guess than a picture of 25 mm (its
+    shorter side), as of a finger.
     """
     guess = min(image_size) / _UNKNOWN_SIDE_MM if px_per_mm is None else px_per_mm
     return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
@@ -689,20 +684,14 @@ its own: the IMX219's quantum efficiency under Gaussian lines at 625, 525 and 46
 def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: float = 0.1) -> Rig:
     """Return the thesis's rig: seven white and seven NIR LEDs on a circle of 52.5 mm at the camera's height.
 
+    Raises BadInput if `scale` or `intensity_spread` is out of range. Returns Rig whose LEDs 0 to 6 are white, at
+    azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further.
+
     Parameters
     ----------
     scale : size of the image relative to the full frame of 2200 x 3200 pixels at 75.7 px/mm, in (0, 1]
     seed : seed of the LEDs' individual intensities; None makes all of them one
     intensity_spread : standard deviation of the intensities about one; they stay within 2.5 deviations
-
-    Returns
-    -------
-    Rig whose LEDs 0 to 6 are white, at azimuths 2 pi k / 7, and 7 to 13 NIR, half a step further.
-
-    Raises
-    ------
-    BadInput
-        If `scale` or `intensity_spread` is out of range.
     """
     require(0.0 < scale <= 1.0, f"scale must lie in (0, 1], but it is {scale}.")
     require(
@@ -727,18 +716,10 @@ def default_rig(scale: float = 1.0, seed: int | None = None, intensity_spread: f
 def nominal_rig(scale: float = 1.0) -> Rig:
     """Return the rig as the drawings and data sheets have it, with a perspective camera.
 
-    Parameters
-    ----------
-    scale : size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1]
+    Raises BadInput if `scale` is out of range. Returns Rig of 7 white and 7 NIR LEDs of intensity one, aimed at the
+    origin, with their data sheets' lobes.
 
-    Returns
-    -------
-    Rig of 7 white and 7 NIR LEDs of intensity one, aimed at the origin, with their data sheets' lobes
-
-    Raises
-    ------
-    BadInput
-        If `scale` is out of range.
+    `scale`: size of the image relative to the full frame of 2200 x 3200 pixels, in (0, 1].
     """
     drawn = default_rig(scale)
     rows, columns = drawn.camera.image_size
@@ -758,12 +739,8 @@ def lobe_exponent(half_angle_deg: float) -> float:
 def shared_exposures(exposures: int) -> tuple[tuple[int, int, int], ...]:
     """Places on the circle, of 3 x `exposures` even ones, of the red, green and blue LED of each exposure.
 
-    The three of an exposure lie around the finger, and so do all LEDs of a colour.
-
-    Raises
-    ------
-    BadInput
-        If it is not one to three exposures.
+    The three of an exposure lie around the finger, and so do all LEDs of a colour. Raises BadInput if it is not one to
+    three exposures.
     """
     require(1 <= exposures <= 3, f"coloured LEDs take one to three exposures here, not {exposures}.")
     step = (0, 4, 8) if exposures == 3 else (0, exposures, 2 * exposures)

@@ -96,10 +96,6 @@ SLOW_MM = 0.32
 DOUBTFUL = 0.5
 """Expected error of the relief, over the relief's rms height, from which a warning is due."""
 USUAL_PERIOD_MM = 0.45
-NO_NIR = (
-    "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and specular "
-    "reflection bend it."
-)
 NO_SPECULAR = (
     "the difference of the parallel and the crossed series shows hardly any specular reflection (matt or wet skin, or "
     "films that are not crossed): ridge heights are modelled, as without films."
@@ -224,31 +220,20 @@ def with_scale(
 ) -> tuple[Capture, str]:
     """Give a capture the scale that nobody has measured yet.
 
+    Raises BadInput if the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or
+    no ridges are found.
+
     Parameters
     ----------
-    capture : Capture
-        Its scale is unknown.
+    capture : its scale is unknown
     px_per_mm : pixels a millimetre on the object
     ridge_period_mm : instead, the distance of the finger's ridges along the skin
         0.45 is usual; people differ by 8 % (standard deviation), and heights with the scale.
 
     Returns
     -------
-    capture : Capture
-        With the scale; the same one where neither is given.
-    note : str
-        How the scale was found in the ridges, and how well it is known; else empty.
-
-    Raises
-    ------
-    BadInput
-        If the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or no ridges are
-        found.
-
-    Examples
-    --------
-    >>> from splitknit.pipeline import with_scale
-    >>> capture, note = with_scale(splitknit.read_capture("photos_imported"), ridge_period_mm=0.45)  # doctest: +SKIP
+    capture : with the scale; the same one where neither is given
+    note : how the scale was found in the ridges, and how well it is known; else empty
     """
     if px_per_mm is None and ridge_period_mm is None:
         return capture, ""
@@ -461,16 +446,13 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
 def shaded_surface(capture: Capture, shading: Shading, inside: BoolArray) -> FingerSurface:
     """The surface of an opaque thing whose slopes follow from a shading calibrated on balls.
 
+    The result's uncertainty is that of heights against their surroundings, over about a ball.
+
     Parameters
     ----------
     capture : its white band over its flat images is what the calibration saw
     shading : of :func:`splitknit.photometric.shading.read_shading`
     inside : (H, W) pixels that are wanted
-
-    Returns
-    -------
-    FingerSurface
-        Its uncertainty is that of heights against their surroundings, over about a ball.
     """
     pitch = np.float32(shading.pitch_mm)
     images = _linear_grey(capture.bands["white"], capture.encoding, "grey")
@@ -564,10 +546,8 @@ def metric_polarised(
     from there their difference, the specular image, measures the heights. Where films show hardly any specular
     reflection (matt or wet skin), the result is that of :func:`metric_skin`.
 
-    Parameters
-    ----------
-    images : whose `bands` are as without films, and whose `crossed` is not None
-    skin, p, networks : as for :func:`metric_skin`
+    `images`: whose `bands` are as without films, and whose `crossed` is not None. `skin`, `p`, `networks`: as for
+    :func:`metric_skin`.
     """
     grid, both, crossed = images.grid, images.bands[0], images.crossed
     assert crossed is not None
@@ -683,7 +663,11 @@ def _bands_of(capture: Capture, from_nir: bool) -> tuple[tuple[Band, ...], tuple
     if not from_nir:
         return (white,), ()
     if "nir" not in capture.bands:
-        return (white,), (NO_NIR,) if capture.material == "skin" else ()
+        note = (
+            "there is no near-infrared band: the shape comes from the white band, in which ridges, scattering and "
+            "specular reflection bend it."
+        )
+        return (white,), (note,) if capture.material == "skin" else ()
     return (white, capture.bands["nir"]), ()
 
 

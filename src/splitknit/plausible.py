@@ -20,15 +20,8 @@ class _Plausible:
     possible: tuple[float, float]
 
     def notes(self, value: float, remedy: str) -> tuple[str, ...]:
-        """One sentence where `value` is odd, none where it is usual.
+        """One sentence where `value` is odd, none where it is usual. Raises BadInput where it is not possible.
 
-        Raises
-        ------
-        BadInput
-            Where it is not possible.
-
-        Examples
-        --------
         >>> CAMERA_HEIGHT.notes(500.0, "check --square-mm")[0]
         "the camera's height above the finger plane is 500 mm, where 40 to 400 mm is usual: check --square-mm."
         """

@@ -178,48 +178,6 @@ def _thesis(direct: bool = False, knit: Literal["addition", "none", "whole"] = "
     )
 
 
-def _kumar() -> PipelineSettings:
-    """Case EA, and a Gaussian over the finished surface.
-
-    Kumar and Kwong reconstruct from seven visible images by Lambertian least squares and Frankot-Chellappa, and smooth
-    the surface before curvatures are computed. How much is not said; 0.05 mm, a ninth of a ridge's period, keeps three
-    quarters of the ridges' height.
-
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015; A. Kumar, "Contactless 3D Fingerprint Identification", Springer 2018.
-    """
-    return replace(_thesis(), smooth=SmoothSettings(sigma_mm=0.05))
-
-
-def _xie() -> PipelineSettings:
-    """Case EA with a two-layer model of skin in place of Lambert's: all lights count equally, as in EA.
-
-    References
-    ----------
-    W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
-    means", Optical Engineering 52 (2013); the thesis, (2.1) to (2.3).
-    """
-    skin = HanrahanKruegerSettings(weights="equal")
-    normals = NormalsSettings(method="hanrahan_krueger", hanrahan_krueger=skin)
-    return replace(_thesis(), normals=normals)
-
-
-def _lin() -> PipelineSettings:
-    """Case EA under coloured LEDs, three of which share an exposure.
-
-    Lin and Kumar reconstruct as Kumar and Kwong do, from the red, green and blue images of coloured LEDs. Colour images
-    under white LEDs are put together into two such exposures first.
-
-    References
-    ----------
-    C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
-    Trans. PAMI 40(12), 2018.
-    """
-    return replace(_thesis(), lights=LightsSettings(compose=2, balance=True))
-
-
 PRESETS: dict[str, PipelineSettings] = {
     "metric": PipelineSettings(shapelets=ShapeletSettings(scales=4)),
     "snk": _thesis(direct=True, knit="addition"),
@@ -227,10 +185,25 @@ PRESETS: dict[str, PipelineSettings] = {
     "ea": _thesis(),
     "pr-split": _thesis(direct=True, knit="none"),
     "ea-split": _thesis(knit="none"),
-    "kumar": _kumar(),
+    # Kumar and Kwong reconstruct from seven visible images by Lambertian least squares and Frankot-Chellappa, and
+    # smooth the surface before curvatures are computed. How much is not said; 0.05 mm, a ninth of a ridge's period,
+    # keeps three quarters of the ridges' height. A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D
+    # fingerprint identification", IEEE Trans. PAMI 37(3), 2015; A. Kumar, "Contactless 3D Fingerprint Identification",
+    # Springer 2018.
+    "kumar": replace(_thesis(), smooth=SmoothSettings(sigma_mm=0.05)),
     "zheng": _thesis(),
-    "lin": _lin(),
-    "xie": _xie(),
+    # Lin and Kumar reconstruct as Kumar and Kwong do, from the red, green and blue images of coloured LEDs, three of
+    # which share an exposure. Colour images under white LEDs are put together into two such exposures first. C. Lin and
+    # A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE Trans. PAMI
+    # 40(12), 2018.
+    "lin": replace(_thesis(), lights=LightsSettings(compose=2, balance=True)),
+    # A two-layer model of skin in place of Lambert's; all lights count equally. W. Xie, Z. Song and R. C. Chung,
+    # "Real-time three-dimensional fingerprint acquisition via a new photometric stereo means", Optical Engineering 52
+    # (2013); the thesis, (2.1) to (2.3).
+    "xie": replace(
+        _thesis(),
+        normals=NormalsSettings(method="hanrahan_krueger", hanrahan_krueger=HanrahanKruegerSettings(weights="equal")),
+    ),
 }
 
 

@@ -57,8 +57,6 @@ class Checked:
     names none. A class with rules between fields writes its own ``__post_init__``, which begins with
     ``check_fields(self)``.
 
-    Examples
-    --------
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True, slots=True)
     ... class BlurSettings(Checked):
@@ -78,10 +76,7 @@ class Checked:
 def check_fields(settings: Checked) -> None:
     """Check every field of a settings dataclass against the range or the choices that its type declares.
 
-    Raises
-    ------
-    BadInput
-        Which field, what was expected, and what came.
+    Raises BadInput: which field, what was expected, and what came.
     """
     kind = type(settings)
     for name, rule in _rules(typing.cast(Hashable, kind)):
@@ -121,8 +116,6 @@ def _shown(value: Any) -> str:
 def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return nested mappings as one mapping with dotted names.
 
-    Examples
-    --------
     >>> flatten({"knit": {"mode": "crossover"}, "normals.method": "robust"})
     {'knit.mode': 'crossover', 'normals.method': 'robust'}
     """
@@ -139,8 +132,6 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def differing(one: Any, other: Any, name: str = "") -> list[str]:
     """Dotted names of what differs between two documents of settings.
 
-    Examples
-    --------
     >>> differing({"knit": {"mode": "none"}, "seed": 1}, {"knit": {"mode": "whole"}, "seed": 1})
     ['knit.mode']
     """
@@ -153,17 +144,10 @@ def differing(one: Any, other: Any, name: str = "") -> list[str]:
 def override(settings: Settings, changes: Mapping[str, Any]) -> Settings:
     """Return `settings` (nested frozen dataclasses) with the fields of `changes` replaced.
 
-    Parameters
-    ----------
-    settings : dataclass
-    changes : mapping
-        From ``stage.field`` to the new value, or nested mappings.
+    Raises BadInput if a field is not known (the nearest name is offered), a value has another type than the field, or
+    the settings refuse the value.
 
-    Raises
-    ------
-    BadInput
-        If a field is not known (the nearest name is offered), a value has another type than the field, or the
-        settings refuse the value.
+    `settings`: dataclass. `changes`: from ``stage.field`` to the new value, or nested mappings.
     """
     result = settings
     for name, value in flatten(changes).items():

@@ -44,10 +44,7 @@ class Memory:
     def check(self, capture: Capture) -> None:
         """Refuse another capture than the one whose results are remembered.
 
-        Raises
-        ------
-        BadInput
-            If `capture` is another object.
+        Raises BadInput if `capture` is another object.
         """
         same = capture is self._capture or self._capture is None
         require(same, "a memory serves one capture; make another for this one.")
@@ -115,12 +112,7 @@ def large_array(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
     """An array for stored images; beyond :data:`IN_MEMORY` it lies in a file that has no name and ends with the array.
 
     The file is in ``TMPDIR``, by default ``/var/tmp``, which is on disk where ``/tmp`` is in memory. Call
-    :func:`let_go` after each part that was written or read.
-
-    Raises
-    ------
-    BadInput
-        If the disk is full.
+    :func:`let_go` after each part that was written or read. Raises BadInput if the disk is full.
     """
     size = math.prod(shape) * dtype.itemsize
     if size <= IN_MEMORY or not hasattr(os, "posix_fallocate"):
@@ -153,13 +145,7 @@ _RUN: ContextVar[_Run | None] = ContextVar("run", default=None)
 
 @contextmanager
 def timed_run(progress: Progress | None, memory: Memory | None) -> Iterator[dict[str, float]]:
-    """Time the steps inside, report them to `progress`, and share results by `memory`.
-
-    Yields
-    ------
-    dict
-        Seconds of every stage so far.
-    """
+    """Time the steps inside, report them to `progress`, and share results by `memory`; yield the seconds of stages."""
     run = _Run(progress, memory)
     token = _RUN.set(run)
     try:

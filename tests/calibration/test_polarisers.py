@@ -18,7 +18,7 @@ from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_channels
 from splitknit.imaging.films import aligned, contrast
 from splitknit.imaging.polarised import without_films
-from splitknit.io.capture import ReadSettings, read_capture, write_capture
+from splitknit.io.capture import read_capture, write_capture
 from splitknit.io.images import read_image, write_image
 from splitknit.io.rig import read_rig, rig_from_json, rig_to_json, write_rig
 from splitknit.model import Band, Capture, Films
@@ -112,7 +112,7 @@ def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
 
 
 def _dark(folder: Path) -> Capture:
-    return read_capture(folder, ReadSettings(may_be_dark=True))
+    return read_capture(folder, may_be_dark=True)
 
 
 def _swap(folder: Path) -> None:

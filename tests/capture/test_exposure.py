@@ -75,7 +75,7 @@ def test_the_target_can_be_set_and_the_room_is_taken_off_expectations():
 
 def test_levels_count_black_and_the_brightest_channel():
     pixels = np.full((20, 20, 3), (30, 130, 80), dtype=np.uint8)
-    assert _level_of(Frame(pixels, 1.0, 1.0, black_level=30.0), REGION, 99.9) == pytest.approx(100 / 225)
+    assert _level_of(Frame(pixels, 1.0, 1.0, black_level=30.0), REGION) == pytest.approx(100 / 225)
 
 
 def test_a_pixel_is_clipped_if_two_channels_are():

@@ -173,7 +173,7 @@ def test_a_failure_to_acquire_is_no_error(results: Path, tmp_path: Path, capsys)
         (["BROKEN", "a"], "cannot be read"),
         (["PARTIAL", "a"], "holds no 'ridge_mm'"),
         (["COARSE", "a"], "pixels per inch"),
-        (["a", "a/print.png", "--method", "thesis"], "needs a surface"),
+        (["a", "a/print.png", "--method", "thesis"], "compares surfaces"),
         (["a", "again", "--set", "ridge.phase.whitening=2"], "whitening"),
         (["a", "again", "--set", "ridge.speed=1"], "speed"),
         (["a", "again", "--fmr", "nan"], "--fmr must lie between 0 and 1"),

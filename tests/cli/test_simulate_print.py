@@ -35,7 +35,7 @@ def test_the_finger_that_left_a_print_is_photographed(tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--pattern", "whorl"], "leave out the pattern"),
-        (["--bench"], "--bench and --print do not go together"),
+        (["--bench"], "--print does not go with --bench"),
         (["population"], "--print does not go with a population"),
         ([], "no ridges"),
     ],

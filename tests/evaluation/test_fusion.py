@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from splitknit.errors import BadInput
-from splitknit.evaluation.fusion import FusionSettings, _cross_fit, _deal, fit_linear, fit_logistic, fuse
+from splitknit.evaluation.fusion import FusionSettings, _cross_fit, _deal, fit_linear, fit_logistic, fit_ratios, fuse
 from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
 from splitknit.evaluation.rates import d_prime
 from splitknit.evaluation.scores import Scores, ids_of
@@ -34,8 +34,10 @@ def separation(scores: Scores) -> float:
     return value
 
 
-@pytest.mark.parametrize("settings", [FusionSettings(), FusionSettings("linear"), FusionSettings("linear", "minmax")])
-def test_three_independent_systems_are_better_than_the_best(settings: FusionSettings) -> None:
+@pytest.mark.parametrize("method", ["trained", "linear", "minmax", "llr"])
+def test_three_independent_systems_are_better_than_the_best(method: str) -> None:
+    minmax = FusionSettings("linear", "minmax")
+    settings = minmax if method == "minmax" else FusionSettings(method)  # type: ignore[arg-type]
     three = systems()
     fused = fuse(three, settings).scores
     best = max(separation(one) for one in three)
@@ -95,7 +97,7 @@ def test_missing_scores_are_made_up_for_by_the_others() -> None:
     holes = np.where(rng.random(two[0].score.size) < 0.3, np.nan, two[0].score)
     second = np.where(rng.random(two[0].score.size) < 0.2, np.nan, two[1].score)
     broken = [replace(two[0], score=holes), replace(two[1], score=second)]
-    for method in ("linear", "trained"):
+    for method in ("linear", "trained", "llr"):
         fused = fuse(broken, FusionSettings(method))
         assert np.array_equal(np.isnan(fused.scores.score), np.isnan(holes) & np.isnan(second))
         assert fused.missing == (int(np.isnan(holes).sum()), int(np.isnan(second).sum()))
@@ -143,10 +145,56 @@ def test_newton_finds_the_least_loss() -> None:
     assert mine == pytest.approx(best.x, abs=2e-3)
 
 
-def test_separable_scores_stay_finite() -> None:
-    fused = fuse(systems(2, noise=0.01)).scores
+@pytest.mark.parametrize("method", ["trained", "llr"])
+def test_separable_scores_stay_finite(method: str) -> None:
+    fused = fuse(systems(2, noise=0.01), FusionSettings(method)).scores
     assert np.isfinite(fused.score).all()
     assert fused.genuine.min() > fused.impostor.max()
+
+
+def test_ratios_of_normal_densities_are_known() -> None:
+    """Equal widths: a straight line. Another width with the same mean, which no weighted sum can use: a parabola."""
+    rng, genuine = np.random.default_rng(3), np.arange(40_000) % 2 == 0
+    line = rng.normal(0, 1, genuine.size) + 1.5 * genuine
+    parabola = rng.normal(0, 1, genuine.size) * np.where(genuine, 1.0, 2.0)
+    model, at = fit_ratios(np.stack([line, parabola], axis=1), genuine), np.linspace(-1.5, 2.0, 9)
+    nothing = np.full(at.size, np.nan)
+    assert model(np.stack([at, nothing], axis=1)) == pytest.approx(1.5 * at - 1.125, abs=0.25)
+    expected = np.log(2.0) - 3 * at**2 / 8
+    assert model(np.stack([nothing, at], axis=1)) == pytest.approx(expected, abs=0.15)
+    assert model(np.stack([at, at], axis=1)) == pytest.approx(1.5 * at - 1.125 + expected, abs=0.4)
+    assert model(np.array([[1e9, np.nan], [np.nan, np.nan]]))[1] != model(np.array([[1e9, np.nan]]))[0]
+
+
+def test_other_traits_pair_up_by_subject_and_session() -> None:
+    """One finger a subject; the face has no fingers, other sides and another order."""
+    two = systems(2, subjects=30)
+    one = two[0].taken((two[0].finger.codes % 2 == 0).all(axis=1))  # type: ignore[union-attr]
+    order = np.random.default_rng(1).permutation(one.label.size)
+    face = replace(one, finger=None, name="face").taken(order)
+    turned = replace(
+        face, subject=replace(face.subject, codes=face.subject.codes[:, ::-1]),  # type: ignore[type-var]
+        session=replace(face.session, codes=face.session.codes[:, ::-1]),  # type: ignore[type-var]
+    )  # fmt: skip
+    linear = FusionSettings("linear")
+    expected = fuse([one, replace(one, name="again")], linear).scores.score
+    for other in (face, turned):
+        assert np.allclose(fuse([one, other], linear).scores.score, expected)
+
+
+def test_the_pair_at_fault_is_named() -> None:
+    one, other = systems(2, subjects=6)
+    fewer = other.taken(np.arange(other.label.size) != 20)
+    with pytest.raises(
+        BadInput, match=r"'s1' lacks 1 pair, first \(subject 0, finger 1, session 1\) with \(subject 4, "
+    ):
+        fuse([one, fewer])
+    again = other.taken(np.append(np.arange(other.label.size), 20))
+    with pytest.raises(BadInput, match=r"'s1' holds twice 1 pair, first \(subject 0, finger 1, session 1\)"):
+        fuse([one, again])
+    face = replace(other, finger=None)
+    with pytest.raises(BadInput, match=r"'s0' holds twice \d+ pairs, first \(subject 0, session 1\)"):
+        fuse([one, face])
 
 
 def test_the_order_of_pairs_does_not_matter() -> None:
@@ -185,7 +233,7 @@ def test_what_cannot_be_fused_is_refused() -> None:
         fuse(two, FusionSettings("linear", weights=(1.0, -1.0)))
     with pytest.raises(BadInput, match="do not vary"):
         fuse([two[0], replace(two[1], score=np.ones(two[1].score.size))])
-    with pytest.raises(BadInput, match="linear, trained"):
+    with pytest.raises(BadInput, match="linear, trained, llr"):
         FusionSettings("median")
     few = ids_of(["a", "b"], ["a", "a"])
     with pytest.raises(BadInput, match="three subjects"):

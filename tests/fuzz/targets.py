@@ -65,7 +65,7 @@ from splitknit.io.finger_image import encode_finger_images
 from splitknit.io.height_maps import tmd_bytes, x3p_bytes
 from splitknit.io.images import decode_image, encode_image, image_size, read_image
 from splitknit.io.iso19794 import decode_iso19794, read_iso19794
-from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, encode_transaction
+from splitknit.io.itl_reading import TransactionFacts, encode_transaction
 from splitknit.io.light_list import read_named_lights
 from splitknit.io.mesh import stl_chunks
 from splitknit.io.minutiae3d import Minutiae3D, read_minutiae3d, write_minutiae3d
@@ -512,9 +512,13 @@ def _record(folder: Path, files: Files) -> object:
 
 def _transactions() -> list[Files]:
     facts = TransactionFacts(datetime.date(2026, 11, 20), "P01-7", "OTHER", "LAB", "RIG3")
-    prints = [TransactionPrint(_noise(11, 13), "right_index"), TransactionPrint(_noise(11, 13), compression="png")]
-    wsq = TransactionPrint(_print(), compression="wsq")
-    return _each("x.eft", encode_transaction(prints, facts), encode_transaction([wsq], facts))
+    small, large = (PrintFile(image, 500.0, {}, "right_index", "contactless") for image in (_noise(11, 13), _print()))
+    return _each(
+        "x.eft",
+        encode_transaction([small, small], facts),
+        encode_transaction([small], facts, "png"),
+        encode_transaction([large], facts, "wsq"),
+    )
 
 
 def _spaces() -> list[Files]:

@@ -72,11 +72,11 @@ def test_turning_is_counter_clockwise_as_seen() -> None:
 def test_warping() -> None:
     image = np.random.default_rng(1).normal(size=(6, 8)).astype(np.float32)
     shift = np.array([[1.0, 0.0, 2.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])  # source is right of and below the target
-    moved = warp(image, shift, (4, 9), fill=-5.0)
+    moved = warp(image, shift, (4, 9))
     assert moved.shape == (4, 9)
     np.testing.assert_allclose(moved[:, :6], image[1:5, 2:8], atol=1e-6)
-    assert (moved[:, 8] == -5.0).all()
-    turned = warp(np.dstack([image, image]), rotation_about((2.5, 2.5), np.pi / 2), (6, 6), nearest=True)
-    np.testing.assert_array_equal(turned[..., 1], np.rot90(image[:, :6], -1))
+    assert (moved[:, 8] == 0.0).all()
+    turned = warp(np.dstack([image, image]), rotation_about((2.5, 2.5), np.pi / 2), (6, 6))
+    np.testing.assert_allclose(turned[..., 1], np.rot90(image[:, :6], -1), atol=1e-6)
     with pytest.raises(BadInput, match="singular"):
         warp(image, np.zeros((3, 3)), (4, 4))

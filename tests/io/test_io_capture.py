@@ -13,8 +13,8 @@ from io_shared import Build, edit
 
 from splitknit.errors import BadInput
 from splitknit.imaging.band import linear_stack
-from splitknit.io.capture import ReadSettings, read_capture, write_capture
-from splitknit.io.images import ImageSettings, read_image, write_image
+from splitknit.io.capture import read_capture, write_capture
+from splitknit.io.images import read_image, write_image
 from splitknit.io.npz import read_npz
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.model import Camera, Capture, Led, Rig
@@ -94,7 +94,7 @@ def test_what_is_written_is_read_back(
 
 
 def test_threads_do_not_change_anything(folder: Path) -> None:
-    one, four = (read_capture(folder, ReadSettings(images=ImageSettings(threads=n))) for n in (1, 4))
+    one, four = (read_capture(folder, threads=n) for n in (1, 4))
     assert_same(one, four)
     assert one.hashes == four.hashes
 

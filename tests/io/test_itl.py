@@ -4,28 +4,38 @@ from __future__ import annotations
 
 import datetime
 import time
+from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from splitknit.errors import BadInput
 from splitknit.io import itl_reading
 from splitknit.io.itl_reading import (
     TransactionFacts,
-    TransactionPrint,
-    _Transaction,
     decode_transaction,
     encode_transaction,
 )
 from splitknit.io.minutiae_record import FINGER_CODES
+from splitknit.io.prints import PrintFile
 
 nistitl = pytest.importorskip("nistitl")
 FACTS = TransactionFacts(datetime.date(2026, 11, 20), "P01-7", "OTHER", "LAB", "RIG3")
 NOISE = np.random.default_rng(2).integers(0, 256, (11, 13)).astype(np.uint8)
-SMALL = TransactionPrint(np.arange(120, dtype=np.uint8).reshape(10, 12), "right_index")
+
+
+def a_print(
+    image: NDArray[Any], finger: str = "unknown", impression: str = "contactless", ppi: float = 500.0
+) -> PrintFile:
+    return PrintFile(image, ppi, {}, finger, impression)
+
+
+SMALL = a_print(np.arange(120, dtype=np.uint8).reshape(10, 12), "right_index")
 
 
 def test_bytes_are_those_of_the_standard() -> None:
@@ -42,50 +52,46 @@ def test_bytes_are_those_of_the_standard() -> None:
     assert encode_transaction([SMALL], FACTS) == data
 
 
-def assert_same(a: _Transaction, prints: list[TransactionPrint]) -> None:
-    for read, written in zip(a.prints, prints, strict=True):
+def assert_same(found: Sequence[PrintFile], prints: list[PrintFile]) -> None:
+    for read, written in zip(found, prints, strict=True):
         np.testing.assert_array_equal(read.image, written.image)
-        for name in ("finger", "impression", "ppi", "compression"):
+        for name in ("finger", "impression", "resolution_ppi"):
             assert getattr(read, name) == getattr(written, name), name
 
 
 def test_prints_come_back_as_they_were() -> None:
     prints = [
-        TransactionPrint(NOISE, finger, impression, ppi, compression)
-        for finger, impression, ppi, compression in [
-            ("right_thumb", "contactless", 500, "none"),
-            ("left_little", "live_rolled", 1000, "png"),
-            ("unknown", "contactless_moving", 500, "png"),
-        ]
+        a_print(NOISE, "right_thumb", "contactless", 500),
+        a_print(NOISE, "left_little", "live_rolled", 1000),
+        a_print(NOISE, "unknown", "contactless_moving", 500),
     ]
-    read = decode_transaction(encode_transaction(prints, FACTS))
-    assert read.facts == FACTS
-    assert_same(read, prints)
+    for compression in ("none", "png"):
+        assert_same(decode_transaction(encode_transaction(prints, FACTS, compression)), prints)
 
 
 @pytest.mark.parametrize("finger", list(FINGER_CODES))
 def test_every_finger_has_its_code(finger: str) -> None:
-    data = encode_transaction([TransactionPrint(NOISE, finger)], FACTS)
+    data = encode_transaction([a_print(NOISE, finger)], FACTS)
     assert b"\x1d14.013:%d\x1d" % FINGER_CODES[finger] in data
-    assert decode_transaction(data).prints[0].finger == finger
+    assert decode_transaction(data)[0].finger == finger
 
 
 def test_wsq_inside_is_the_print_nearly() -> None:
     pytest.importorskip("_wsq")
     image = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (100, 110)).astype(np.uint8), (0, 0), 4)
-    data = encode_transaction([TransactionPrint(image, compression="wsq")], FACTS)
+    data = encode_transaction([a_print(image)], FACTS, "wsq")
     assert b"14.011:WSQ20" in data
-    read = decode_transaction(data).prints[0]
+    read = decode_transaction(data)[0]
     assert np.abs(read.image.astype(int) - image).mean() < 6
     with pytest.raises(BadInput, match="WSQ is for 500 ppi"):
-        encode_transaction([TransactionPrint(image, ppi=1000, compression="wsq")], FACTS)
+        encode_transaction([a_print(image, ppi=1000)], FACTS, "wsq")
 
 
 def test_pixels_may_hold_separators_and_field_names() -> None:
     image = np.frombuffer((b"\x1c\x1d\x1e\x1f14.001:1\x1d14.999:" * 20)[:300], dtype=np.uint8).reshape(15, 20)
     for compression in ("none", "png"):
-        item = TransactionPrint(image, compression=compression)
-        assert_same(decode_transaction(encode_transaction([item, item], FACTS)), [item, item])
+        item = a_print(image)
+        assert_same(decode_transaction(encode_transaction([item, item], FACTS, compression)), [item, item])
 
 
 def replaced(old: bytes, new: bytes, wide: bool = False) -> bytes:
@@ -150,7 +156,7 @@ def test_transactions_without_prints_are_refused() -> None:
 
 def test_pixels_per_cm_are_read() -> None:
     data = replaced(b"14.008", b"2").replace(b"14.009:500\x1d14.010:500", b"14.009:394\x1d14.010:394")
-    assert decode_transaction(data).prints[0].ppi == pytest.approx(394 * 2.54)
+    assert decode_transaction(data)[0].resolution_ppi == pytest.approx(394 * 2.54)
 
 
 def test_every_truncation_is_refused() -> None:
@@ -164,12 +170,12 @@ def test_what_cannot_be_said_is_not_written(monkeypatch: pytest.MonkeyPatch) -> 
     for words, make in [
         ("1 to 98 prints, not 0", lambda: encode_transaction([], FACTS)),
         ("1 to 98 prints, not 99", lambda: encode_transaction([SMALL] * 99, FACTS)),
-        ("490 to 5080", lambda: TransactionPrint(NOISE, ppi=300)),
-        ("'ring' has no code", lambda: TransactionPrint(NOISE, "ring")),
-        ("'ink' has no code", lambda: TransactionPrint(NOISE, impression="ink")),
-        ("'zip' is no compression", lambda: TransactionPrint(NOISE, compression="zip")),
-        ("uint8", lambda: TransactionPrint(NOISE.astype(float))),
-        ("10 to 99999 pixels", lambda: TransactionPrint(NOISE[:9])),
+        ("490 to 5080", lambda: encode_transaction([a_print(NOISE, ppi=300)], FACTS)),
+        ("'ring' has no code", lambda: encode_transaction([a_print(NOISE, "ring")], FACTS)),
+        ("'ink' has no code", lambda: encode_transaction([a_print(NOISE, impression="ink")], FACTS)),
+        ("'zip' is no compression", lambda: encode_transaction([SMALL], FACTS, "zip")),
+        ("uint8", lambda: encode_transaction([a_print(NOISE.astype(float))], FACTS)),
+        ("10 to 99999 pixels", lambda: encode_transaction([a_print(NOISE[:9])], FACTS)),
         ("without ':'", lambda: TransactionFacts(FACTS.date, "14.999:x")),
         ("1 to 40 printable", lambda: TransactionFacts(FACTS.date, "a\x1cb")),
         ("1 to 40 printable", lambda: TransactionFacts(FACTS.date, "")),
@@ -186,7 +192,7 @@ def test_what_cannot_be_said_is_not_written(monkeypatch: pytest.MonkeyPatch) -> 
 FUZZ = settings(max_examples=100, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 FIRST = 129
 """Bytes of the Type-1 record."""
-SOUND = encode_transaction([SMALL, TransactionPrint(NOISE, compression="png")], FACTS)
+SOUND = encode_transaction([SMALL, a_print(NOISE)], FACTS, "png")
 
 
 def attempt(data: bytes) -> None:

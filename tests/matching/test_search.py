@@ -30,24 +30,14 @@ def test_search_is_the_best_product_over_all_variants(templates) -> None:
     assert scores.tolist() == expected[order].tolist(), "single precision holds these sums without rounding"
 
 
-def test_adding_and_removing_in_any_order_gives_one_answer(templates) -> None:
-    codes = noise_codes(700)
-    names = [f"f{n:03d}" for n in range(700)]
-    plain = CodeIndex(names[:500], codes[:500])
-    other = CodeIndex()
-    for n in np.random.default_rng(1).permutation(700).tolist():
-        other.add(names[n], codes[n])
-    for n in range(500, 700):
-        other.remove(names[n])
-    assert len(other) == len(plain) == 500
-    assert set(other.ids) == set(names[:500])
-    assert "f600" not in other
-    assert "f100" in other
+def test_any_order_gives_one_answer(templates) -> None:
+    codes, names = noise_codes(500), [f"f{n:03d}" for n in range(500)]
+    order = np.random.default_rng(1).permutation(500)
+    plain, other = CodeIndex(names, codes), CodeIndex([names[n] for n in order], codes[order])
     for k in (1, 7, 500, 900):
         found, expected = other.search(templates[0], k), plain.search(templates[0], k)
         assert found[0] == expected[0]
         assert found[1].tolist() == expected[1].tolist()
-    assert other.nbytes <= 2 * 700 * code_size()
 
 
 def test_equal_codes_come_in_the_order_of_their_ids(templates) -> None:
@@ -56,33 +46,13 @@ def test_equal_codes_come_in_the_order_of_their_ids(templates) -> None:
     assert index.search(templates[0], 3)[0] == ["a", "b", "c"]
 
 
-def test_a_removed_code_is_gone() -> None:
-    index = CodeIndex(["a", "b", "c"], noise_codes(3))
-    index.remove("a")
-    index.remove("c")
-    assert index.ids == ("b",)
-    assert (index.codes[0] == noise_codes(3)[1]).all()
-    assert not index._codes[1:].any()
-    with pytest.raises(ValueError, match="read-only"):
-        index.codes[0, 0] = 1
-
-
 def test_an_index_refuses_what_it_cannot_hold() -> None:
-    index = CodeIndex(["a"], noise_codes(1))
-    with pytest.raises(BadInput, match="already"):
-        index.add("a", noise_codes(1)[0])
-    with pytest.raises(BadInput, match="already"):
-        index.add_many(["b", "b"], noise_codes(2))
+    with pytest.raises(BadInput, match="twice"):
+        CodeIndex(["b", "b"], noise_codes(2))
     with pytest.raises(BadInput, match="int8"):
-        index.add("b", noise_codes(1)[0].astype(np.float32))
+        CodeIndex(["b"], noise_codes(1).astype(np.float32))
     with pytest.raises(BadInput, match="shape"):
-        index.add("b", noise_codes(1)[0, :-1])
-    with pytest.raises(BadInput, match="no 'b'"):
-        index.remove("b")
-    assert index.ids == ("a",)
-    with pytest.raises(BadInput, match="already"):
-        index.add_many(["c", "a"], noise_codes(2))
-    assert len(index) == 1
+        CodeIndex(["b"], noise_codes(1)[:, :-1])
 
 
 def gallery_of(impressions, templates) -> dict[str, object]:
@@ -90,10 +60,10 @@ def gallery_of(impressions, templates) -> dict[str, object]:
     return {f"finger {i.finger}": t for i, t in reversed(list(zip(impressions, templates, strict=True)))}
 
 
-def test_identify_finds_the_finger_among_strangers_without_their_templates(impressions, templates) -> None:
+def test_identify_finds_the_finger_among_impostors_without_their_templates(impressions, templates) -> None:
     gallery = gallery_of(impressions, templates)
-    index = CodeIndex(gallery, np.stack([code_of(template) for template in gallery.values()]))
-    index.add_many([f"stranger {n}" for n in range(2000)], noise_codes(2000))
+    codes = np.concatenate([[code_of(template) for template in gallery.values()], noise_codes(2000)])
+    index = CodeIndex([*gallery, *(f"impostor {n}" for n in range(2000))], codes)
     asked = []
 
     def fetch(identity: str):
@@ -123,8 +93,8 @@ def test_exhaustive_search_needs_no_codes(impressions, templates) -> None:
 
 def test_nobody_is_found_by_nothing_or_in_nothing(templates) -> None:
     assert identify(_failed_template(), {}, CodeIndex(["a"], noise_codes(1))) == []
-    assert identify(templates[0], {}, CodeIndex()) == []
-    assert CodeIndex().search(templates[0], 5)[0] == []
+    assert identify(templates[0], {}, CodeIndex([], noise_codes(0))) == []
+    assert CodeIndex([], noise_codes(0)).search(templates[0], 5)[0] == []
     with pytest.raises(BadInput, match="at least 1"):
         identify(templates[0], {}, CodeIndex(["a"], noise_codes(1)), 0)
     with pytest.raises(BadInput, match="at least 1"):

@@ -161,7 +161,7 @@ def test_packed_codes_are_read_again() -> None:
     damaged = bytearray(data)
     damaged[60] ^= 1
     for wrong in (b"SKMI" + data[4:], data[:-1], bytes(damaged), data[:4] + b"\x09" + data[5:], b"x"):
-        with pytest.raises(BadInput, match=r"make it from the surface again\.$"):
+        with pytest.raises(BadInput, match=r"make them from the surface again\.$"):
             unpack_surface_code(wrong)
 
 

@@ -10,11 +10,13 @@ import pytest
 import rolled_scene as scene
 
 from splitknit.errors import BadInput
+from splitknit.finger.locate import FingerSettings
 from splitknit.mirrors.rolled.blend import RolledSettings
 from splitknit.mirrors.rolled.finger import Rolled, _apart, _base, rolled_finger
 from splitknit.mirrors.rolled.register import RidgeSearchSettings, ridges_of
-from splitknit.mirrors.rolled.views import _check_mirrors, _notes
+from splitknit.mirrors.rolled.views import _notes, find_mirror_views
 from splitknit.mirrors.rolled.work import ReliefSettings, _lit
+from splitknit.mirrors.settings import MirrorShapeSettings
 from splitknit.model import Capture
 from splitknit.prints.rolled import _coverage_deg
 from splitknit.skin.grid import Grid
@@ -100,13 +102,13 @@ def test_captures_that_cannot_be_rolled_are_told_so() -> None:
     rig = scene.rig()
     capture = Capture(rig, {}, material="opaque")
     with pytest.raises(BadInput, match="no band 'white'"):
-        _check_mirrors(capture)
+        find_mirror_views(capture, FingerSettings(), MirrorShapeSettings())
     with pytest.raises(BadInput, match="has no mirrors beside the finger"):
-        _check_mirrors(replace(capture, rig=replace(rig, mirrors=())))
+        find_mirror_views(replace(capture, rig=replace(rig, mirrors=())), FingerSettings(), MirrorShapeSettings())
     lens = replace(rig.camera, model="perspective", matrix=np.diag([2520.0, 2520.0, 1.0]), distortion=(0.0,) * 5)
     made, _ = scene.capture(("right",))
     with pytest.raises(BadInput, match="parallel rays"):
-        _check_mirrors(replace(made, rig=replace(made.rig, camera=lens)))
+        find_mirror_views(replace(made, rig=replace(made.rig, camera=lens)), FingerSettings(), MirrorShapeSettings())
 
 
 def test_settings_are_checked() -> None:

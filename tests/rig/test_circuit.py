@@ -54,7 +54,8 @@ def solved(
     """LED and base current by the transistor's exponential law (Ebers and Moll): no shortcuts of the design."""
     thermal, back = 0.026, 4.0
     saturation = 0.1 / math.exp(base_v / thermal)  # base_v at 100 mA
-    base, emitter, series = stage.ohm("base"), stage.ohm("emitter"), max(stage.ohm("series"), 1e-3)
+    ohm = {resistor.role: resistor.ohm for resistor in stage.resistors}
+    base, emitter, series = ohm["base"], ohm.get("emitter", 0.0), max(ohm.get("series", 0.0), 1e-3)
 
     def currents(of_base: float, of_collector: float) -> tuple[float, float]:
         """Into collector and base at voltages over the emitter."""

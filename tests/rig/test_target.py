@@ -11,14 +11,12 @@ from page_raster import draw, objects_of
 from splitknit.calibration.plane import plane_scale
 from splitknit.calibration.targets import Board, find_board, find_disc
 from splitknit.cli.main import main
-from splitknit.errors import BadInput
 from splitknit.rig.target import (
     _CARD_MARGIN_MM,
     _DISC_RADIUS_MM,
     POINTS_PER_MM,
     RULER_MM,
     TargetSettings,
-    _Page,
     dots_mm,
     target_pdf,
 )
@@ -157,13 +155,3 @@ def test_what_cannot_be_printed(tmp_path, capsys, options, words):
     assert words in message
     assert message.count("\n") == 1
     assert not any(tmp_path.iterdir())
-
-
-def test_a_page_refuses_what_it_cannot_show():
-    page = _Page()
-    with pytest.raises(BadInput, match="no shape 'Dot'"):
-        page.place("Dot", 0, 0)
-    with pytest.raises(BadInput, match="ASCII"):
-        page.text("5 µm", 0, 0)
-    page.text("a (b) \\ c", 10, 10)
-    assert draw(page.to_bytes(), 1.0)[1] == ["a (b) \\\\ c"]

@@ -20,7 +20,7 @@ from summary import interval
 
 from splitknit.errors import BadInput
 from splitknit.evaluation.accuracy import compare
-from splitknit.finger.locate import SURVEY_PX_PER_MM, enlarged
+from splitknit.finger.locate import SURVEY_PX_PER_MM, enlarged_mask
 from splitknit.finger.mask import finger_mask
 from splitknit.imaging.band import linear_survey
 from splitknit.model import Capture
@@ -56,7 +56,7 @@ def segmentation(capture: Capture, truth: NDArray[np.bool_]) -> dict[str, float]
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / SURVEY_PX_PER_MM))
     mean, _ = linear_survey(capture.bands["white"], capture.encoding, binning)
-    found = enlarged(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
+    found = enlarged_mask(finger_mask(mean, px_per_mm / binning), capture.shape, binning)
     distances = [_farthest(first, second) for first, second in ((found, truth), (truth, found))]
     return {"iou": float((found & truth).sum() / (found | truth).sum()), "border_mm": max(distances) / px_per_mm}
 

@@ -15,13 +15,7 @@ from splitknit.io.provenance import canonical_json
 
 
 def load(module: str, extra: str) -> Any:
-    """Import `module`, which comes with the extra `extra`.
-
-    Raises
-    ------
-    BadInput
-        If it is not installed.
-    """
+    """Import `module`, which comes with the extra `extra`. Raises BadInput if it is not installed."""
     package = module.partition(".")[0]
     with importing(f"this needs {package}, which cannot be imported ({{error}}); pip install 'splitknit[{extra}]'."):
         return importlib.import_module(module)
@@ -72,16 +66,13 @@ def column_type(name: str) -> Any:
 def read_chunk(path: Location, columns: Sequence[str] | None = None, needed: Sequence[str] = ()) -> Any:
     """Read a chunk as a ``pyarrow.Table`` without metadata; sizes are checked before it is read.
 
+    Raises BadInput if it is damaged, too large, or a column is missing or of another type.
+
     Parameters
     ----------
     path : the chunk
     columns : to read, all of which must be there; None for whatever is there
     needed : names that must be there where `columns` is None
-
-    Raises
-    ------
-    BadInput
-        If it is damaged, too large, or a column is missing or of another type.
     """
     pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
     with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
@@ -123,26 +114,14 @@ def _decoded_bytes(column: Any) -> int:
 
 
 def read_origin(path: Location) -> dict[str, Any]:
-    """Provenance in a chunk's metadata.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged.
-    """
+    """Provenance in a chunk's metadata. Raises BadInput if the file is damaged."""
     schema = _schema(path)
     with refusing(_damaged(path)):
         return dict(parse_json(schema.metadata[_KEY], str(path)))
 
 
 def read_names(path: Location) -> list[str]:
-    """Names of a chunk's columns.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged.
-    """
+    """Names of a chunk's columns. Raises BadInput if the file is damaged."""
     return list(_schema(path).names)
 
 

@@ -53,16 +53,13 @@ _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,sess
 def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
     """Comparisons of the store, ready to be evaluated.
 
+    The result has NaN where nothing was compared, with the names of fingers, subjects and sessions.
+
     Parameters
     ----------
     table : ``pyarrow.Table`` of :meth:`splitknit.batch.store.Store.scores`
     column : what is the score; of a ``dissimilarity...``, 1 - its value, as everywhere in the library
     name : of the scores; that of the column where it is missing
-
-    Returns
-    -------
-    Scores
-        NaN where nothing was compared, with the names of fingers, subjects and sessions.
     """
     require(column in table.column_names, f"the scores hold no column '{column}'; they have {table.column_names}.")
     score = np.array(table.column(column).to_numpy(), dtype=np.float64)
@@ -157,24 +154,19 @@ def run_batch(
     """Do what the store lacks; return the facts.
 
     A population that is still being filled is taken as far as it is complete, and a later run takes the rest. A run may
-    be killed at any time; the next one goes on.
+    be killed at any time; the next one goes on. Raises BadInput if the population holds no capture, the store is of
+    something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
+    must not be used.
 
     Parameters
     ----------
     population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
     out : folder of the store, or the URL of its objects
-    settings : BatchSettings, optional
     jobs : processes; nothing but time depends on their number
     cluster : Cluster or its address; its workers do it instead, and must see both places under the same names
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
     device : on which networks run, see :func:`splitknit.networks.unet.use_device`
     progress : called with words and the fraction that is done
-
-    Raises
-    ------
-    BadInput
-        If the population holds no capture, the store is of something else, damaged or being written by another run, a
-        worker is killed, or the cluster cannot be reached or must not be used.
     """
     started = time.perf_counter()
     settings = settings or BatchSettings()
@@ -187,7 +179,10 @@ def run_batch(
             not str(one).startswith(f"{MEMORY}:") or (jobs == 1 and cluster is None),
             f"'{one}' is known to this process alone; take --jobs 1 and no cluster, or another place.",
         )
-    tables = _tables(settings, folder / "csv" if csv is None else csv)
+    into = folder / "csv" if csv is None else csv
+    tables = {
+        (case.name, name): into / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
+    }
     with contextlib.ExitStack() as stack:
         stack.enter_context(given_folders(one for one in (people, folder, csv) if isinstance(one, Path)))
         for table in tables.values():
@@ -256,13 +251,6 @@ def _match(run: _Run) -> list[dict[str, Any]]:
     return facts
 
 
-def _tables(settings: BatchSettings, folder: Location) -> dict[tuple[str, str], Location]:
-    """Score files by case and matcher."""
-    return {
-        (case.name, name): folder / f"{case.name}_{name}.csv" for case in settings.cases for name in settings.matchers
-    }
-
-
 def _export(run: _Run, tables: Mapping[tuple[str, str], Location]) -> list[str]:
     for (case, name), file in tables.items():
         run.progress(f"{case}: {name}, CSV", 1.0)
@@ -279,10 +267,7 @@ _FILE = ".lock"
 def alone(store: Path) -> Iterator[None]:
     """Hold the store for this run; a killed run lets go.
 
-    Raises
-    ------
-    BadInput
-        If another run holds it, or the folder cannot be written.
+    Raises BadInput if another run holds it, or the folder cannot be written.
     """
     try:
         stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")

@@ -38,10 +38,8 @@ PATIENCE_S = 30.0
 class Cluster:
     """A Dask scheduler, and the certificates by which it and this computer recognise each other.
 
-    Raises
-    ------
-    BadInput
-        If the address is none, or anyone in the network could send code to the workers and `insecure` is not set.
+    Raises BadInput if the address is none, or anyone in the network could send code to the workers and `insecure` is
+    not set.
     """
 
     address: str
@@ -82,10 +80,7 @@ class Cluster:
 def connected(cluster: Cluster) -> Iterator[Any]:
     """Connect to a cluster that has a worker; give the client.
 
-    Raises
-    ------
-    BadInput
-        If the cluster cannot be reached, the certificates do not fit, or there is no worker.
+    Raises BadInput if the cluster cannot be reached, the certificates do not fit, or there is no worker.
     """
     distributed = load("distributed", "cluster")
     security = _security(distributed, cluster)
@@ -112,6 +107,8 @@ def run_tasks(
 ) -> Iterator[Done]:
     """Do all tasks, by several processes on one thread each; yield each result once, in the order of their ends.
 
+    Raises BadInput if a process is killed, the cluster is lost, or one of its own from `work`.
+
     Parameters
     ----------
     work : function of a module, so that processes find it; doing a task twice must leave what doing it once leaves
@@ -119,11 +116,6 @@ def run_tasks(
     jobs : processes; 1: in this process
     client : of :func:`connected`: the cluster's workers do the tasks instead
     device : on which networks run
-
-    Raises
-    ------
-    BadInput
-        If a process is killed, the cluster is lost, or one of its own from `work`.
     """
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     if not tasks:

@@ -18,8 +18,7 @@ from splitknit.batch.settings import Case
 from splitknit.batch.solids import solid_payload, write_extracted
 from splitknit.batch.surfaces import pack_surface
 from splitknit.errors import BadInput
-from splitknit.io.capture import ReadSettings, read_capture
-from splitknit.io.images import ImageSettings
+from splitknit.io.capture import read_capture
 from splitknit.io.prints import encode_print_png, provenance_texts
 from splitknit.io.provenance import canonical_json, provenance, settings_hash
 from splitknit.matching.surface import MatchingSettings, surface_template
@@ -76,12 +75,12 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
     rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
     seconds: dict[str, dict[str, float]] = {case.name: {} for case, _ in task.cases}
     failures = []
-    reading = ReadSettings(ImageSettings(threads=running().threads))
+    threads = running().threads
     with captures_at_hand(task.population, [ref.name for ref in task.captures]) as folders:
         for ref, folder in zip(task.captures, folders, strict=True):
             memory: Memory | str
             try:
-                memory = Memory(read_capture(folder / ref.name, reading))
+                memory = Memory(read_capture(folder / ref.name, threads=threads))
             except BadInput as error:
                 memory = str(error).replace(f"{folder}/", "")  # wherever the population lies, the row is the same
             cases = [case for case, wanted in task.cases if ref.name in wanted]
@@ -102,7 +101,8 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
         if running().device != "cpu":
             origin |= {"device": running().device}
-        origin |= {"population_sha256": task.population_sha256, "matching_sha256": _features_hash(task.matching)}
+        templates = settings_hash({"band": task.matching.band, "template": task.matching.template})
+        origin |= {"population_sha256": task.population_sha256, "matching_sha256": templates}
         write_timings(task.store / "timings" / case.name, name, seconds[case.name])
         for kind in task.solids:  # before the features, by which a later run knows what is finished
             file = task.store / kind / case.name / f"{name}{SUFFIX}"
@@ -110,11 +110,6 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
             write_extracted(file, kind, found, origin)
         write_chunk(task.store / "features" / case.name / f"{name}{SUFFIX}", columns, schema, origin)
     return TaskDone(sum(map(len, rows.values())), failures=tuple(failures))
-
-
-def _features_hash(matching: MatchingSettings) -> str:
-    """SHA-256 of the settings that templates follow from."""
-    return settings_hash({"band": matching.band, "template": matching.template})
 
 
 def _row(ref: CaptureRef, memory: Memory | str, case: Case, task: FeatureTask, last: bool) -> dict[str, Any]:

@@ -7,20 +7,23 @@ the same database finds it ready.
 from __future__ import annotations
 
 import threading
-from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from types import MappingProxyType
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any
 
 from splitknit.batch.population import Blocks
 from splitknit.batch.reading import Place, images_of, small_column
 from splitknit.matching.minutiae import EDGE_MM, minutiae_match
-from splitknit.matching.minutiae3d import PreparedMinutiae3D, PreparedTetrahedra, minutiae3d_match, tetrahedra_match
+from splitknit.matching.minutiae3d import (
+    PreparedMinutiae3D,
+    PreparedTetrahedra,
+    SpaceMatch,
+    minutiae3d_match,
+    tetrahedra_match,
+)
 from splitknit.matching.minutiae_record import unpack_minutiae, unpack_space_minutiae
 from splitknit.matching.ridge import Prepared, RidgeMatchSettings, ridge_match
-from splitknit.matching.score import similarity_of
 from splitknit.matching.space_features import SLOPE_SIGMA_MM
 from splitknit.matching.surface import MatchingSettings
 from splitknit.matching.surface_code import PreparedSurface, surface_code_match, unpack_surface_code
@@ -30,139 +33,136 @@ from splitknit.matching.thesis import ATTRIBUTES, ThesisSettings, finger_feature
 Values = Mapping[str, float]
 
 
-class Matcher(ABC):
+@dataclass(frozen=True, slots=True, eq=False)
+class Matcher:
     """One method of comparing two captures."""
 
-    name: ClassVar[str]
-    columns: ClassVar[tuple[str, ...]]
+    name: str
+    columns: tuple[str, ...]
     """Beside the similarity."""
-    source: ClassVar[str] = "features"
+    source: str
     """Folder of the store that it reads."""
-    blocks: ClassVar[Blocks]
+    blocks: Blocks
+    document: Any
+    """All settings."""
+    database: Callable[[Place], Any]
+    """One side, ready, or None where it could not be acquired."""
+    query: Callable[[Place], Any]
+    """The other side."""
+    compare: Callable[[Any, Any], Values]
+    """``similarity`` and the columns."""
 
     def blocks_for(self, impostors: float) -> Blocks:
         """Blocks of about as many comparisons where only a fraction of the impostors is compared."""
         return Blocks(self.blocks.database, round(self.blocks.query / max(impostors, 0.02)))
 
-    @abstractmethod
-    def database(self, place: Place) -> Any:
-        """One side, ready, or None where it could not be acquired."""
 
-    def query(self, place: Place) -> Any:
-        """The other side."""
-        return self.database(place)
-
-    @abstractmethod
-    def compare(self, a: Any, b: Any) -> Values:
-        """``similarity`` and the columns."""
-
-    def values(self, found: Any) -> Values:
-        """``similarity`` and the columns, where a method's result has fields of these names."""
-        return {name: float(getattr(found, name)) for name in ("similarity", *self.columns)}
-
-    @abstractmethod
-    def document(self) -> Any:
-        """All settings."""
+def matcher(name: str, settings: MatchingSettings) -> Matcher:
+    """The matcher of that name."""
+    if name == "ridge":
+        return _by_ridges(settings.ridge)
+    if name == "thesis":
+        return _by_thesis(settings.thesis)
+    if name == "surface-code":
+        return _by_surface_codes(settings)
+    if name in ("minutiae", "voted"):
+        votes = {"leave_one_out": settings.leave_one_out, "voted": settings.voted}
+        own = votes if name == "voted" else {"edge_mm": EDGE_MM}
+        return _by_minutiae(name, {"extraction": "mindtct", "comparison": "bozorth3", **own})
+    if name == "minutiae3d":
+        return _by_space_minutiae(name, "agreeing", PreparedMinutiae3D, settings.minutiae3d, minutiae3d_match)
+    return _by_space_minutiae(name, "agreeing alike", PreparedTetrahedra, settings.tetrahedra, tetrahedra_match)
 
 
-class _RidgeMatcher(Matcher):
+def _values(found: Any, columns: tuple[str, ...]) -> Values:
+    """``similarity`` and the columns of a result that has fields of these names."""
+    return {name: float(getattr(found, name)) for name in ("similarity", *columns)}
+
+
+def _by_ridges(settings: RidgeMatchSettings) -> Matcher:
     """Ridge templates; a side that is ready takes up to 9 MB."""
-
-    name = "ridge"
     columns = ("correlation", "overlap_mm2", "rotation_deg")
-    blocks = Blocks(48, 43)
 
-    def __init__(self, settings: RidgeMatchSettings) -> None:
-        self.settings = settings
-
-    def database(self, place: Place) -> Prepared | None:
+    def ready(place: Place) -> Prepared | None:
         payload = small_column(place, "template")
-        return Prepared(unpack(payload), self.settings) if payload else None
+        return Prepared(unpack(payload), settings) if payload else None
 
-    def compare(self, a: Prepared, b: Prepared) -> Values:
-        return self.values(ridge_match(a, b))
+    def compare(a: Prepared, b: Prepared) -> Values:
+        return _values(ridge_match(a, b), columns)
 
-    def document(self) -> Any:
-        return self.settings
+    return Matcher("ridge", columns, "features", Blocks(48, 43), settings, ready, ready, compare)
 
 
-class _ThesisMatcher(Matcher):
+def _by_thesis(settings: ThesisSettings) -> Matcher:
     """The thesis's matcher without its gate, of all attributes; a side of the database takes 1.9 MB at 30 px/mm."""
-
-    name = "thesis"
+    every = replace(settings, gate=0.0, attributes=tuple(ATTRIBUTES))
     columns = ("ratio", "shift_px", *(f"dissimilarity_{name}" for name in ATTRIBUTES))
-    blocks = Blocks(128, 16)
 
-    def __init__(self, settings: ThesisSettings) -> None:
-        self.attributes = settings.attributes
-        self.settings = replace(settings, gate=0.0, attributes=tuple(ATTRIBUTES))
-
-    def database(self, place: Place) -> Any:
+    def ready(place: Place) -> Any:
         images = images_of(place)
-        return None if images is None else (replace(images, channels={}), finger_features(images, self.settings))
+        return None if images is None else (replace(images, channels={}), finger_features(images, every))
 
-    def query(self, place: Place) -> Any:
-        return images_of(place)
-
-    def compare(self, a: Any, b: Any) -> Values:
+    def compare(a: Any, b: Any) -> Values:
         images, features = a
-        found = thesis_match(images, b, self.settings, features)
-        chosen = [found.dissimilarity[name] for name in self.attributes]
+        found = thesis_match(images, b, every, features)
+        chosen = [found.dissimilarity[name] for name in settings.attributes]
         return {
-            "similarity": similarity_of(sum(chosen) / len(chosen)),
+            "similarity": 1.0 - sum(chosen) / len(chosen),
             "ratio": found.ratio,
             "shift_px": float(found.shift_px),
             **{f"dissimilarity_{name}": value for name, value in found.dissimilarity.items()},
         }
 
-    def document(self) -> Any:
-        return {"thesis": self.settings, "similarity_of": list(self.attributes)}
+    document = {"thesis": every, "similarity_of": list(settings.attributes)}
+    return Matcher("thesis", columns, "features", Blocks(128, 16), document, ready, images_of, compare)
 
 
-class _MinutiaeMatcher(Matcher):
-    """Minutiae by mindtct, compared by bozorth3."""
+def _by_minutiae(source: str, document: Any) -> Matcher:
+    """Minutiae of prints, or those on which sets of images agree, compared by bozorth3."""
 
-    name = "minutiae"
-    columns = ("bozorth3",)
-    source = "minutiae"
-    blocks = Blocks(128, 8)
-
-    def database(self, place: Place) -> Any:
+    def ready(place: Place) -> Any:
         found = unpack_minutiae(small_column(place, "minutiae"))
         return found if found.acquired else None
 
-    def compare(self, a: Any, b: Any) -> Values:
+    def compare(a: Any, b: Any) -> Values:
         score = minutiae_match(a, b)
         return {"similarity": score, "bozorth3": score}
 
-    def document(self) -> Any:
-        return {"extraction": "mindtct", "edge_mm": EDGE_MM, "comparison": "bozorth3"}
+    return Matcher(source, ("bozorth3",), source, Blocks(128, 8), document, ready, ready, compare)
 
 
-class _VotedMatcher(_MinutiaeMatcher):
-    """Minutiae on which the sets of images that leave one out agree, compared by bozorth3."""
+def _by_space_minutiae(
+    name: str, columns: str, prepared: Callable[..., Any], settings: Any, match: Callable[..., SpaceMatch]
+) -> Matcher:
+    """Minutiae in space, aligned by reference pairs or by tetrahedra; a side that is ready takes up to 1 MB."""
+    names = tuple(columns.split())
 
-    name = "voted"
-    source = "voted"
+    def ready(place: Place) -> Any:
+        found = unpack_space_minutiae(small_column(place, "minutiae3d"))
+        return prepared(found, settings) if found.acquired else None
 
-    def __init__(self, settings: MatchingSettings) -> None:
-        self.settings = settings
+    def compare(a: Any, b: Any) -> Values:
+        found = match(a, b)
+        values = {"agreeing": float(found.agreeing), "alike": float(found.proposals)}
+        return {"similarity": found.similarity, **{one: values[one] for one in names}}
 
-    def document(self) -> Any:
-        own = {"leave_one_out": self.settings.leave_one_out, "voted": self.settings.voted}
-        return {"extraction": "mindtct", "comparison": "bozorth3", **own}
+    document = {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, name: settings}
+    return Matcher(name, names, "minutiae3d", Blocks(128, 16), document, ready, ready, compare)
 
 
-def matcher(name: str, settings: MatchingSettings) -> Matcher:
-    """The matcher of that name."""
+def _by_surface_codes(settings: MatchingSettings) -> Matcher:
+    """Finger surface codes; a side that is ready takes up to 15 MB."""
+    columns = ("distance", "overlap_mm2", "rotation_deg")
 
-    if name in SOLID_MATCHERS:
-        return SOLID_MATCHERS[name](settings)
-    if name == _VotedMatcher.name:
-        return _VotedMatcher(settings)
-    if name == _RidgeMatcher.name:
-        return _RidgeMatcher(settings.ridge)
-    return _ThesisMatcher(settings.thesis) if name == _ThesisMatcher.name else _MinutiaeMatcher()
+    def ready(place: Place) -> Any:
+        found = unpack_surface_code(small_column(place, "surface_code"))
+        return None if found.empty else PreparedSurface(found, settings.surface_match)
+
+    def compare(a: Any, b: Any) -> Values:
+        return _values(surface_code_match(a, b), columns)
+
+    document = {"surface_code": settings.surface_code, "surface_match": settings.surface_match}
+    return Matcher("surface-code", columns, "surface_codes", Blocks(48, 43), document, ready, ready, compare)
 
 
 class _Ready(threading.local):
@@ -188,79 +188,3 @@ class _Ready(threading.local):
 
 
 READY = _Ready()
-
-
-# The matchers of a batch that compare features in space: minutiae, by pairs and by tetrahedra, and surface codes.
-
-
-class _SpaceMatcher(Matcher):
-    """Minutiae in space; a side that is ready takes up to 1 MB."""
-
-    source = "minutiae3d"
-    blocks = Blocks(128, 16)
-    settings: Any
-
-    def document(self) -> Any:
-        return {"extraction": "mindtct", "edge_mm": EDGE_MM, "slope_mm": SLOPE_SIGMA_MM, self.name: self.settings}
-
-
-class _Minutiae3DMatcher(_SpaceMatcher):
-    """Aligned by reference pairs."""
-
-    name = "minutiae3d"
-    columns = ("agreeing",)
-
-    def __init__(self, settings: MatchingSettings) -> None:
-        self.settings = settings.minutiae3d
-
-    def database(self, place: Place) -> Any:
-        found = unpack_space_minutiae(small_column(place, "minutiae3d"))
-        return PreparedMinutiae3D(found, self.settings) if found.acquired else None
-
-    def compare(self, a: Any, b: Any) -> Values:
-        return self.values(minutiae3d_match(a, b))
-
-
-class _TetrahedraMatcher(_SpaceMatcher):
-    """Aligned by tetrahedra."""
-
-    name = "tetrahedra"
-    columns = ("agreeing", "alike")
-
-    def __init__(self, settings: MatchingSettings) -> None:
-        self.settings = settings.tetrahedra
-
-    def database(self, place: Place) -> Any:
-        found = unpack_space_minutiae(small_column(place, "minutiae3d"))
-        return PreparedTetrahedra(found, self.settings) if found.acquired else None
-
-    def compare(self, a: Any, b: Any) -> Values:
-        found = tetrahedra_match(a, b)
-        return {"similarity": found.similarity, "agreeing": float(found.agreeing), "alike": float(found.proposals)}
-
-
-class _SurfaceCodeMatcher(Matcher):
-    """Finger surface codes; a side that is ready takes up to 15 MB."""
-
-    name = "surface-code"
-    columns = ("distance", "overlap_mm2", "rotation_deg")
-    source = "surface_codes"
-    blocks = Blocks(48, 43)
-
-    def __init__(self, settings: MatchingSettings) -> None:
-        self.code, self.settings = settings.surface_code, settings.surface_match
-
-    def database(self, place: Place) -> Any:
-        found = unpack_surface_code(small_column(place, "surface_code"))
-        return None if found.empty else PreparedSurface(found, self.settings)
-
-    def compare(self, a: Any, b: Any) -> Values:
-        return self.values(surface_code_match(a, b))
-
-    def document(self) -> Any:
-        return {"surface_code": self.code, "surface_match": self.settings}
-
-
-SOLID_MATCHERS: Mapping[str, Callable[[MatchingSettings], Matcher]] = MappingProxyType(
-    {kind.name: kind for kind in (_Minutiae3DMatcher, _TetrahedraMatcher, _SurfaceCodeMatcher)}
-)

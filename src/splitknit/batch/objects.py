@@ -80,13 +80,8 @@ MOVED = Moved()
 def location(name: str | os.PathLike[str] | Objects) -> Location:
     """What a name means: a URL is objects, all else a path.
 
-    Raises
-    ------
-    BadInput
-        If the URL is of another kind than :data:`SCHEMES`, incomplete, or holds credentials.
+    Raises BadInput if the URL is of another kind than :data:`SCHEMES`, incomplete, or holds credentials.
 
-    Examples
-    --------
     >>> location("s3://fingers/people/").url
     's3://fingers/people'
     """
@@ -115,10 +110,7 @@ def location(name: str | os.PathLike[str] | Objects) -> Location:
 def stored_bytes(place: Location, max_bytes: int) -> bytes:
     """Read a whole file or object of at most `max_bytes`.
 
-    Raises
-    ------
-    BadInput
-        If it is missing, too large, or cannot be read.
+    Raises BadInput if it is missing, too large, or cannot be read.
     """
     if isinstance(place, Path):
         return read_bytes(place, max_bytes)
@@ -130,10 +122,7 @@ def stored_bytes(place: Location, max_bytes: int) -> bytes:
 def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
     """Open a file or an object of at most `max_bytes`; of an object only what is asked for is read.
 
-    Raises
-    ------
-    BadInput
-        If it is missing, too large, or cannot be read.
+    Raises BadInput if it is missing, too large, or cannot be read.
     """
     if isinstance(place, Path):
         with open_file(place, max_bytes) as (stream, _):
@@ -193,10 +182,7 @@ class _Ranges(io.RawIOBase):
 def whole_file(place: Location) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `place`, as a whole, when the block ends without exception.
 
-    Raises
-    ------
-    BadInput
-        If it cannot be written.
+    Raises BadInput if it cannot be written.
     """
     if isinstance(place, Path):
         with atomic_file(place) as stream:
@@ -244,12 +230,8 @@ def captures_at_hand(population: Location, names: Sequence[str]) -> Iterator[Ite
     """Yield, for each capture in turn, a folder of this computer below which it lies under its name.
 
     Objects are copied into a private temporary folder, the next capture while the present one is worked on; what is not
-    read (truth) is not copied. A copy is removed as soon as the next capture is asked for.
-
-    Raises
-    ------
-    BadInput
-        If objects cannot be read, or the name of one leads out of its capture: that is no failure of the capture.
+    read (truth) is not copied. A copy is removed as soon as the next capture is asked for. Raises BadInput if objects
+    cannot be read, or the name of one leads out of its capture: that is no failure of the capture.
     """
     if isinstance(population, Path):
         for name in names:

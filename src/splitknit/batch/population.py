@@ -51,10 +51,7 @@ class Population:
 def read_population(folder: Location) -> Population:
     """List the complete captures of an enrolment or a simulated population, even while it is still being filled.
 
-    Raises
-    ------
-    BadInput
-        If it is neither, its plan is damaged, or it holds no complete capture.
+    Raises BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
     if isinstance(folder, Path):
         return _population(folder, folder, lambda name: (folder / name).is_file())
@@ -132,12 +129,7 @@ def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Co
     """Every finger of a session with every finger of every later one; of different fingers a fraction only.
 
     The fraction is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
-    sessions.
-
-    Raises
-    ------
-    BadInput
-        If the captures are of one session.
+    sessions. Raises BadInput if the captures are of one session.
     """
     return comparisons(
         [one.finger for one in captures],

@@ -61,7 +61,7 @@ def score_block(task: ScoreTask) -> TaskDone:
     using = matcher(task.matcher, task.matching)
     missing: dict[str, Any] = dict.fromkeys(("similarity", *using.columns), math.nan)
     rows: list[dict[str, Any]] = []
-    key = (task.store, task.database, canonical_json(using.document()))
+    key = (task.store, task.database, canonical_json(using.document))
     held: tuple[str, Any] = ("", None)
     for a, b, genuine in sorted(task.pairs, key=lambda pair: (pair[1], pair[0])):  # one query after the other
         if held[0] != b:
@@ -73,10 +73,10 @@ def score_block(task: ScoreTask) -> TaskDone:
     rows.sort(key=lambda row: (row["a"], row["b"]))
     schema = score_schema(using.columns)
     captures = sorted({name for a, b, _ in task.pairs for name in (a, b)})
-    origin = provenance(using.document(), {name: small_column(task.origins[name], "input_sha256") for name in captures})
+    origin = provenance(using.document, {name: small_column(task.origins[name], "input_sha256") for name in captures})
     origin |= {"kind": "scores", "kind_version": VERSION, "case": task.case, "case_sha256": task.case_sha256}
     origin |= {"matcher": task.matcher, "population_sha256": task.population_sha256, "seed": task.seed}
-    name = _chunk_name(task, using.document())
+    name = _chunk_name(task, using.document)
     seconds = time.thread_time() - started
     facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
     write_timings(task.store / "timings" / task.case / task.matcher, name, facts)

@@ -77,11 +77,8 @@ class BatchSettings(Checked):
         check_fields(self)
         require(len(self.cases) > 0, "a batch needs at least one case.")
         names = [case.name for case in self.cases]
-        require(len(set(names)) == len(names), f"two cases are called '{_twice(names)}'; give each its own name.")
+        twice = next((name for name in names if names.count(name) > 1), "")
+        require(not twice, f"two cases are called '{twice}'; give each its own name.")
         unknown = [name for name in self.matchers if name not in MATCHERS]
         require(not unknown, f"there is no matcher '{unknown[0] if unknown else ''}'; known are {', '.join(MATCHERS)}.")
         require(len(set(self.matchers)) == len(self.matchers), "a matcher is named twice.")
-
-
-def _twice(names: list[str]) -> str:
-    return next((name for name in names if names.count(name) > 1), "")

@@ -37,7 +37,8 @@ def search_shards(
 ) -> Hits:
     """As :meth:`splitknit.gallery.shards.Shards.search`, whose result this is, with the shards shared out.
 
-    A worker is given the transformed probe, never the key. What a worker that died was to do is done by another.
+    A worker is given the transformed probe, never the key. What a worker that died was to do is done by another. Raises
+    BadInput if the probe is a failure to acquire, k is less than 1, a shard cannot be read, or the cluster is lost.
 
     Parameters
     ----------
@@ -47,11 +48,6 @@ def search_shards(
     settings : of the probe's variants
     jobs : processes of this computer
     client : of :func:`splitknit.batch.execution.connected`, in whose place the workers of a cluster scan
-
-    Raises
-    ------
-    BadInput
-        If the probe is a failure to acquire, k is less than 1, a shard cannot be read, or the cluster is lost.
     """
     require(k >= 1, f"k must be at least 1, but it is {k}.")
     probe, count = shards.probe(template, settings), rescored_count(len(shards))

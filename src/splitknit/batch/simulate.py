@@ -32,7 +32,6 @@ from splitknit.simulator.population.sessions import DRAWS, PopulationSettings, p
 POPULATION_FILE, IMPRESSION_FILE, TABLE_FILE = "population.json", "impression.json", "population.csv"
 _FORMAT, _VERSION = "splitknit-population", 1
 
-
 _Job = tuple[PlannedCapture, ...]
 """The waiting captures of one finger: its print is drawn once for all of them."""
 
@@ -50,6 +49,9 @@ def simulate_population(
 ) -> dict[str, Any]:
     """Simulate what is not there yet; return the facts.
 
+    Raises BadInput if the folder holds something else or a population with other settings, another run writes it, the
+    plan would shrink, or `prints` holds no usable prints or not those that the population began with.
+
     Parameters
     ----------
     out : folder of the population: a new one, or one with the same settings
@@ -58,12 +60,6 @@ def simulate_population(
     prints : folder of real prints, of whose ridges :func:`splitknit.simulator.population.prints.choose_prints` gives a
         third of the fingers; fingers that are planned later have none
     workers : processes; the captures do not depend on their number
-
-    Raises
-    ------
-    BadInput
-        If the folder holds something else or a population with other settings, another run writes it, the plan would
-        shrink, or `prints` holds no usable prints or not those that the population began with.
     """
     started = time.perf_counter()
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")

@@ -18,8 +18,8 @@ import numpy as np
 from splitknit.batch.chunks import SUFFIX, column_type, load, read_chunk, read_origin, write_chunk, write_timings
 from splitknit.batch.execution import TaskDone
 from splitknit.batch.objects import Location, captures_at_hand
+from splitknit.batch.reading import Place, surface_of
 from splitknit.batch.settings import Case
-from splitknit.batch.surfaces import unpack_surface
 from splitknit.errors import BadInput, require
 from splitknit.io.capture import read_capture
 from splitknit.io.png import decode_png
@@ -59,10 +59,7 @@ _Found = tuple[str, bool, bytes]
 def extract_features(task: ExtractionTask) -> TaskDone:
     """Find the features of one kind of all captures of a chunk and write them under the same name.
 
-    Raises
-    ------
-    BadInput
-        If the store holds no surfaces where they are needed, or they are damaged.
+    Raises BadInput if the store holds no surfaces where they are needed, or they are damaged.
     """
     case = task.case.name
     file = task.store / "features" / case / f"{task.name}{SUFFIX}"
@@ -128,17 +125,7 @@ def _voted(folder: Path, task: ExtractionTask) -> Minutiae:
 
 
 def _from_surfaces(task: ExtractionTask, file: Location) -> Iterator[_Found]:
-    table = read_chunk(file, ["capture", "area_mm2", "images"])
-    for row, capture in enumerate(table.column("capture").to_pylist()):
-        stored, payload = table.column("images")[row].as_py(), b""
-        if stored is None:
-            require(
-                table.column("area_mm2")[row].as_py() == 0.0,
-                f"'{file}' holds no surfaces: it was made without them; delete it and run the same again.",
-            )
-        else:
-            try:
-                payload = solid_payload(task.kind, unpack_surface(stored), task.matching)
-            except BadInput as error:
-                raise BadInput(f"'{file}': {error}") from error
+    for row, capture in enumerate(read_chunk(file, ["capture"]).column("capture").to_pylist()):
+        surface = surface_of(Place(file, row))
+        payload = b"" if surface is None else solid_payload(task.kind, surface, task.matching)
         yield capture, bool(payload), payload

@@ -32,13 +32,7 @@ class Store:
     folder: Location
 
     def document(self) -> dict[str, Any]:
-        """The store's own record.
-
-        Raises
-        ------
-        BadInput
-            If there is no store, it is damaged or of another version.
-        """
+        """The store's own record. Raises BadInput if there is no store, it is damaged or of another version."""
         file = self.folder / STORE_FILE
         require(there(file), f"'{self.folder}' is no store of 'splitknit batch': it holds no {STORE_FILE}.")
         damaged = f"'{file}' is damaged; name another folder for the store."
@@ -78,12 +72,7 @@ class Store:
         """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, each once.
 
         Columns as in ``docs/reference/files.md``; ``seconds``, which is kept apart from the chunks, only where it is
-        named.
-
-        Raises
-        ------
-        BadInput
-            If there is nothing of this case, or a chunk is damaged.
+        named. Raises BadInput if there is nothing of this case, or a chunk is damaged.
         """
         files = self.files("features", case)
         require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
@@ -102,10 +91,7 @@ class Store:
     def scores(self, case: str, matcher: str) -> Any:
         """Comparisons of a case by a matcher as a ``pyarrow.Table``, ordered by both captures, every pair once.
 
-        Raises
-        ------
-        BadInput
-            If there are none, or a chunk is damaged.
+        Raises BadInput if there are none, or a chunk is damaged.
         """
         files = self.files(f"scores/{case}", matcher)
         require(
@@ -122,10 +108,7 @@ class Store:
     def images(self, case: str, capture: str) -> FingerImages:
         """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them.
 
-        Raises
-        ------
-        BadInput
-            If the store holds no surface of it.
+        Raises BadInput if the store holds no surface of it.
         """
         place = stored_places(self.files("features", case)).get(capture)
         found = None if place is None else images_of(place)
@@ -169,10 +152,7 @@ def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
 def open_store(folder: Location, population: Population, settings: BatchSettings) -> Store:
     """Open a store for writing, or start one; the caller holds its lock.
 
-    Raises
-    ------
-    BadInput
-        If the folder holds something else, or a store of another population or with other settings.
+    Raises BadInput if the folder holds something else, or a store of another population or with other settings.
     """
     document: dict[str, Any] = {
         "format": FORMAT,
@@ -182,7 +162,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
         "population": {"sha256": population.sha256},
         "matching": _hashed({"band": settings.matching.band, "template": settings.matching.template}),
         "cases": {case.name: plain_json(case.document()) for case in settings.cases},
-        "matchers": {name: _hashed(matcher(name, settings.matching).document()) for name in settings.matchers},
+        "matchers": {name: _hashed(matcher(name, settings.matching).document) for name in settings.matchers},
     }
     if settings.matchers:
         document["pairs"] = {"seed": settings.seed, "impostors": settings.impostors}
@@ -203,12 +183,7 @@ def open_store(folder: Location, population: Population, settings: BatchSettings
 
 
 def check_store_target(folder: Location) -> None:
-    """Refuse a folder that holds something else than a store.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse a folder that holds something else than a store. Raises BadInput."""
     if not isinstance(folder, Path):
         require(
             there(folder / STORE_FILE) or not files_below(folder, deep=True),

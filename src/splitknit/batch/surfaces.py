@@ -58,13 +58,7 @@ def pack_surface(surface: Surface, height_mm: FloatArray) -> bytes:
 
 
 def unpack_surface(payload: bytes) -> Surface:
-    """Read what :func:`pack_surface` wrote, to the last bit.
-
-    Raises
-    ------
-    BadInput
-        If it is damaged.
-    """
+    """Read what :func:`pack_surface` wrote, to the last bit. Raises BadInput if it is damaged."""
     with refusing(_DAMAGED):
         magic, rows, columns, top, left, high, wide, kinds, pitch, *rest = _HEAD.unpack_from(payload)
         require(magic == _MAGIC and 0 < top + high <= rows and 0 < left + wide <= columns, _DAMAGED)

@@ -27,17 +27,15 @@ _GRACE_S = 1.0
 def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str) -> Iterator[tuple[Job, Done]]:
     """Do all jobs; yield each with its result: in order by one worker (this process), as they come by several.
 
+    Raises BadInput if a process is killed, or one of its own from `work`; the other jobs are then given up, as by an
+    interrupt.
+
     Parameters
     ----------
     work : function of a module, so that processes find it
     jobs : in the order in which they are begun
     workers : processes
     kept : what stays if a process is killed, for the message
-
-    Raises
-    ------
-    BadInput
-        If a process is killed, or one of its own from `work`; the other jobs are then given up, as by an interrupt.
     """
     if workers == 1 or len(jobs) < 2:
         for job in jobs:

@@ -28,7 +28,7 @@ from splitknit.calibration.plane import (
 )
 from splitknit.calibration.targets import Board, find_board, find_disc, size_in_view
 from splitknit.errors import BadInput, naming, read_bytes, require
-from splitknit.io.images import DEFAULTS, decode_image
+from splitknit.io.images import MAX_BYTES, decode_image
 from splitknit.io.provenance import file_hash, provenance
 from splitknit.io.rig import read_rig, write_rig
 from splitknit.io.targets import check_rig_file
@@ -234,7 +234,7 @@ def _label(file: Path, folder: Path) -> str:
 
 def _read_photo(path: Path, expected: _Expected | None) -> tuple[PixelArray, str]:
     """Pixels and SHA-256 of an image."""
-    data = read_bytes(path, DEFAULTS.max_bytes)
+    data = read_bytes(path, MAX_BYTES)
     pixels = decode_image(data, str(path))
     if expected is not None:
         require(

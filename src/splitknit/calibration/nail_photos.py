@@ -17,7 +17,7 @@ from splitknit.errors import BadInput, read_bytes, require
 from splitknit.imaging.band import linear_image
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, read_json
-from splitknit.io.images import DEFAULTS, decode_image, write_image
+from splitknit.io.images import MAX_BYTES, decode_image, write_image
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
 from splitknit.io.targets import check_file, check_picture
@@ -128,7 +128,7 @@ def read_stack(
 
 
 def _read(path: Path, size: tuple[int, int], encoding: str, *, upright: bool) -> tuple[FloatArray, str]:
-    data = read_bytes(path, DEFAULTS.max_bytes)
+    data = read_bytes(path, MAX_BYTES)
     pixels = decode_photo(data, str(path)).pixels if upright else decode_image(data, str(path))
     require(
         pixels.shape[:2] == size,

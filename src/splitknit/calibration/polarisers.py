@@ -22,7 +22,7 @@ from splitknit.calibration.sensor import noise_model, noise_samples
 from splitknit.errors import naming, require
 from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
 from splitknit.imaging.films import crossed_place, undone
-from splitknit.io.capture import ReadSettings, read_capture, with_rig
+from splitknit.io.capture import read_capture, with_rig
 from splitknit.io.images import write_image
 from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.rig import write_rig
@@ -100,7 +100,7 @@ def films_to_file(
 
 
 def _photographs(folder: Path, rig_file: Path | None, *, may_be_dark: bool = True) -> Capture:
-    capture = read_capture(folder, ReadSettings(may_be_dark=may_be_dark))
+    capture = read_capture(folder, may_be_dark=may_be_dark)
     return capture if rig_file is None else with_rig(capture, rig_file)
 
 

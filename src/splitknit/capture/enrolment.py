@@ -143,7 +143,8 @@ def open_enrolment(
     planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
     file = folder / PLAN_FILE
     if not file.is_file() or _read(file) != planned.plan:
-        _write(file, planned.plan)
+        document = {"format": _FORMAT, "version": _VERSION, **asdict(planned.plan)}
+        write_file(file, json_text(document).encode("ascii"))
     return planned
 
 
@@ -182,11 +183,6 @@ def check_subject_id(text: str) -> str:
         f"'{text}' cannot be a subject's id: use up to 32 letters, digits, - and _ (such as S01), never a name.",
     )
     return text
-
-
-def _write(file: Path, plan: _EnrolmentPlan) -> None:
-    document = {"format": _FORMAT, "version": _VERSION, **asdict(plan)}
-    write_file(file, json_text(document).encode("ascii"))
 
 
 def _read(file: Path) -> _EnrolmentPlan:

@@ -21,8 +21,6 @@ Look = Callable[[int, float, float], Frame]
 MEDIAN = 50.0
 BRIGHT = 99.5
 """Percentile that stands for a target's light: most of its picture may be black."""
-
-
 _PERCENTILE = 99.9
 """Of the finger's pixels, in the brightest channel: how bright it is."""
 _START_S = 0.01
@@ -84,12 +82,19 @@ def _split(product_s: float, camera: ExposureRange, settings: ExposureSettings) 
     return time_s, float(np.clip(product_s / time_s, camera.lowest_gain, camera.highest_gain))
 
 
-def _level_of(frame: Frame, region: BoolArray | None, percentile: float) -> float:
-    """Percentile of the finger's pixels in the brightest channel, as a fraction of full scale above the black level."""
-    full = float(np.iinfo(frame.pixels.dtype).max)
+def _level_of(frame: Frame, region: BoolArray | None = None) -> float:
+    """How bright the finger is in the brightest channel, as a fraction of full scale above the black level."""
     pixels = frame.pixels.reshape(-1, frame.pixels.shape[2]) if region is None else frame.pixels[region]
-    stored = float(np.max(np.percentile(pixels, percentile, axis=0)))
-    return max(stored - frame.black_level, 0.0) / (full - frame.black_level)
+    return max(_above_black(frame, np.max(np.percentile(pixels, _PERCENTILE, axis=0))), 0.0)
+
+
+def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
+    """Mean over the channels of the finger's median (or percentile), likewise."""
+    return _above_black(frame, np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
+
+
+def _above_black(frame: Frame, stored: np.floating) -> float:
+    return (float(stored) - frame.black_level) / (float(np.iinfo(frame.pixels.dtype).max) - frame.black_level)
 
 
 def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings) -> Survey:
@@ -103,9 +108,9 @@ def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: Exp
         frames = {}
         for led in leds:
             frames[led] = look(led, time_s, gain)
-            if _level_of(frames[led], None, _PERCENTILE) >= _CLIPPED:
+            if _level_of(frames[led]) >= _CLIPPED:
                 break
-        levels = [_level_of(frame, None, _PERCENTILE) for frame in frames.values()]
+        levels = [_level_of(frame) for frame in frames.values()]
         if max(levels) >= _CLIPPED:
             shorter = product / 4
             require(
@@ -137,7 +142,7 @@ def find_exposure(
     `look` takes a preview; `region` (h, w): the finger in previews; `camera`: what can be set. Raises BadInput if the
     finger stays too dark or too bright.
     """
-    levels = {led: _level_of(frame, region, _PERCENTILE) for led, frame in seen.frames.items()}
+    levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
     time_s, gain, level = seen.exposure_s, seen.gain, levels[brightest]
     for _ in range(_STEPS):
@@ -150,7 +155,7 @@ def find_exposure(
         time_s, gain = wanted
         frame = look(brightest, time_s, gain)
         time_s, gain = frame.exposure_s, frame.gain  # what the sensor made of it
-        level = _level_of(frame, region, _PERCENTILE)
+        level = _level_of(frame, region)
     if level < _MIN_LEVEL * settings.target:
         raise BadInput(
             f"the finger is too dark: with {1e3 * time_s:.0f} ms at gain {gain:.1f} its brightest LED brings it to "
@@ -162,13 +167,6 @@ def find_exposure(
             "the LEDs' current."
         )
     return Exposure(time_s, gain, brightest, level)
-
-
-def typical_level(frame: Frame, region: BoolArray, percentile: float = MEDIAN) -> float:
-    """Mean over the channels of the finger's median (or percentile), a fraction of full scale above the black level."""
-    full = float(np.iinfo(frame.pixels.dtype).max)
-    stored = float(np.mean(np.percentile(frame.pixels[region], percentile, axis=0)))
-    return (stored - frame.black_level) / (full - frame.black_level)
 
 
 _DETAIL_MM = 0.02

@@ -54,21 +54,15 @@ def open_frames(
 ) -> FrameSource:
     """Open a camera by its number, or a folder of photographs or a film, which are played over and over.
 
+    Raises BadInput if there is no such camera, it may not be used, or nothing there can be read.
+
     Parameters
     ----------
-    source : str
-        ``0``, ``1`` ... or a path.
+    source : ``0``, ``1`` ... or a path.
     encoding : {'linear', 'srgb'}
         How files store light; a camera states it.
-    size : (rows, columns), optional
-        To ask of a camera.
-    exposure_s : float, optional
-        To set on a camera; by default as it is.
-
-    Raises
-    ------
-    BadInput
-        If there is no such camera, it may not be used, or nothing there can be read.
+    size : (rows, columns), optional; to ask of a camera
+    exposure_s : float, optional; to set on a camera; by default as it is
 
     Examples
     --------
@@ -191,10 +185,7 @@ class Live(Generic[T]):
     def newest(self, after: int, patience_s: float) -> LiveFrame[T] | None:
         """Return the newest measured frame whose number exceeds `after`; None if none comes in time.
 
-        Raises
-        ------
-        BadInput
-            If frames end: why.
+        Raises BadInput if frames end, with the reason.
         """
         with self._changed:
             self._asked_s = time.monotonic()

@@ -109,10 +109,7 @@ class HeightMeter:
     def take_flat(self, pixels: PixelArray) -> None:
         """Take a frame (H, W, 3) of the gel with nothing on it, by which others are divided.
 
-        Raises
-        ------
-        BadInput
-            If its sides have another ratio than the calibration's, or it is dark.
+        Raises BadInput if its sides have another ratio than the calibration's, or it is dark.
         """
         light, markers = self._light(pixels)
         flat = bridge(light, markers, self._marker_px / 2) if markers.any() else light
@@ -129,10 +126,7 @@ class HeightMeter:
     def __call__(self, pixels: PixelArray) -> LiveHeights:
         """Measure a frame (H, W, 3) as stored; the first one is the flat one unless one was taken.
 
-        Raises
-        ------
-        BadInput
-            As :meth:`take_flat`.
+        Raises BadInput as :meth:`take_flat`.
         """
         if self._over_flat is None:
             self.take_flat(pixels)

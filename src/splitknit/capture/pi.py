@@ -92,8 +92,6 @@ Modes, times and gains are those of the sensors' drivers in Linux and libcamera.
 measurements and makers' sheets of the same sensor, rounded, for simulations (``sensor.full_well_e``); none was measured
 here, and none of these modules has been run by this program.
 """
-
-
 SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
 

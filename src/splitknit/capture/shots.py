@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from splitknit.capture.exposure import MEDIAN, Exposure, grey_light
 from splitknit.capture.pins import led_names
 from splitknit.devices import Camera, Frame, LightBank, relative_exposure
-from splitknit.finger.motion import MIN_RELIABILITY, MotionSettings, shot_motion
+from splitknit.finger.motion import MIN_RELIABILITY, WORKING_PX_PER_MM, shot_motion
 from splitknit.finger.regions import blur, dilate, reduce_image
 from splitknit.model import Band, BoolArray, FloatArray, PixelArray, Rig, spectral_band
 from splitknit.settings import Checked, Limits
@@ -33,8 +33,6 @@ _MAX_CROSSED = 0.93
 behind films have 0.47 (wet) to 0.91 (matt), a path-traced one 0.76; 1 is a film that is missing or did not turn."""
 _SHINE = 99.5
 """Percentile of the finger's pixels that its specular reflections reach."""
-_WORKING_PX_PER_MM = 10.0
-"""Scale of the copies in which motion is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +77,9 @@ class Examiner:
 
     def look(self, frame: Frame) -> Look:
         """Reduce a shot to what the checks need."""
-        step = max(1, int(self._px_per_mm / (2.5 * _WORKING_PX_PER_MM)))
+        step = max(1, int(self._px_per_mm / (2.5 * WORKING_PX_PER_MM)))
         full = frame.pixels[::step, ::step]  # a sparse grid first: a Raspberry Pi has little time
-        scale = min(1.0, _WORKING_PX_PER_MM * step / self._px_per_mm)
+        scale = min(1.0, WORKING_PX_PER_MM * step / self._px_per_mm)
         grey = reduce_image(grey_light(full, frame.black_level), scale)
         inside, window = self._mask((grey.shape[0], grey.shape[1]))
         level = float(np.percentile(grey[inside], self._typical))
@@ -124,7 +122,7 @@ class Examiner:
         stack = np.stack([look.grey - dark.grey for look in looks])
         inside, _ = self._mask((stack.shape[1], stack.shape[2]))
         px = self.working_px_per_mm(stack.shape[2], full_columns)
-        motion = shot_motion(stack, inside, px, MotionSettings(working_px_per_mm=_WORKING_PX_PER_MM))
+        motion = shot_motion(stack, inside, px)
         length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
         reliable = motion.reliability >= MIN_RELIABILITY
         return np.asarray(np.where(reliable, length, 0.0), dtype=np.float64)
@@ -134,7 +132,7 @@ class Examiner:
         if shape not in self._masks:
             fraction = cv2.resize(self.region.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
             inside = np.asarray(fraction > 0.5)
-            px = _WORKING_PX_PER_MM
+            px = WORKING_PX_PER_MM
             window = blur(dilate(inside, 0.7 * px).astype(np.float32), 0.5 * px)
             self._masks[shape] = (inside if inside.any() else np.ones(shape, dtype=np.bool_)), window
         return self._masks[shape]

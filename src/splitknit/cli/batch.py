@@ -64,7 +64,6 @@ def add_batch(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Run the batch."""
     from splitknit.batch.engine import run_batch
     from splitknit.batch.settings import BatchSettings, preset_cases
 

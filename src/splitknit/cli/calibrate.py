@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, add_settings, from_options, group, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_settings, from_options, group, new_verb, number, refuse_given
 
 
 def add_calibrate(verbs: Any) -> None:
@@ -23,7 +22,6 @@ def add_calibrate(verbs: Any) -> None:
 
 
 def _add_camera(kinds: Any) -> None:
-    """Add the verb."""
     verb = new_verb(kinds, "camera", "measure the camera from photographs of a checkerboard (Zhang)", _calibrate_camera)
     verb.add_argument(
         "folder", type=Path, nargs="?", metavar="FOLDER", help="photographs of one board, tilted differently in each"
@@ -61,7 +59,6 @@ def _add_camera(kinds: Any) -> None:
 
 
 def _calibrate_camera(options: argparse.Namespace) -> Outcome:
-    """Calibrate."""
     from splitknit.calibration.camera_photos import CameraJob, calibrate_to_rig, camera_facts  # only this verb pays
 
     now = datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
@@ -155,7 +152,6 @@ def _sharpness_lines(field: Mapping[str, Any]) -> list[str]:
 
 
 def _add_radiometry(kinds: Any) -> None:
-    """Add ``calibrate radiometry``."""
     verb = new_verb(
         kinds,
         "radiometry",
@@ -189,20 +185,15 @@ def _add_radiometry(kinds: Any) -> None:
 
 
 def _calibrate_radiometry(options: argparse.Namespace) -> Outcome:
-    """Calibrate, or check."""
     from splitknit.calibration.radiometry_folder import (  # only this verb pays for it
         calibrate_to_file,
         check_folder,
     )
-    from splitknit.errors import require
 
     with Progress(options) as progress:
         if options.check is not None:
-            for name in ("rig", "card_height_mm", "card_tilt_deg", "residuals"):
-                require(
-                    getattr(options, name) is None,
-                    f"--{name.replace('_', '-')} does not go with --check: the calibration is RIG's; leave it out.",
-                )
+            own = ("rig", "card_height_mm", "card_tilt_deg", "residuals")
+            refuse_given(options, own, "does not go with --check: the calibration is RIG's; leave it out.")
             facts = check_folder(options.folder, options.check, limit_percent=options.limit, progress=progress.update)
             return facts, _check_lines(facts)
         found = calibrate_to_file(
@@ -280,24 +271,8 @@ def _sensor_lines(camera: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"'{text}' must be a number")
-    return value
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a positive number")
-    return value
+_number = number(-1e300, 1e300, "a number")
+_positive = number(1e-300, 1e9, "a positive number")
 
 
 def _pair(text: str) -> tuple[float, float]:
@@ -308,7 +283,6 @@ def _pair(text: str) -> tuple[float, float]:
 
 
 def _add_lights(kinds: Any) -> None:
-    """Add the verb."""
     verb = new_verb(
         kinds, "lights", "where the LEDs are: from a nail's shadows, a ball, or the rig's drawing", _calibrate_lights
     )
@@ -427,7 +401,6 @@ def _led_lines(facts: dict[str, Any]) -> list[str]:
 
 
 def _add_polarisers(kinds: Any) -> None:
-    """Add ``calibrate polarisers``."""
     verb = new_verb(
         kinds,
         "polarisers",
@@ -447,7 +420,6 @@ def _add_polarisers(kinds: Any) -> None:
 
 
 def _calibrate_polarisers(options: argparse.Namespace) -> Outcome:
-    """Measure the films."""
     from splitknit.calibration.polarisers import films_to_file  # only this verb pays for it
 
     with Progress(options) as progress:
@@ -490,7 +462,6 @@ def _film_lines(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _add_shading(kinds: Any) -> None:
-    """Add ``calibrate shading``."""
     verb = new_verb(
         kinds,
         "shading",
@@ -531,7 +502,6 @@ def _add_shading(kinds: Any) -> None:
 
 
 def _calibrate_shading(options: argparse.Namespace) -> Outcome:
-    """Calibrate."""
     from splitknit.calibration.shading_folder import ShadingJob, shading_to_file  # only this verb pays for it
     from splitknit.report.shading import check_page, write_page
 

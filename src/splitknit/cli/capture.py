@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, ExitStack, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, scale
+from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, refuse_given, scale
 
 if TYPE_CHECKING:
     from splitknit.capture.enrolment import PlannedCapture
@@ -100,9 +100,8 @@ def _check(options: argparse.Namespace) -> None:
         f"'{options.finger}' is no finger; fingers are {', '.join(FINGERS)}.",
     )
     require(options.session is None or options.session >= 1, "sessions are numbered from 1.")
-    for name in ("subjects", "sessions", "fingers", "next"):
-        given = getattr(options, name) is not None
-        require(not given or options.enrolment is not None, f"--{name} belongs to --enrolment DIR.")
+    many = ("subjects", "sessions", "fingers", "next")
+    refuse_given(options, () if options.enrolment is not None else many, "belongs to --enrolment DIR.")
     require(options.next is None or options.next >= 1, "--next must be at least 1.")
     require(
         options.device == "twin" or (options.seed is None and options.pattern is None),

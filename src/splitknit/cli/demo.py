@@ -20,7 +20,6 @@ def add_demo(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Simulate, reconstruct, compare."""
     from splitknit.report.demo import demo  # verbs import what they need, so that --help is quick
 
     with Progress(options) as progress:

@@ -18,6 +18,7 @@ from splitknit.cli.verb import (
     from_options,
     natural,
     new_verb,
+    refuse_given,
 )
 
 if TYPE_CHECKING:
@@ -57,7 +58,6 @@ def add_enroll(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Enrol."""
     from splitknit.cli.options import read_changes
     from splitknit.gallery.enrol import Enrolling, enroll_files  # verbs import what they need
     from splitknit.gallery.key import key_of
@@ -93,8 +93,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 def _population(options: argparse.Namespace, settings: Any, key: Any, progress: Progress) -> Outcome:
     from splitknit.batch.enrol import enroll_population
 
-    mixed = [name for name in ("person", "finger", "session") if getattr(options, name) is not None]
-    require(not mixed, f"--{mixed[0] if mixed else ''} does not go with --population, whose folders have names.")
+    refuse_given(options, ("person", "finger", "session"), "does not go with --population, whose folders have names.")
     require(not options.sources, "name sources or a --population, not both.")
     facts = enroll_population(
         options.gallery, options.population, settings,

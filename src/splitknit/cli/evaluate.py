@@ -10,11 +10,13 @@ from splitknit.cli.gallery_options import add_key
 from splitknit.cli.verb import Outcome, Progress, natural, new_verb
 from splitknit.errors import require
 
+_METHODS = ("linear", "minmax", "llr", "trained")
+
 
 def add_evaluate(verbs: Any) -> None:
     """Add ``splitknit evaluate``."""
     verb = new_verb(verbs, "evaluate", "error rates of anybody's scores, with confidence intervals", _run)
-    source = verb.add_mutually_exclusive_group(required=True)
+    source = verb.add_mutually_exclusive_group()
     source.add_argument(
         "--scores",
         type=Path,
@@ -55,9 +57,11 @@ def add_evaluate(verbs: Any) -> None:
     )
     verb.add_argument(
         "--fuse",
-        choices=("linear", "trained"),
-        help="join the systems' scores into one more system: their mean after normalisation, or a logistic regression; "
-        "cross-validated by subject (fingers where subjects are not named)",
+        nargs="+",
+        metavar="FILE",
+        help="score files of other traits (prints, finger vein, face ...), in place of --scores: each alone, and fused "
+        "after min-max and z-score normalisation and as log-likelihood ratios, cross-validated by subject, with "
+        f"intervals by subject; or, beside --scores, one of {', '.join(_METHODS)}: one more system",
     )
 
 
@@ -68,11 +72,12 @@ def _run(options: argparse.Namespace) -> Outcome:
     from splitknit.io.targets import check_target
     from splitknit.report.evaluation import FORMAT, interval, write_evaluation
 
+    files, fuse = _sources(options)
     settings = EvaluationSettings(
         dissimilarity=options.dissimilarity,
         cluster=options.cluster,
         average=options.average_sessions,
-        fuse=options.fuse,
+        fuse=fuse,
         bootstrap=BootstrapSettings(replicates=options.replicates, seed=options.seed),
     )
     check_target(options.out, "report.json", "an earlier evaluation", form=FORMAT)
@@ -80,7 +85,7 @@ def _run(options: argparse.Namespace) -> Outcome:
         gallery = _gallery(options, progress) if options.gallery is not None else None
         require(gallery is not None or options.key_file is None, "--key-file is for --gallery.")
         found = evaluate_scores(
-            options.scores or [options.gallery], settings,
+            files, settings,
             exclusions=options.exclude, gallery=gallery, progress=progress.update,
         )  # fmt: skip
         progress.update("report", 1.0)
@@ -94,6 +99,20 @@ def _run(options: argparse.Namespace) -> Outcome:
     lines += [f"Please note: {note}" for note in facts["notes"]]
     lines.append(f"Open {options.out / 'report.html'} in a browser.")
     return {"out": str(options.out), **facts}, lines
+
+
+def _sources(options: argparse.Namespace) -> tuple[list[Path], Any]:
+    """Files to evaluate, and how they are fused."""
+    given = options.scores or ([] if options.gallery is None else [options.gallery])
+    if options.fuse is None or (len(options.fuse) == 1 and options.fuse[0] in _METHODS):
+        require(bool(given), "name what is evaluated: --scores FILE, --gallery GALLERY or --fuse FILE FILE.")
+        return given, options.fuse and options.fuse[0]
+    require(
+        not given,
+        f"--fuse takes score files in place of --scores and --gallery, or beside them one of {', '.join(_METHODS)}, "
+        f"but not '{' '.join(options.fuse)}'.",
+    )
+    return [Path(name) for name in options.fuse], "all"
 
 
 def _gallery(options: argparse.Namespace, progress: Progress) -> Any:

@@ -71,7 +71,6 @@ def _date(text: str) -> datetime.date:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Export."""
     from splitknit.gallery.key import key_of  # verbs import what they need
     from splitknit.gallery.records import Exporting, export_records
 

@@ -71,6 +71,8 @@ def _kind(
 
 
 def _list(options: argparse.Namespace, key: Any) -> Outcome:
+    from dataclasses import asdict
+
     from splitknit.gallery.manage import list_gallery  # verbs import what they need
 
     rows = list_gallery(options.gallery, options.person, key=key)
@@ -81,22 +83,8 @@ def _list(options: argparse.Namespace, key: Any) -> Outcome:
         skin = f"{entry.area_mm2:.0f} mm²" if acquired else f"failure to acquire ({entry.failure or 'unknown'})"
         kept = f", with {entry.images} image" if entry.images else ""
         lines.append(f"{one.row:>5}  {entry.person:24} {entry.finger:13} {entry.session:8} {entry.kind:9} {skin}{kept}")
-        captures.append(
-            {
-                "row": one.row,
-                "person": entry.person,
-                "finger": entry.finger,
-                "session": entry.session,
-                "kind": entry.kind,
-                "area_mm2": entry.area_mm2,
-                "acquired": acquired,
-                "failure": entry.failure,
-                "template_bytes": one.template_bytes,
-                "images": entry.images or "none",
-                "enrolled_at": entry.enrolled_at or None,
-                "source_sha256": entry.source_sha256,
-            }
-        )
+        facts = {"row": one.row, **asdict(entry), "acquired": acquired}
+        captures.append(facts | {"images": entry.images or "none", "enrolled_at": entry.enrolled_at or None})
     return {"gallery": str(options.gallery), "captures": captures}, lines
 
 

@@ -66,7 +66,6 @@ def add_identify(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Identify."""
     from splitknit.cli.options import read_changes
     from splitknit.gallery.identify import IdentifySettings, Question, identify_file
     from splitknit.gallery.key import key_of  # verbs import what they need

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_overwrite, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_overwrite, new_verb, refuse_given
 from splitknit.errors import naming, require
 
 if TYPE_CHECKING:
@@ -200,8 +200,7 @@ def check_photo_options(options: argparse.Namespace) -> None:
         "--tip-direction must be an angle from -360 to 360 degrees, 0 = up, counter-clockwise.",
     )
     if options.images is None:
-        unused = [name for name in _OF_PHOTOGRAPHS if getattr(options, name) is not None]
-        require(not unused, f"--{unused[0].replace('_', '-') if unused else ''} goes with --images.")
+        refuse_given(options, _OF_PHOTOGRAPHS, "goes with --images.")
     require(
         options.max_size is None or 0.01 <= options.max_size <= 1000,
         f"--max-size must be megapixels from 0.01 to 1000, not {options.max_size}.",
@@ -286,8 +285,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     if clouds:
         require(len(options.files) == 1, "point clouds are imported one at a time: each makes a result folder.")
         return _import_cloud(options, clouds[0])
-    needless = next((name for name in ("unit", "up", "pitch") if getattr(options, name) is not None), None)
-    require(needless is None, f"--{needless} goes with a point cloud ({', '.join(_CLOUDS)}).")
+    refuse_given(options, ("unit", "up", "pitch"), f"goes with a point cloud ({', '.join(_CLOUDS)}).")
     if options.images is None:
         return _import_prints(options)
     _check_rig_captures(options)
@@ -296,8 +294,7 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 def _check_rig_captures(options: argparse.Namespace) -> None:
     """Refuse options that lack their partner; a finger is skin."""
-    needless = [name for name in _CIRCLE if options.table is None and getattr(options, name)]
-    require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} goes with --table.")
+    refuse_given(options, () if options.table else _CIRCLE, "goes with --table.")
     require(options.table is None or options.lights is None, "--table and --lights both give the lights; choose one.")
     require(options.table is None or options.px_per_mm is not None, "--table needs the scale; give --px-per-mm.")
     require(options.people is not None or not options.dry_run, "--dry-run goes with --people.")
@@ -323,7 +320,6 @@ def _with_table(options: argparse.Namespace, images: Path) -> argparse.Namespace
 
 
 def _import_people(options: argparse.Namespace) -> Outcome:
-    """Write a population."""
     from splitknit.capture.enrolment import PLAN_FILE, open_enrolment, plan_enrolment
     from splitknit.capture.tree import read_tree
     from splitknit.errors import BadInput
@@ -370,7 +366,6 @@ def _import_people(options: argparse.Namespace) -> Outcome:
 
 
 def _import_cloud(options: argparse.Namespace, file: Path) -> Outcome:
-    """Write a result folder."""
     from splitknit.io.clouds import read_cloud
     from splitknit.io.provenance import file_hash
     from splitknit.io.targets import check_target
@@ -379,8 +374,7 @@ def _import_cloud(options: argparse.Namespace, file: Path) -> Outcome:
 
     taken = ("tip_direction", "material", "overwrite", "film_angle", "unit", "up", "pitch")
     of_others = (*_OF_PHOTOGRAPHS, "light_frame", "px_per_mm", "ridge_period", "input_ppi")
-    needless = [name for name in of_others if name not in taken and getattr(options, name) is not None]
-    require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} does not go with a point cloud.")
+    refuse_given(options, [name for name in of_others if name not in taken], "does not go with a point cloud.")
     tip, pitch = options.tip_direction, options.pitch
     require(tip is None or abs(tip) <= 360.0, "--tip-direction must be an angle from -360 to 360 degrees, 0 = up.")
     require(pitch is None or 1e-4 <= pitch <= 10.0, f"--pitch must be millimetres from 0.0001 to 10, not {pitch}.")
@@ -413,20 +407,10 @@ def _import_prints(options: argparse.Namespace) -> Outcome:
     from splitknit.gallery.records import Exporting, import_records
 
     check_photo_options(options)
-    of_photographs = (
-        "nir",
-        "table",
-        "people",
-        "dry_run",
-        "keep",
-        "tip_direction",
-        "light_frame",
-        "px_per_mm",
-        "ridge_period",
-        "overwrite",
+    of_rigs = ("nir", "table", "people", "dry_run", "keep", "overwrite")
+    refuse_given(
+        options, (*of_rigs, "tip_direction", "light_frame", "px_per_mm", "ridge_period"), "goes with --images."
     )
-    needless = [name for name in of_photographs if getattr(options, name)]
-    require(not needless, f"--{needless[0].replace('_', '-') if needless else ''} goes with --images.")
     settings = Exporting(input_ppi=options.input_ppi)
     with Progress(options) as progress:
         facts = import_records(options.files, options.out, settings, progress=progress.update)
@@ -434,7 +418,6 @@ def _import_prints(options: argparse.Namespace) -> Outcome:
 
 
 def _import_photos(options: argparse.Namespace) -> Outcome:
-    """Write a capture folder."""
     from splitknit.io.capture import write_capture
     from splitknit.io.targets import check_capture
 

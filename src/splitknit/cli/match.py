@@ -50,7 +50,6 @@ def add_match(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Compare."""
     from splitknit.cli.options import read_changes
     from splitknit.errors import BadInput
     from splitknit.io.provenance import known_json
@@ -83,8 +82,6 @@ def add_raw(verb: argparse.ArgumentParser) -> None:
 def one_in(rate: float, basis: FmrBasis | None = None) -> str:
     """Write a false match rate for people, rounded up; "below" where no impostor of its `basis` is as similar.
 
-    Examples
-    --------
     >>> one_in(1e-4), one_in(0.0359), one_in(0.7), one_in(0.5)
     ('1 in 10,000', '1 in 27', 'more than 1 in 2', '1 in 2')
     """
@@ -107,6 +104,7 @@ def _words(found: Match, raw: bool) -> list[str]:
         lines.append(f"Estimated false match rate: {rate} (measured on {basis}).")
     if raw:
         lines += _raw_words(found)
+    lines += [f"{side.path}: {side.note}" for side in (found.a, found.b) if side.note]
     lines += _how(found) + _failure_notes(found.method, found.a, found.b)
     return lines if found.template is None else [*lines, _template_words(found.template)]
 

@@ -18,10 +18,7 @@ _MAX_BYTES = 64_000
 def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:
     """Return all changed settings as ``stage.field`` and value; assignments win over the file.
 
-    Raises
-    ------
-    BadInput
-        If the file cannot be read or an assignment is not ``stage.field=value``.
+    Raises BadInput if the file cannot be read or an assignment is not ``stage.field=value``.
     """
     changes = {} if file is None else _read_settings_file(file)
     for assignment in assignments:
@@ -33,8 +30,6 @@ def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any
 def parse_assignment(text: str) -> tuple[str, Any]:
     """Split ``stage.field=value``; the value is JSON or a TOML value, and unquoted words are text.
 
-    Examples
-    --------
     >>> parse_assignment("normals.iterations=3")
     ('normals.iterations', 3)
     >>> parse_assignment("knit.mode=crossover")

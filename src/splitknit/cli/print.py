@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splitknit.cli.import_photos import add_scale_options, check_scale_options
-from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, add_settings, new_verb
+from splitknit.cli.verb import Outcome, Progress, add_input_ppi, add_preset, add_settings, from_options, new_verb
 
 
 def add_print(verbs: Any) -> None:
@@ -18,7 +18,8 @@ def add_print(verbs: Any) -> None:
         type=Path,
         metavar="FINGER",
         help="result folder, or capture folder (reconstructed first); or a print (PNG, TIFF, JPEG, BMP, WSQ, "
-        "ISO 19794-4, ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae",
+        "ISO 19794-4, ANSI/NIST-ITL), which is brought to 500 ppi, enhanced and searched for minutiae; or a photograph "
+        "of a finger in colour, which is unrolled by a mean shape",
     )
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write the print into")
     verb.add_argument(
@@ -43,24 +44,15 @@ def add_print(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Print."""
     from splitknit.cli.options import read_changes  # verbs import what they need
     from splitknit.prints.folder import PrintJob, print_to_folder
 
     check_scale_options(options)
     changes = read_changes(options.settings, options.assignments)
-    job = PrintJob(
-        options.finger,
-        options.out,
-        method=options.method,
-        surface=options.surface,
-        ppi=float(options.ppi),
-        preset=options.preset,
-        changes=changes,
-        px_per_mm=options.px_per_mm,
+    job = from_options(
+        PrintJob, options, path=options.finger, ppi=float(options.ppi), changes=changes,
         ridge_period_mm=options.ridge_period,
-        input_ppi=options.input_ppi,
-    )
+    )  # fmt: skip
     with Progress(options) as progress:
         facts = print_to_folder(job, progress.update)
     return facts, _words(facts)

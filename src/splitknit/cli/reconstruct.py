@@ -50,7 +50,6 @@ def add_reconstruct(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Write a reconstruction."""
     from splitknit.cli.options import read_changes  # verbs import what they need
 
     changes = read_changes(options.settings, options.assignments)

@@ -43,7 +43,6 @@ def add_rig(verbs: Any) -> None:
 
 
 def _phantom(options: argparse.Namespace) -> Outcome:
-    """Write the phantom."""
     from splitknit.rig.phantom import phantom_to_folder
 
     facts = phantom_to_folder(options.out)
@@ -55,7 +54,6 @@ def _phantom(options: argparse.Namespace) -> Outcome:
 
 
 def _add_target(kinds: Any) -> None:
-    """Add the verb."""
     verb = new_verb(
         kinds, "target", "write checkerboards and the calibration disc as a PDF at true scale", _write_target
     )
@@ -70,7 +68,6 @@ def _add_target(kinds: Any) -> None:
 
 
 def _write_target(options: argparse.Namespace) -> Outcome:
-    """Write the sheet."""
     from splitknit.calibration.targets import Board
     from splitknit.io.atomic import atomic_folder, write_file
     from splitknit.io.targets import check_file, check_target
@@ -83,14 +80,12 @@ def _write_target(options: argparse.Namespace) -> Outcome:
         target_pdf,
     )
 
-    as_file = options.out.suffix.lower() == ".pdf"  # as before, when only a file was taken
-    if not as_file:
+    as_file = options.out.suffix.lower() == ".pdf"
+    sheet = options.out if as_file else options.out / _SHEET
+    if as_file:
+        check_file(sheet, "a sheet of targets", lambda data: data.startswith(b"%PDF") and PRODUCER in data)
+    else:
         check_target(options.out, _SHEET, "an earlier sheet of targets")
-    check_file(
-        options.out if as_file else None,
-        "a sheet of targets",
-        lambda data: data.startswith(b"%PDF") and PRODUCER in data,
-    )
     board = Board.named(options.board, options.square_mm)
     settings = TargetSettings(
         columns=board.columns, rows=board.rows, square_mm=options.square_mm, spacing_mm=options.dot_mm
@@ -111,7 +106,6 @@ def _write_target(options: argparse.Namespace) -> Outcome:
         "disc": {"dots": len(dots_mm(settings)), "dot_mm": DOT_MM, "spacing_mm": settings.spacing_mm},
         "ruler_mm": RULER_MM,
     }
-    sheet = options.out if as_file else options.out / _SHEET
     lines = [
         f"{sheet}: {across * down} checkerboards of {width:g} x {height:g} mm (--board "
         f"{board.columns}x{board.rows}: inner corners, where four squares meet; {board.columns + 1} x {board.rows + 1} "
@@ -122,7 +116,6 @@ def _write_target(options: argparse.Namespace) -> Outcome:
 
 
 def _add_optimise(kinds: Any) -> None:
-    """Add ``splitknit rig optimise``."""
     verb = new_verb(kinds, "optimise", "sweep the rig's dimensions on simulated fingers and find the best", _optimise)
     verb.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder to write; a sweep left in it goes on"
@@ -170,7 +163,7 @@ def _optimise(options: argparse.Namespace) -> Outcome:
         _numbers("--heights-mm", options.heights_mm, budget["heights"]),
         _numbers("--radii-mm", options.radii_mm, budget["radii"]),
         _numbers("--powers-w", options.powers_w, budget["powers"]),
-        _tilts(options.tilts_deg),
+        _numbers("--tilts-deg", options.tilts_deg, (None,)),
         _numbers("--resolutions", options.resolutions, budget["resolutions"]),
     )
     study = _study(options, budget)
@@ -230,31 +223,22 @@ def _given(**values: float | str | None) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _numbers(option: str, text: str | None, default: tuple[float, ...]) -> tuple[float, ...]:
-    """Numbers with commas between them."""
+def _numbers(option: str, text: str | None, default: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Numbers with commas between them; ``centre``, of beams, is None."""
     if text is None:
         return default
     words = [word.strip() for word in text.split(",") if word.strip()]
     require(len(words) > 0, f"{option} is empty; list numbers with commas between them, as {option} 100,140.")
-    values = []
+    values: list[float | None] = []
     for word in words:
         try:
-            values.append(float(word))
+            values.append(None if option == "--tilts-deg" and word == "centre" else float(word))
         except ValueError as error:
             raise BadInput(f"{option} must list numbers with commas between them, but it holds '{word}'.") from error
     return tuple(values)
 
 
-def _tilts(text: str | None) -> tuple[float | None, ...]:
-    if text is None:
-        return (None,)
-    words = [word.strip() for word in text.split(",") if word.strip()]
-    require(len(words) > 0, "--tilts-deg is empty; list angles or 'centre', as --tilts-deg 0,20,centre.")
-    return tuple(None if word == "centre" else _numbers("--tilts-deg", word, ())[0] for word in words)
-
-
 def _add_circuit(kinds: Any) -> None:
-    """Add ``splitknit rig circuit``."""
     verb = new_verb(
         kinds,
         "circuit",
@@ -327,7 +311,6 @@ def _design_circuit(options: argparse.Namespace) -> Outcome:
 
 
 def _add_cad(kinds: Any) -> None:
-    """Add ``splitknit rig cad``."""
     verb = new_verb(kinds, "cad", "draw the parts of a rig for a 3D printer: STL, STEP, pictures, checks", _draw_parts)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument("--rig", type=Path, metavar="FILE", help="rig file (default: the thesis's rig, 14 cm, 14 LEDs)")

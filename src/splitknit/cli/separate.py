@@ -47,7 +47,6 @@ def add_separate(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Write direct and global light."""
     from splitknit.errors import require  # verbs import what they need
     from splitknit.separation.folder import separate_polarised_folders, separate_to_folder
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, scale
-from splitknit.errors import BadInput, require
+from splitknit.cli.verb import Outcome, Progress, add_overwrite, add_settings, natural, new_verb, refuse_given, scale
+from splitknit.errors import require
 
 
 def add_simulate(verbs: Any) -> None:
@@ -78,24 +78,24 @@ def add_simulate(verbs: Any) -> None:
 
 
 def _run(options: argparse.Namespace) -> Outcome:
-    """Write a simulated capture."""
     from splitknit.cli.options import read_changes
     from splitknit.simulator.twin import simulate_to_folder
 
     if options.what == "population":
         return _run_population(options)
-    unused = [name for name in _OPTIONS if getattr(options, name) is not None]
-    require(not unused, f"--{unused[0] if unused else ''} is for 'splitknit simulate population'.")
+    refuse_given(options, _OPTIONS, "is for 'splitknit simulate population'.")
     changes = read_changes(options.settings, options.assignments)
+    if options.bench:
+        of_fingers = ("pattern", "rig", "print_file", "motion", "condition", "mirrors", "no_nir")
+        also = ("impression",) if options.impression else ()
+        refuse_given(options, (*of_fingers, *also), "does not go with --bench, which has no finger.")
     if options.motion is not None:
-        require(not options.bench, "--bench and --motion do not go together: the bench has no finger.")
         changes = {**changes, "motion.amplitude_mm": options.motion}
     require(
         options.severity is None or options.condition not in (None, "none"),
         "--severity sets how bad a --condition is; name one.",
     )
     if options.condition is not None:
-        require(not options.bench, "--bench and --condition do not go together: the bench has no finger.")
         worst = {} if options.severity is None else {"condition.severity": options.severity}
         changes = {**changes, "condition.kind": options.condition, **worst}
     changes = _mirror_changes(options) | changes
@@ -129,10 +129,6 @@ def _run(options: argparse.Namespace) -> Outcome:
 
 def _mirror_changes(options: argparse.Namespace) -> dict[str, Any]:
     """Settings that ``--mirrors`` and ``--no-nir`` stand for."""
-    asked = [name for name in ("mirrors", "no_nir", "impression") if getattr(options, name)]
-    if options.bench and asked:
-        option = asked[0].replace("_", "-")
-        raise BadInput(f"--bench and --{option} do not go together: the bench has no finger.")
     changes: dict[str, Any] = {}
     if options.mirrors is not None:
         changes["mirrors.names"] = tuple(part.strip() for part in options.mirrors.split(","))
@@ -150,9 +146,6 @@ def _run_bench(options: argparse.Namespace, changes: Mapping[str, Any]) -> Outco
     from splitknit.settings import override
     from splitknit.simulator.bench_photos import BenchPhotos, bench_to_folder
 
-    unused = [name for name in ("pattern", "rig", "print_file") if getattr(options, name) is not None]
-    name = unused[0].removesuffix("_file") if unused else ""
-    require(not unused, f"--bench and --{name} do not go together: the bench has no finger.")
     photos = override(BenchPhotos(), changes)
     with Progress(options) as progress:
         facts = bench_to_folder(
@@ -201,13 +194,9 @@ def _run_population(options: argparse.Namespace) -> Outcome:
     from splitknit.settings import override
     from splitknit.simulator.population.sessions import PopulationSettings
 
-    names = ("pattern", "rig", "motion", "condition", "severity", "mirrors")
-    unused = [name for name in names if getattr(options, name) is not None]
-    unused += [
-        name.replace("_", "-") for name in ("bench", "no_nir", "impression", "overwrite") if getattr(options, name)
-    ]
-    unused += ["print"] if options.print_file is not None else []
-    require(not unused, f"--{unused[0] if unused else ''} does not go with a population.")
+    names = ("pattern", "rig", "motion", "condition", "severity", "mirrors", "bench", "no_nir", "overwrite")
+    also = ("impression",) if options.impression else ()
+    refuse_given(options, (*names, *also, "print_file"), "does not go with a population.")
     changes = read_changes(options.settings, options.assignments)
     settings = override(PopulationSettings(seed=options.seed), changes)
     settings = settings if options.scale is None else replace(settings, scale=options.scale)

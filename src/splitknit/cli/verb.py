@@ -14,7 +14,7 @@ PRESETS = ("metric", "snk", "pr", "ea", "pr-split", "ea-split", "kumar", "zheng"
 
 FINGERS = (
     "capture folder, result folder, template (.skt), print (PNG, TIFF, JPEG, BMP, WSQ, ISO 19794-4, ANSI/NIST-ITL) or "
-    "record of minutiae (ISO 19794-2, ANSI 378)"
+    "record of minutiae (ISO 19794-2, ANSI 378), or photograph of a finger in colour"
 )
 """What is matched, for help."""
 
@@ -215,22 +215,38 @@ def natural(text: str) -> int:
 
 def scale(text: str) -> float:
     """Read the size of images relative to the full frame (a type for argparse)."""
-    return _between(text, 0.05, 1.0)
+    return number(0.05, 1.0)(text)
 
 
 def fraction(text: str) -> float:
     """Read a fraction (a type for argparse)."""
-    return _between(text, 0.0, 1.0)
+    return number(0.0, 1.0)(text)
 
 
-def _between(text: str, low: float, high: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"'{text}' must be a number from {low:g} to {high:g}")
-    return value
+def number(low: float, high: float, expected: str = "") -> Callable[[str], float]:
+    """A type for argparse: a number from `low` to `high`, or what is `expected` in words."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            wanted = expected or f"a number from {low:g} to {high:g}"
+            raise argparse.ArgumentTypeError(f"'{text}' must be {wanted}")
+        return value
+
+    return read
+
+
+def refuse_given(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Refuse the first of these options that is given; `why` follows its name."""
+    from splitknit.errors import require  # `--help` needs none of it
+
+    for name in names:
+        option = {"print_file": "print"}.get(name, name.replace("_", "-"))
+        value = getattr(options, name)
+        require(value is None or value is False, f"--{option} {why}")
 
 
 class Progress:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from splitknit.cli.gallery_options import add_key
-from splitknit.cli.verb import Outcome, new_verb
+from splitknit.cli.verb import Outcome, new_verb, refuse_given
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,10 +60,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     from splitknit.errors import require
     from splitknit.viewer.server import open_paths, opened_page, start
 
-    given = [name for name in _LIVE if getattr(options, name) is not None]
-    require(
-        options.live is not None or not given, f"--{''.join(given[:1]).replace('_', '-')} belongs to --live SOURCE."
-    )
+    refuse_given(options, () if options.live is not None else _LIVE, "belongs to --live SOURCE.")
     with contextlib.ExitStack() as stack:
         service: Service | LiveService
         if options.live is not None:
@@ -97,9 +94,7 @@ def _open_live(options: argparse.Namespace, stack: contextlib.ExitStack) -> tupl
     from splitknit.report.result import write_results
     from splitknit.viewer.live import LiveService
 
-    for name in ("flat", "marker_px"):
-        given = getattr(options, name) is not None
-        require(not given or options.shading is not None, f"--{name.replace('_', '-')} needs --shading FILE.")
+    refuse_given(options, () if options.shading is not None else ("flat", "marker_px"), "needs --shading FILE.")
     out = options.out or Path("live")
     encoding = options.encoding or "linear"
     shading = None if options.shading is None else read_shading(options.shading)

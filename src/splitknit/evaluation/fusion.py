@@ -14,9 +14,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from splitknit.errors import BadInput, require
-from splitknit.evaluation.protocol import pair_up
+from splitknit.evaluation.protocol import mismatch, pair_up
 from splitknit.evaluation.scores import Ids, Scores
 from splitknit.settings import Checked, Limits
 
@@ -28,8 +29,9 @@ _PENALTY = 1e-3
 class FusionSettings(Checked):
     """How scores are fused."""
 
-    method: Literal["linear", "trained"] = "trained"
-    """``linear``: weighted sum of normalised scores; ``trained``: logistic regression."""
+    method: Literal["linear", "trained", "llr"] = "trained"
+    """``linear``: weighted sum of normalised scores; ``trained``: logistic regression; ``llr``: sum of log-likelihood
+    ratios."""
     normalisation: Literal["z", "minmax"] = "z"
     """Of ``linear``: ``z`` or ``minmax``, with what the training folds give."""
     weights: tuple[float, ...] = ()
@@ -51,7 +53,7 @@ class Fused:
     """``subject`` or ``finger``: what was dealt to folds."""
     fold: NDArray[np.int64]
     """(names,) of each subject (finger)."""
-    models: dict[tuple[int, int], _LinearModel | _LogisticModel]
+    models: dict[tuple[int, int], _Model]
     """By the two folds, the smaller first, whose comparisons it scored and of which it saw none."""
     missing: tuple[int, ...]
     """Of each system, how many scores were missing."""
@@ -62,7 +64,7 @@ class Fused:
         return len(set(self.fold.tolist()) - {-1})
 
     def mean_weights(self) -> dict[str, float]:
-        """Weight of each system's normalised score, averaged over the models."""
+        """Weight of each system's normalised score (log-likelihood ratios: 1), averaged over the models."""
         mean = np.mean([model.weight for model in self.models.values()], axis=0)
         return {name: float(weight) for name, weight in zip(self.systems, mean, strict=True)}
 
@@ -82,7 +84,8 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     -------
     Fused
         `linear`: the weighted mean of the normalised scores that are there. `trained`: log-odds; a missing score counts
-        as the mean, and its being missing as a feature of its own. Where all are missing, so is the fused one.
+        as the mean, and its being missing as a feature of its own. `llr`: the sum of the log-likelihood ratios that are
+        there. Where all are missing, so is the fused one.
 
     Raises
     ------
@@ -94,7 +97,8 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
     ----------
     A. Ross and A. Jain, "Information fusion in biometrics", Pattern Recognition Letters 24, 2003; A. Ross,
     K. Nandakumar and A. Jain, "Handbook of Multibiometrics", Springer 2006, chapter 4; R. Snelick et al., IEEE TPAMI
-    27, 2005.
+    27, 2005; A. Jain, K. Nandakumar and A. Ross, Pattern Recognition 38, 2005 (normalisation); K. Nandakumar et al.,
+    IEEE TPAMI 30, 2008 (likelihood ratios).
 
     Examples
     --------
@@ -139,15 +143,15 @@ def _cross_fit(
     table: Table,
     genuine: NDArray[np.bool_],
     fold: NDArray[np.int64],
-    fit: Callable[[Table, NDArray[np.bool_]], _LinearModel | _LogisticModel],
-) -> tuple[dict[tuple[int, int], _LinearModel | _LogisticModel], Table]:
+    fit: Callable[[Table, NDArray[np.bool_]], _Model],
+) -> tuple[dict[tuple[int, int], _Model], Table]:
     """Score every comparison by a model that saw nobody of either side's fold.
 
     `table`: (N, S) scores; `genuine`: (N,); `fold`: (N, 2) of both sides; `fit`: makes a model from scores and labels.
     Returns models by pair of folds, and (N,) scores.
     """
     low, high = fold.min(axis=1), fold.max(axis=1)
-    models: dict[tuple[int, int], _LinearModel | _LogisticModel] = {}
+    models: dict[tuple[int, int], _Model] = {}
     fused = np.full(len(table), np.nan)
     for i, j in combinations_with_replacement(range(int(high.max()) + 1), 2):
         chosen = (low == i) & (high == j)
@@ -166,7 +170,9 @@ def _cross_fit(
     return models, fused
 
 
-def _fitter(settings: FusionSettings) -> Callable[[Table, NDArray[np.bool_]], _LinearModel | _LogisticModel]:
+def _fitter(settings: FusionSettings) -> Callable[[Table, NDArray[np.bool_]], _Model]:
+    if settings.method == "llr":
+        return fit_ratios
     if settings.method == "trained":
         return lambda table, genuine: fit_logistic(table, genuine, _PENALTY)
     weights = np.array(settings.weights) if settings.weights else None
@@ -178,10 +184,12 @@ def _aligned(systems: Sequence[Scores]) -> list[Scores]:
     aligned = [systems[0]]
     for other in systems[1:]:
         paired = pair_up(systems[0], other)
-        if paired is None:
+        alike = (systems[0].finger is None) == (other.finger is None)  # else several fingers would count as one
+        wrong = "" if alike and paired is not None else mismatch(systems[0], other)
+        if wrong or paired is None:
             raise BadInput(
-                f"'{systems[0].name}' and '{other.name}' did not score the same pairs, so that they cannot be fused; "
-                "give scores of one list of comparisons."
+                f"'{systems[0].name}' and '{other.name}' did not score the same pairs: {wrong}; give every pair once "
+                "in both, with a blank score where there is none."
             )
         aligned.append(paired)
     return aligned
@@ -242,6 +250,76 @@ class _LogisticModel:
         known = ~np.isnan(scores)
         odds = _design(scores, self.offset, self.scale) @ np.concatenate([self.weight, self.missing, [self.intercept]])
         return np.asarray(np.where(known.any(axis=1), odds, np.nan))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RatioModel:
+    """Sum of the systems' log-likelihood ratios, as if their errors were independent."""
+
+    offset: Table
+    """(S,) lowest score of each system in the training part."""
+    scale: Table
+    """(S,) and the width of a bin."""
+    ratio: Table
+    """(S, bins) natural logarithm of genuine over impostor density."""
+
+    @property
+    def weight(self) -> Table:
+        """(S,) ones: every ratio counts as it is."""
+        return np.ones(self.offset.shape)
+
+    def __call__(self, scores: Table) -> Table:
+        """(N,) from scores (N, S), beyond the training part as at its ends; a missing score adds nothing, NaN where all
+        are missing.
+        """
+        bins = np.arange(self.ratio.shape[1])
+        places = (scores - self.offset) / self.scale - 0.5
+        found = np.stack(
+            [np.interp(*pair) for pair in zip(places.T, [bins] * len(self.ratio), self.ratio, strict=True)]
+        )
+        return np.asarray(np.where(np.isnan(scores).all(axis=1), np.nan, np.nansum(found, axis=0)))
+
+
+_Model = _LinearModel | _LogisticModel | _RatioModel
+_BINS = 1024
+"""Of the densities of scores."""
+
+
+def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _RatioModel:
+    """Estimate the densities of each system's genuine and impostor scores (N, S), NaN where there is none.
+
+    By Gaussian kernels of Silverman's width; one observation spread over the whole range is added to each class, so
+    that no ratio is infinite.
+
+    Raises
+    ------
+    BadInput
+        If a system lacks a class, or its scores do not vary.
+
+    References
+    ----------
+    K. Nandakumar, Y. Chen, S. Dass and A. Jain, "Likelihood ratio-based biometric score fusion", IEEE TPAMI 30, 2008,
+    eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
+    """
+    _spread(scores)
+    low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
+    width = (high - low) / _BINS
+    ratio = np.empty((scores.shape[1], _BINS))
+    for k, column in enumerate(scores.T):
+        logarithms = []
+        for side in (column[genuine], column[~genuine]):
+            known = side[~np.isnan(side)]
+            require(
+                known.size > 0, f"system {k + 1} has only genuine or only impostor scores in the part to learn from."
+            )
+            counts = np.histogram(known, _BINS, (low[k], high[k]))[0].astype(np.float64)
+            middle = np.subtract(*np.percentile(known, [75, 25])) / 1.34
+            spread = min(float(known.std()), float(middle) or np.inf)
+            kernel = max(0.9 * spread * known.size**-0.2 / width[k], 1.0)
+            density = gaussian_filter1d(counts, kernel, mode="constant") + 1.0 / _BINS
+            logarithms.append(np.log(density / density.sum()))
+        ratio[k] = logarithms[0] - logarithms[1]
+    return _RatioModel(low, width, ratio)
 
 
 def fit_linear(scores: Table, weights: Table | None = None, normalisation: str = "z") -> _LinearModel:

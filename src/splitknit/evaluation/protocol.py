@@ -228,47 +228,71 @@ def by_session_pair(scores: Scores) -> dict[tuple[str, str], Scores]:
 def pair_up(first: Scores, second: Scores) -> Scores | None:
     """The comparisons of `second` in the order of `first`, or None if they are not of the same pairs.
 
-    Pairs are known by their fingers (or subjects) and sessions where both have them and they name each pair once;
-    otherwise by their place, if labels, and ids where both have them, agree place by place.
+    Pairs are known by their fingers (or subjects) and sessions where both have them and they name each pair once, if
+    need be whichever side comes first; otherwise by their place, if labels, and ids where both have them, agree place
+    by place.
     """
     if first.label.size != second.label.size:
         return None
-    ids = [
-        (mine, theirs)
-        for mine, theirs in (
-            (first.finger, second.finger),
-            (first.subject, second.subject),
-            (first.session, second.session),
-        )
-        if mine is not None and theirs is not None
-    ]
-    keys = _keys(ids, first.label.size)
-    if keys is None:
-        return None
-    mine, theirs = keys
-    if bool((mine == theirs).all()) and bool((first.label == second.label).all()):
-        return second
-    order_mine, order_theirs = np.argsort(mine, kind="stable"), np.argsort(theirs, kind="stable")
-    ordered = mine[order_mine]
-    if bool((ordered[1:] == ordered[:-1]).any()) or not bool((ordered == theirs[order_theirs]).all()):
-        return None
-    places = np.empty(mine.size, dtype=np.int64)
-    places[order_mine] = order_theirs
-    paired = second.taken(places)
-    return paired if bool((paired.label == first.label).all()) else None
+    for ordered in (True, False):
+        mine, theirs = _keys(first, second, ordered=ordered)
+        if bool((mine == theirs).all()) and bool((first.label == second.label).all()):
+            return second
+        order_mine, order_theirs = np.argsort(mine, kind="stable"), np.argsort(theirs, kind="stable")
+        sorted_mine = mine[order_mine]
+        if bool((np.diff(sorted_mine) == 0).any()) or not bool((sorted_mine == theirs[order_theirs]).all()):
+            continue
+        places = np.empty(mine.size, dtype=np.int64)
+        places[order_mine] = order_theirs
+        paired = second.taken(places)
+        if bool((paired.label == first.label).all()):
+            return paired
+    return None
 
 
-def _keys(ids: list[tuple[Ids, Ids]], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """A number for each comparison, (N,) and (N,), equal where all ids are; None if a name is known to one alone."""
-    keys = np.zeros((2, count), dtype=np.int64)
-    for mine, theirs in ids:
-        place = {name: k for k, name in enumerate(mine.names)}
-        translate = np.array([place.get(name, -1) for name in theirs.names], dtype=np.int64)
-        translated = translate[theirs.codes]
-        if bool((translated < 0).any()):
-            return None
-        for side in (0, 1):
-            both = np.stack([mine.codes[:, side], translated[:, side]])
-            _, keys = np.unique(keys * len(mine.names) + both, return_inverse=True)
-            keys = keys.reshape(2, count)
-    return keys[0], keys[1]
+def mismatch(first: Scores, second: Scores) -> str:
+    """Which pair is missing, doubled, or of another label, without a full stop; empty where none is."""
+    kinds = _shared(first, second)
+    if not kinds:
+        return "no columns of subjects, fingers or sessions are in both"
+    keys = _keys(first, second, ordered=False)
+    for mine, theirs, one, other in (
+        (keys[0], keys[1], first, second), (keys[1], keys[0], second, first),
+    ):  # fmt: skip
+        lost = np.flatnonzero(~np.isin(mine, theirs))
+        if lost.size:
+            return f"'{other.name}' lacks {_pairs(one, lost, kinds)}"
+        again = np.flatnonzero(~np.isin(np.arange(mine.size), np.unique(mine, return_index=True)[1]))
+        if again.size:
+            return f"'{one.name}' holds twice {_pairs(one, again, kinds)}"
+    place = np.argsort(keys[1])[np.searchsorted(np.sort(keys[1]), keys[0])]
+    other_label = np.flatnonzero(second.label[place] != first.label)
+    return f"their labels differ in {_pairs(first, other_label, kinds)}" if other_label.size else ""
+
+
+def _pairs(scores: Scores, which: NDArray[np.int64], kinds: Sequence[str]) -> str:
+    """How many comparisons, and the first by its names."""
+    named = [(kind, ids) for kind in kinds if (ids := getattr(scores, kind)) is not None]
+    sides = [
+        ", ".join(f"{kind} {ids.names[ids.codes[which[0], side]]}" for kind, ids in named) for side in (0, 1)
+    ]  # fmt: skip
+    return f"{which.size} pair{'s' if which.size > 1 else ''}, first ({sides[0]}) with ({sides[1]})"
+
+
+def _shared(first: Scores, second: Scores) -> list[str]:
+    return [k for k in ("subject", "finger", "session") if None not in (getattr(first, k), getattr(second, k))]
+
+
+def _keys(first: Scores, second: Scores, *, ordered: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """A number for each comparison of both, equal where all ids are that both have."""
+    side = np.zeros((first.label.size + second.label.size, 2), dtype=np.int64)
+    for kind in _shared(first, second):
+        mine, theirs = getattr(first, kind), getattr(second, kind)
+        names, codes = np.unique([*mine.names, *theirs.names], return_inverse=True)
+        own, other = np.split(codes.ravel(), [len(mine.names)])
+        side = side * names.size + np.vstack([own[mine.codes], other[theirs.codes]])
+    used, codes = np.unique(side, return_inverse=True)
+    side = codes.reshape(side.shape)
+    low, high = side.T if ordered else (side.min(axis=1), side.max(axis=1))
+    mine, theirs = np.split(low * used.size + high, [first.label.size])
+    return mine, theirs

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -40,8 +40,9 @@ class EvaluationSettings(Checked):
     """What intervals are drawn by: ``plain``, ``finger``, ``subject``; ``auto``: fingers, else subjects, else plain."""
     average: bool = False
     """Whether scores are averaged over sessions as well."""
-    fuse: Literal["linear", "trained", None] = None
-    """Whether the systems' fusion is one more: ``linear`` or ``trained``, cross-validated by subject."""
+    fuse: Literal["linear", "minmax", "llr", "trained", "all", None] = None
+    """Whether the systems' fusion is one more, cross-validated by subject: ``linear`` (z-scores), ``minmax``, ``llr``
+    (log-likelihood ratios), ``trained`` (logistic regression); ``all``: the first three, intervals by subject."""
     bootstrap: BootstrapSettings = field(default_factory=BootstrapSettings)
 
 
@@ -66,8 +67,8 @@ class Evaluation:
     differences: tuple[Difference, ...]
     notes: tuple[str, ...]
     """For the reader."""
-    fused: Fused | None
-    """The systems' fusion, where it was asked for."""
+    fused: Mapping[str, Fused]
+    """The systems' fusions that were asked for, by method."""
     settings: EvaluationSettings
     inputs_sha256: Mapping[str, str]
     tables: Mapping[str, bytes]
@@ -101,10 +102,12 @@ def evaluate_scores(
         listed, hashes[str(exclusions)] = _read_exclusion_list(exclusions, systems[0])
     notes = [f"Columns that were not read: {', '.join(ignored)}."] if ignored else []
     notes += [] if gallery is None else gallery.notes
-    fused: Fused | None = None
-    if settings.fuse is not None:
-        fused = _fused_system(systems, settings.fuse, settings.bootstrap.seed)
-        systems, notes = [*systems, fused.scores], notes + _notes(fused, settings.fuse)
+    if settings.fuse == "all" and settings.cluster == "auto":
+        settings = replace(settings, cluster="subject")
+    methods = {None: (), "all": _ALL}.get(settings.fuse, (settings.fuse,))
+    fused = {str(one): _fused_system(systems, str(one), settings.bootstrap.seed) for one in methods}
+    for method, one in fused.items():
+        systems, notes = [*systems, one.scores], notes + _notes(one, method)
     groups, said = _variants(systems, listed, settings.average)
     count = sum(map(len, groups))
     require(
@@ -201,18 +204,24 @@ def _methods(scores: Scores) -> list[str]:
 
 # The systems of a report, fused: one system more, and what a reader has to know of it.
 
+_ALL = ("minmax", "linear", "llr")
 _MISSING = {
     "linear": "its weight goes to the others",
+    "minmax": "its weight goes to the others",
+    "llr": "the others' ratios are added up",
     "trained": "it counts as the mean, and that it is missing as a feature of its own",
 }
 
 
-def _fused_system(systems: Sequence[Scores], method: Literal["linear", "trained"], seed: int) -> Fused:
+def _fused_system(systems: Sequence[Scores], method: str, seed: int) -> Fused:
     """Fuse all systems. Raises BadInput if there is one system only, or as :func:`splitknit.evaluation.fusion.fuse`."""
     require(
         len(systems) >= 2, "`fuse` needs two systems at least; give several score files, or one with a column system."
     )
-    return fuse(systems, FusionSettings(method=method, seed=seed), name=f"fused, {method}")
+    how: Mapping[str, Any] = (
+        {"method": "linear", "normalisation": "minmax"} if method == "minmax" else {"method": method}
+    )
+    return fuse(systems, FusionSettings(**how, seed=seed), name=f"fused, {method}")
 
 
 def _notes(fused: Fused, method: str) -> list[str]:

@@ -52,23 +52,18 @@ def clahe(
 
     Every cell's histogram, taken over the finger's pixels only, is clipped, the excess spread evenly, and summed to a
     grey-value mapping; a pixel takes the bilinear mean of the mappings of the four cells around it. Cells with little
-    finger in them borrow from their neighbours.
+    finger in them borrow from their neighbours. Source: Zuiderveld, K., "Contrast limited adaptive histogram
+    equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
 
     Parameters
     ----------
     image : (H, W) float32 linear, any scale
-    px_per_mm : float
-    settings : ClaheSettings, optional
     mask : (H, W) bool, optional
         The finger; the result is zero outside. Default: everything.
 
     Returns
     -------
     (H, W) float32 in [0, 1]
-
-    References
-    ----------
-    Zuiderveld, K., "Contrast limited adaptive histogram equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
     """
     settings = settings or ClaheSettings()
     image = check_image(image)

@@ -23,7 +23,6 @@ from splitknit.errors import check_mask, check_stack, require
 
 # Gains of LEDs and the surface they light, separated: the best surface for given gains, patterns that show.
 
-
 _LIMIT_PERCENT = 3.0
 """An LED has drifted if it departs by more."""
 _MAX_PIXELS = 5_000
@@ -61,8 +60,6 @@ class _Samples:
 class _SurfaceState:
     """Surface and information at some gains."""
 
-    matt: Array
-    """(P, L) l . b."""
     residual: Array
     """(P, L)."""
     score: Array
@@ -124,9 +121,7 @@ def _project_surface(samples: _Samples, gain: Array, weight: Array) -> _SurfaceS
     residual = samples.light.T - predicted
     lean = weighted * predicted[..., None]  # (P, L, D)
     information = np.diag((predicted**2 * trust).sum(axis=0)) - np.einsum("pld,pde,pme->lm", lean, inverse, lean)
-    return _SurfaceState(
-        predicted, residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0)
-    )
+    return _SurfaceState(residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0))
 
 
 def _robust_weights(samples: _Samples, state: _SurfaceState) -> Array:
@@ -181,7 +176,6 @@ class _LedDrift:
     three errors; else None."""
     suspect_gain: float
     """Gain of the best single LED, the others as calibrated."""
-    suspect_error: float
     explained: float
     """Fraction of the pattern's departure (squared, in errors) that the single LED explains."""
     residual_percent: float
@@ -191,24 +185,18 @@ class _LedDrift:
 def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None) -> _LedDrift:
     """Relative brightness of every LED against its calibration, from one capture of any matt surface.
 
+    Raises BadInput if shapes disagree, the lights are fewer than five (four without a degree of freedom to spare), or
+    hardly any pixel is lit by all of them. Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the
+    variable projection method", Inverse Problems 19 (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
+    bas-relief ambiguity", IJCV 35 (1999), for what lights of unknown strength leave open.
+
     Parameters
     ----------
     stack : (L, H, W) linear light, five images at least
-    light_vectors : (L, 3) or (L, 3, H, W)
-        Towards the lights, of the length of their calibrated irradiance.
+    light_vectors : (L, 3) or (L, 3, H, W), towards the lights, of the length of their calibrated irradiance
     mask : (H, W) bool, optional
     normals : (H, W, 3), optional
         Where the surface is known. All patterns but the common factor are then determined.
-
-    Returns
-    -------
-    _LedDrift
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the lights are fewer than five (four without a degree of freedom to spare), or hardly any
-        pixel is lit by all of them.
 
     Notes
     -----
@@ -217,12 +205,6 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
     and m_p = A_p b_p the matrix of information of the relative gains is
     M = sum_p diag(m_p) (W_p - W_p A_p (A_p^T W_p A_p)^-1 A_p^T W_p) diag(m_p), against M_0 = sum_p diag(m_p^2 w_p) for
     a known surface; the eigenvalues of M_0^-1/2 M M_0^-1/2 are the fractions of information.
-
-    References
-    ----------
-    G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method", Inverse Problems 19
-    (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999), for what
-    lights of unknown strength leave open.
     """
     samples = _drift_samples(stack, light_vectors, mask, normals)
     gain = np.ones(len(samples.light))
@@ -243,10 +225,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
 def drift_words(drift: _LedDrift, names: Sequence[str]) -> list[str]:
     """Report in sentences what departs; none where nothing does.
 
-    Parameters
-    ----------
-    drift : _LedDrift
-    names : of the LEDs, such as ``white 3``
+    `drift`: _LedDrift; `names`: of the LEDs, such as ``white 3``.
     """
     limit = _LIMIT_PERCENT
     if drift.suspect is not None:
@@ -286,7 +265,6 @@ def _judge(samples: _Samples, gain: Array, weight: Array) -> _LedDrift:
         information=fractions,
         suspect=suspect if drifted and explained >= _MIN_EXPLAINED else None,
         suspect_gain=float(np.exp(value)),
-        suspect_error=error,
         explained=explained,
         residual_percent=100 * _robust_deviation(state.residual[samples.lit.T]),
     )

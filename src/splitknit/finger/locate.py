@@ -37,7 +37,7 @@ from splitknit.imaging.band import (
     saturation_levels,
 )
 from splitknit.imaging.coloured import LightsSettings, as_lit, colour_factors_of
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, enlarged
 from splitknit.imaging.light_field import few_lights
 from splitknit.model import Band, BoolArray, Capture, FloatArray
 from splitknit.plausible import FINGER_WIDTH
@@ -95,10 +95,7 @@ class Finger:
 def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
     """The capture under the camera model and the lights that the settings require, and notes on it.
 
-    Raises
-    ------
-    BadInput
-        If coloured exposures are to be composed from white images that are grey or too few.
+    Raises BadInput if coloured exposures are to be composed from white images that are grey or too few.
     """
     bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
     if any(band is not capture.bands[name] for name, band in bands.items()):
@@ -114,12 +111,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     """Mask, orientation, crease and quality, on images of about 26 px/mm.
 
     An opaque thing is no finger: it is not cut at a crease, may touch every border, and stays as it lies unless the
-    capture gives a `tip_direction_deg`.
-
-    Raises
-    ------
-    BadInput
-        If there is no finger, or it touches three borders.
+    capture gives a `tip_direction_deg`. Raises BadInput if there is no finger, or it touches three borders.
     """
     px_per_mm = capture.rig.camera.px_per_mm
     white = capture.bands["white"]
@@ -139,8 +131,9 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         )
     else:
         outline = _found_outline(capture, mean if has_colour(white) else grey, binning, settings.mask)
-    searched = skin and capture.tip_direction_deg is None and not capture.rig.mirrors
-    finger = skin or capture.tip_direction_deg is not None
+    stated = capture.tip_direction_deg is not None
+    searched = skin and not stated and not capture.rig.mirrors
+    finger = skin or stated
     direction = None if searched else capture.tip_direction_deg or 0.0
     limits = saturation_levels(white, capture.encoding)
     with ThreadPoolExecutor(1) as aside:
@@ -158,8 +151,8 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
         mask = np.asarray(capture.mask)
         wide = mask
     else:
-        wide = enlarged(wider & (usable | ~kept), full, binning)
-        mask = enlarged(usable, full, binning) & wide
+        wide = enlarged_mask(wider & (usable | ~kept), full, binning)
+        mask = enlarged_mask(usable, full, binning) & wide
     notes = [upright.note] if upright.note else []
     if skin:
         notes += _check_width(kept if given else usable, small_px, given)
@@ -168,7 +161,7 @@ def find_finger(capture: Capture, settings: FingerSettings) -> Finger:
     large = _scaled(upright, binning)
     facts = {
         "yaw_deg": float(np.rad2deg(upright.yaw_rad)),
-        "tip_direction": _source_of_direction(capture, searched and upright.clear),
+        "tip_direction": "given" if stated else "found" if searched and upright.clear else "assumed",
         "mask": "given" if given else "found",
         "crease_found": bool(crease.found and cut),
         "crease_distance_mm": float(crease.distance_mm) if crease.found else None,
@@ -197,13 +190,6 @@ def _found_outline(capture: Capture, image: FloatArray, binning: int, settings: 
     if capture.material == "skin":
         check_borders(outline)
     return outline
-
-
-def _source_of_direction(capture: Capture, found: bool) -> str:
-    """``given`` by the capture, ``found`` by the outline, or ``assumed``: up, or what is nearest to it."""
-    if capture.tip_direction_deg is not None:
-        return "given"
-    return "found" if found else "assumed"
 
 
 def _check_width(mask: BoolArray, px_per_mm: float, given: bool) -> tuple[str, ...]:
@@ -245,7 +231,7 @@ def _quality(
         found |= outline_figures(outline, px_per_mm)
         words = [*few_lights(lights), *quality_warnings(found, settings.quality, finger=skin)]
         if len(stack) >= 4 and skin:
-            motion = shot_motion(stack, inside, px_per_mm, settings.motion)
+            motion = shot_motion(stack, inside, px_per_mm)
             found["motion_mm"] = [float(v) for v in np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])]
             found["motion_reliability"] = [float(v) for v in motion.reliability]
             words += motion_warnings(motion)
@@ -298,14 +284,9 @@ def reduced(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     return np.asarray(small)
 
 
-def enlarged(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
+def enlarged_mask(mask: BoolArray, shape: tuple[int, int], factor: int) -> BoolArray:
     """A mask of blocks on the full grid, its outline smooth."""
-    if factor == 1:
-        return mask
-    size = (mask.shape[1] * factor, mask.shape[0] * factor)
-    large = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
-    missing = ((0, shape[0] - large.shape[0]), (0, shape[1] - large.shape[1]))
-    return np.pad(large, missing, mode="edge")
+    return mask if factor == 1 else np.asarray(enlarged(mask.astype(np.float32), factor, shape) > 0.5)
 
 
 def _scaled(upright: Upright, factor: int) -> Upright:

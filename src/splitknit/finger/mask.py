@@ -50,7 +50,6 @@ class _Around:
 
 # How much every pixel looks like skin rather than like the background.
 
-
 SAMPLES = 8000
 """The background is fitted to about so many pixels."""
 
@@ -112,30 +111,26 @@ def _skin_evidence(
         background, noise = _fit_background(signal, outside, samples)
         rise = signal - background
         if local:
-            rise = rise - _local_offset(rise, outside, noise, 2.0 * margin)
+            dim = np.minimum(rise, np.float32(3.0 * noise))  # dust, which is bright, hardly counts
+            offset, cover = _local_mean(dim, outside, 2.0 * margin)
+            rise = rise - np.where(cover > 1e-3, offset, np.float32(0.0))
         level = float(np.median(rise[inside]))
         if level < 3.0 * _NOISE_FACTOR * noise or level <= 0.0:
             continue
         usable = True
-        threshold = np.maximum(_EDGE_FRACTION * _local_level(rise, inside, level, 2.0 * margin), _NOISE_FACTOR * noise)
+        near, cover = _local_mean(np.maximum(rise, 0.0), inside, 2.0 * margin)  # a shaded part is darker
+        own = np.minimum(np.where(cover > 1e-2, near, np.float32(level)), np.float32(level))
+        threshold = np.maximum(_EDGE_FRACTION * own, _NOISE_FACTOR * noise)
         np.maximum(evidence, rise / threshold.astype(np.float32), out=evidence)
     return evidence, usable
 
 
-def _local_level(rise: FloatArray, inside: BoolArray, level: float, sigma: float) -> FloatArray:
-    """Mean rise of the finger near every pixel, at most `level`: a shaded part has its own, lower one."""
-    weight = inside.astype(np.float32)
+def _local_mean(values: FloatArray, where: BoolArray, sigma: float) -> tuple[FloatArray, FloatArray]:
+    """Mean of values near every pixel over those of a region, and how much of it is near."""
+    weight = where.astype(np.float32)
     cover = wide_blur(weight, sigma)
-    mean = wide_blur(np.maximum(rise, 0.0) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
-    return np.minimum(np.where(cover > 1e-2, mean, np.float32(level)), np.float32(level)).astype(np.float32)
-
-
-def _local_offset(rise: FloatArray, outside: BoolArray, noise: float, sigma: float) -> FloatArray:
-    """Mean of what the background's fit leaves near every pixel; dust, which is bright, hardly counts."""
-    weight = outside.astype(np.float32)
-    cover = wide_blur(weight, sigma)
-    offset = wide_blur(np.minimum(rise, np.float32(3.0 * noise)) * weight, sigma) / np.maximum(cover, np.float32(1e-3))
-    return np.where(cover > 1e-3, offset, np.float32(0.0)).astype(np.float32)
+    mean = wide_blur(values * weight, sigma) / np.maximum(cover, np.float32(1e-3))
+    return np.asarray(mean, dtype=np.float32), cover
 
 
 def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
@@ -164,7 +159,8 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
     step = max(1, len(rows) // samples)
     rows, columns = rows[::step], columns[::step]
     values = signal[rows, columns].astype(np.float64)
-    design = _quadratic(x[columns], y[rows])
+    u, v = x[columns], y[rows]
+    design = np.stack([np.ones_like(u), u, v, u * u, v * v, u * v])  # (6, n)
     residual = values - float(np.percentile(values, 40.0))
     keep, noise = _below(residual)
     for _ in range(6):
@@ -192,11 +188,6 @@ def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
         return residual <= 1e-12, 0.0
     noise = max(1.4826 * float(np.median(negative)), float(np.sqrt(np.mean(negative * negative))))
     return residual <= max(2.5 * noise, 1e-12), noise
-
-
-def _quadratic(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(6, N) terms of a quadratic surface."""
-    return np.stack([np.ones_like(x), x, y, x * x, y * y, x * y])
 
 
 BLUR_MM = 0.25
@@ -243,32 +234,22 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
     the largest component kept and its holes (specular reflection) filled. Before a bright,
     coloured background all this is done on the sum of the channels in which the background's own colour vanishes.
 
+    Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
+    3.3.1.1, eqs. 3.58-3.63 (3.61 corrected). Lloyd's algorithm has a fixed start, so the same image gives the same
+    mask.
+
     Parameters
     ----------
     mean_image : (H, W, 3) or (H, W) float32
         Mean of the white frames, linear, ambient removed; any scale. Small negative values are noise and harmless.
-    px_per_mm : float
-    settings : MaskSettings, optional
 
     Returns
     -------
-    mask : (H, W) bool
-        One component without holes.
-
-    Raises
-    ------
-    BadInput
-        If there is no finger, or it touches three borders of the image.
-
-    References
-    ----------
-    The thesis, section 3.3.1.1, eqs. 3.58-3.63 (3.61 corrected). Lloyd's algorithm has a fixed start, so the same
-    image gives the same mask.
+    mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     fine_scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, fine_scale)
     coarse_scale = reduction(fine.shape[:2], px_per_mm * fine_scale, settings.coarse_px_per_mm, 600)
@@ -353,12 +334,8 @@ def touched_borders(mask: BoolArray) -> tuple[str, ...]:
 def check_borders(mask: BoolArray) -> tuple[str, ...]:
     """Return the borders that `mask` touches; three or more are refused.
 
-    A finger enters through one side, or across a corner through two. With three, too much of it is out of view.
-
-    Raises
-    ------
-    BadInput
-        If `mask` touches three or four borders.
+    A finger enters through one side, or across a corner through two. With three, too much of it is out of view. Raises
+    BadInput if `mask` touches three or four borders.
     """
     touched = touched_borders(mask)
     require(
@@ -379,8 +356,9 @@ class NoFinger(BadInput):
     """Nothing in the images stands out as a finger does."""
 
 
-def _check_image(mean_image: FloatArray) -> FloatArray:
+def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     """The image (H, W) or (H, W, 3) as float32, if it may show a finger."""
+    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     image = np.asarray(mean_image)
     require(
         image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3)),
@@ -500,7 +478,6 @@ def _separation(along: NDArray[np.float64], second: NDArray[np.bool_], distance:
 
 # The finger's mask in two steps, where time counts: roughly where it is, and its outline around that.
 
-
 FEW_SAMPLES = 2000
 """Pixels to which the background is fitted where time counts."""
 
@@ -512,9 +489,8 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
     coarse copy (``coarse_px_per_mm``). :func:`finger_outline` makes it exact.
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
-    require(np.isfinite(px_per_mm) and px_per_mm > 0, "px_per_mm must be a positive number.")
     scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 600)
     coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * px_per_mm * scale)
     mask = _coarse_mask(coarse, px_per_mm * scale, FEW_SAMPLES)
@@ -528,28 +504,21 @@ def finger_outline(
 ) -> BoolArray:
     """Find the outline of a finger that is roughly known, as :func:`finger_mask` does in the end.
 
+    Raises BadInput if nothing stands out from the background there.
+
     Parameters
     ----------
     mean_image : (H, W, 3) or (H, W) float32
         The finger and at least three times ``edge_margin_mm`` of background around it, save where it leaves the image.
-    rough : (h, w) bool
-        The finger on the same piece of the scene, at any scale.
-    px_per_mm : float
-        Of `mean_image`.
-    settings : MaskSettings, optional
+    rough : (h, w) bool, the finger on the same piece of the scene, at any scale
+    px_per_mm : of `mean_image`
 
     Returns
     -------
-    mask : (H, W) bool
-        One component without holes.
-
-    Raises
-    ------
-    BadInput
-        If nothing stands out from the background there.
+    mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
-    image = _check_image(mean_image)
+    image = _check_image(mean_image, px_per_mm)
     height, width = image.shape[:2]
     require(bool(rough.any()), _NO_FINGER, NoFinger)
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)

@@ -31,6 +31,8 @@ _SAMPLES = 20_000
 """Pixels that are compared in each band, at least, of those on the finger and around it."""
 _SURROUND_MM = 0.7
 """Width of the background around the finger that is used, for the sake of its silhouette."""
+WORKING_PX_PER_MM = 10.0
+"""Scale of the copies that are compared in the finest band."""
 WARN_MM = 0.05
 """Motion from here on is warned of: a ninth of a ridge period blurs the combined relief visibly."""
 MIN_RELIABILITY = 0.8
@@ -52,9 +54,6 @@ class MotionSettings(Checked):
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     """How the shots are brought onto one of them."""
 
-    working_px_per_mm: Annotated[float, Limits(0, above=True)] = 10.0
-    """Scale of the copies that are compared in the finest band."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShotMotion:
@@ -66,41 +65,32 @@ class _ShotMotion:
     """(L,) in [0, 1]: correlation of the shot's details with those of the other shots, after alignment."""
 
 
-def shot_motion(
-    stack: FloatArray, mask: BoolArray, px_per_mm: float, settings: MotionSettings | None = None
-) -> _ShotMotion:
+def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMotion:
     """Measure by how much the finger shifted in each shot against the others.
 
     Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
-    with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each
-    shot (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion.
-    At least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring
-    is underestimated.
+    with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each shot
+    (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion. At
+    least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring is
+    underestimated. Source: Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
 
     Parameters
     ----------
     stack : (L, H, W) float32 linear
     mask : (H, W) bool
-    px_per_mm : float
-    settings : MotionSettings, optional
 
     Returns
     -------
     _ShotMotion
         With fewer than five shots all zero, reliability zero.
-
-    References
-    ----------
-    Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
     """
-    settings = settings or MotionSettings()
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     box = bounding_box(mask, int((2.0 * _SURROUND_MM + 2.0 * _BAND_RATIO * _BANDS_MM[0]) * px_per_mm))
     count = len(stack)
     if count < 5:
         return _ShotMotion(np.zeros((count, 2)), np.zeros(count))
-    scale = reduction(mask[box].shape, px_per_mm, settings.working_px_per_mm, 600)
+    scale = reduction(mask[box].shape, px_per_mm, WORKING_PX_PER_MM, 600)
     stack = np.stack([reduce_image(image[box], scale) for image in stack])
     mask, px_per_mm = _reduced(mask[box], scale), px_per_mm * scale
     shifts = np.zeros((count, 2))  # columns, rows; mm

@@ -78,7 +78,8 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
 
     A straight line is fitted to the midpoints of the rows in which the finger has its full width, robustly (Tukey's
     biweight), leaving out the tip and every row whose end is cut by the image's border; this is repeated in the frame
-    turned by the angle found until it no longer changes.
+    turned by the angle found until it no longer changes. Source: the thesis, section 3.3.1.1, "Orientation Correction":
+    midpoints of the mask's rows and a line through them.
 
     Parameters
     ----------
@@ -92,10 +93,6 @@ def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upr
     Upright
         With `reliable` false, and the reason in `note`, where the mask has no measurable axis; with `clear` false where
         several directions fit as well, of which that nearest to up was taken.
-
-    References
-    ----------
-    The thesis, section 3.3.1.1, "Orientation Correction": midpoints of the mask's rows and a line through them.
     """
     array = np.asarray(mask)
     mask = check_mask(array, (array.shape[0], array.shape[1]))
@@ -158,15 +155,8 @@ def _tip_directions(mask: BoolArray) -> list[tuple[float, float]]:
 
     The finger is a strip of the mask's own width with one round end, which may lie beyond the border of the image; the
     other end leaves the image or is cut off straight. Only what the image shows of it is compared, so the border's cut,
-    at whatever slant, is no evidence, and an end in view is.
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-
-    Returns
-    -------
-    list of (direction in radians, counter-clockwise from up; area by which they differ, in squared widths)
+    at whatever slant, is no evidence, and an end in view is. `mask`: (H, W) bool. Returns list of (direction in
+    radians, counter-clockwise from up; area by which they differ, in squared widths).
     """
     scale = min(1.0, _SEARCHED_SIDE / max(mask.shape))
     small = reduce_mask(mask, scale) > 0.5

@@ -76,15 +76,14 @@ def find_crease(
     every place whether it is darker than the skin on *both* sides along the finger (so the edge of a shadow, which is
     a step, and a smooth gradient never count), and rows may lean. A crease must be seen along most of the width.
 
-    Where several qualify, the verification rule weighs their clearness by how usual their distance from the tip is;
-    two lines of one joint count as one, cut at the upper unless it is the fainter.
+    Where several qualify, the verification rule weighs their clearness by how usual their distance from the tip is; two
+    lines of one joint count as one, cut at the upper unless it is the fainter. Source: the thesis, section 3.3.1.1,
+    "Phalange Segmentation", steps 1-5.
 
     Parameters
     ----------
     mean_grey : (H, W) float32 linear
     mask : (H, W) bool
-    upright : Upright
-    px_per_mm : float
     equalised : bool
         The thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds nor the
         width of the blur; three and 0.5 mm here.
@@ -93,10 +92,6 @@ def find_crease(
     -------
     Crease
         `found` is false, with the reason in `verdict`, where no crease is in view: the visible finger is then kept.
-
-    References
-    ----------
-    The thesis, section 3.3.1.1, "Phalange Segmentation", steps 1-5.
     """
     grey = check_image(mean_grey, name="the mean grey image")
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
@@ -249,26 +244,16 @@ def _transverse_valleys(image: FloatArray, inside: BoolArray, px_per_mm: float) 
     response, valid = _response(image, inside, px_per_mm)
     core = valid & (depth_inside(inside) > 0.08 * _width(inside))
     found: list[_Valley] = []
-    best: tuple[FloatArray, FloatArray, FloatArray] | None = None
-    for tilt_deg in np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0):
-        depth, coverage = _along_lines(response, core, inside, float(np.deg2rad(tilt_deg)))
-        tilt = np.full(depth.shape, np.deg2rad(tilt_deg), dtype=np.float32)
-        if best is None:
-            best = depth, coverage, tilt
-        else:
-            better = depth * coverage > best[0] * best[1]
-            best = (
-                np.where(better, depth, best[0]),
-                np.where(better, coverage, best[1]),
-                np.where(better, tilt, best[2]),
-            )
-    if best is None:
-        return ()
-    depth, coverage, tilt = best
-    scatter = _scatter(depth)
+    tilts = np.deg2rad(np.arange(-_MAX_TILT_DEG, _MAX_TILT_DEG + 0.1, 3.0))
+    lines = [_along_lines(response, core, inside, float(tilt)) for tilt in tilts]
+    depths, coverages = (np.stack(part) for part in zip(*lines, strict=True))
+    best, rows = np.argmax(depths * coverages, axis=0), np.arange(depths.shape[1])
+    depth, coverage, tilt = depths[best, rows], coverages[best, rows], tilts[best].astype(np.float32)
+    known = depth[depth != 0.0]
+    usual = max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0  # depth of other lines
     reach = max(1, round(_SIDE_MM * px_per_mm))
     peaks = depth >= cv2.dilate(depth[:, None], np.ones((2 * reach + 1, 1), dtype=np.uint8))[:, 0]
-    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * scatter)) & (coverage >= _MIN_COVERAGE)
+    strong = peaks & (depth >= max(_MIN_DEPTH, _MIN_PROMINENCE * usual)) & (coverage >= _MIN_COVERAGE)
     for row in np.flatnonzero(strong):
         columns = np.flatnonzero(inside[row])
         if len(columns) == 0 or (found and row - found[-1].row <= reach):
@@ -355,12 +340,6 @@ def _middle(inside: BoolArray) -> float:
 def _width(inside: BoolArray) -> float:
     widths = inside.sum(axis=1)
     return float(np.percentile(widths[widths > 0], 80)) if bool((widths > 0).any()) else 1.0
-
-
-def _scatter(depth: NDArray[np.float32]) -> float:
-    """How deep other lines across the finger usually look: the 80th percentile of the profile, at least zero."""
-    known = depth[depth != 0.0]
-    return max(float(np.percentile(known, 80.0)), 0.0) if known.size else 0.0
 
 
 def _refine(profile: NDArray[np.float32], row: int) -> float:

@@ -46,8 +46,6 @@ _LEVEL_MM = 0.3
 """Brightness is relative to its surroundings, smoothed by a Gaussian of this sigma."""
 _EDGE_MM = 1.5
 """Pixels nearer to the outline are left out: skin is slanted there."""
-
-
 _SPECK_PX_PER_MM = 12.0
 """Scale of the copy on which specks are sought; coarser images are not measured."""
 _DARK_MM = 0.35
@@ -86,13 +84,9 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
         return None, None
     scale = min(1.0, _SPECK_PX_PER_MM / px_per_mm)
     px = px_per_mm * scale
-    inside = reduce_mask(mask, scale) > 0.99
-    depth = depth_inside(inside)
-    core = depth > min(_EDGE_MM * px, 0.4 * float(depth.max()))
+    box, core = _core(mask, scale, px)
     if not core.any():
         return None, None
-    box = bounding_box(inside)
-    core = core[box]
     images = np.sort(np.stack([_relative(reduce_image(image, scale)[box], core, px) for image in stack]), axis=0)
     half = max(1, len(images) // 2)
     lit, dim = _finer(images[-half:].mean(axis=0), px), _finer(images[:half].mean(axis=0), px)
@@ -102,6 +96,14 @@ def _speck_fractions(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tu
     dark = lit[core] < (1.0 - _DARKER) * filled[core]
     bright = dim[core] > (1.0 + _BRIGHTER) * levelled[core]
     return float(dark.mean()), float(bright.mean())
+
+
+def _core(mask: BoolArray, scale: float, px: float) -> tuple[tuple[slice, slice], BoolArray]:
+    """Box of the finger on a reduced copy of `px` pixels a millimetre, and what of it there is not near its outline."""
+    inside = reduce_mask(mask, scale) > 0.99
+    depth = depth_inside(inside)
+    box = bounding_box(inside) if inside.any() else (slice(0), slice(0))
+    return box, np.asarray(depth[box] > min(_EDGE_MM * px, 0.4 * float(depth.max())))
 
 
 def _short_marks_filled(image: NDArray[np.float32], length_px: float) -> NDArray[np.float32]:
@@ -175,17 +177,16 @@ def capture_quality(
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
+    Source: Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
+
     Parameters
     ----------
     stack : (L, H, W) float32 linear grey, ambient removed
-    mask : (H, W) bool
-        The finger.
-    px_per_mm : float
-        Of the stack that is given.
+    mask : (H, W) bool, the finger
+    px_per_mm : of the stack that is given
     lights : (L, 3), optional
         Light vectors whose length is the relative irradiance the rig promises (``Rig.light_vectors``).
-    ambient : (H, W), optional
-        Linear image with all LEDs off.
+    ambient : (H, W), optional; linear image with all LEDs off
     saturation : float or (L,), optional
         Value at which each image saturates.
 
@@ -198,10 +199,6 @@ def capture_quality(
         ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
         ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
         median one; or None).
-
-    References
-    ----------
-    Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
     """
     stack = check_stack(stack)
     shape = (stack.shape[1], stack.shape[2])
@@ -315,25 +312,22 @@ def _ridge_contrast(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> tup
     """Relative standard deviation of the ridge band in each image, and the mean modified Laplacian of their mean."""
     scale = reduction(mask.shape, px_per_mm, 24.0, 1200)
     px = px_per_mm * scale
-    inside = reduce_mask(mask, scale) > 0.99
-    depth = depth_inside(inside)
-    core = depth > min(1.5 * px, 0.4 * float(depth.max()))
+    box, core = _core(mask, scale, px)
     if not core.any():
         return [0.0] * len(stack), 0.0
-    box = bounding_box(inside)
     contrast = []
-    total = np.zeros(inside[box].shape, dtype=np.float32)
+    total = np.zeros(core.shape, dtype=np.float32)
     for image in stack:
         small = reduce_image(image, scale)[box]
         fine, wide = blur(small, 0.06 * px), blur(small, 0.2 * px)
-        fine, wide = fine[core[box]], wide[core[box]]
+        fine, wide = fine[core], wide[core]
         level = np.maximum(wide, np.float32(0.05 * max(quantile(wide[::8]), 1e-12)))
         contrast.append(quantile(np.abs((fine - wide) / level), 0.683))  # robust deviation: glints do not count
         total += small
     smooth = blur(total, 0.06 * px)
     laplacian = np.abs(cv2.filter2D(smooth, -1, _SECOND)) + np.abs(cv2.filter2D(smooth, -1, _SECOND.T))
-    overall = max(float(total[core[box]].mean()), 1e-12)
-    return contrast, float(laplacian[core[box]].mean()) / overall
+    overall = max(float(total[core].mean()), 1e-12)
+    return contrast, float(laplacian[core].mean()) / overall
 
 
 _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
@@ -353,7 +347,6 @@ def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> 
 
 # Which of the finger's pixels carry enough light for photometric stereo.
 
-
 _DARK_FRACTION = 0.03
 """A light reaches a pixel if it is brighter than this fraction of the finger's median brightness."""
 _MIN_LIGHTS = 3
@@ -368,28 +361,10 @@ def photometric_mask(
     """Drop pixels that too few lights reach; keep one component without pinholes. At full resolution.
 
     The thesis drops pixels that no light makes brighter than a threshold; here the threshold follows the finger's own
-    brightness, and three lights must pass it.
-
-    Parameters
-    ----------
-    stack : (L, H, W) float32 linear
-    finger : (H, W) bool
-    px_per_mm : float
-    saturation : float or (L,), optional
-        Value at which each image saturates on the stack's scale (after exposures were made equal).
-
-    Returns
-    -------
-    mask : (H, W) bool, inside `finger`
-
-    Raises
-    ------
-    BadInput
-        If nothing is left.
-
-    References
-    ----------
-    The thesis, section 3.3.1.5 (refined mask).
+    brightness, and three lights must pass it. `stack`: (L, H, W) float32 linear; `finger`: (H, W) bool; `saturation`:
+    float or (L,), optional, value at which each image saturates on the stack's scale (after exposures were made equal).
+    Returns `mask`, (H, W) bool, inside `finger`. Raises BadInput if nothing is left. Source: the thesis, section
+    3.3.1.5 (refined mask).
     """
     stack = check_stack(stack)
     finger = check_mask(finger, (stack.shape[1], stack.shape[2]), name="the finger's mask")

@@ -40,8 +40,6 @@ SETTLED_MM, SETTLED_PX = 5e-4, 0.02
 """Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
 FOLLOWING = 1e3
 """Weight against elastic shifts that follow the light, over that against others."""
-
-
 COARSE_MM = (0.5, 0.3, 0.15)
 """Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
 FINE_MM = (0.08,)
@@ -101,28 +99,18 @@ def register_shots(
 ) -> Registration:
     """Find where the skin of shot `reference` lies in every other shot.
 
+    Raises BadInput with fewer than five images, or where shapes do not fit. Source: Golub, G. and Pereyra, V., "The
+    differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
+    Anal. 10(2), 1973 (the surface is eliminated from the least squares).
+
     Parameters
     ----------
     stack : (L, H, W) float32 linear, at least five images; best without glare (:func:`without_glare`)
     lights : (L, 3) towards the light, its length the relative strength; or, under near LEDs, (L, 3, h, w) on nodes
         that lie evenly over the image, first and last pixel included
-    mask : (H, W) bool
-        The finger, roughly.
-    px_per_mm : float
-    reference : int
-        Shot onto which the others are brought.
+    mask : (H, W) bool, the finger, roughly
+    reference : shot onto which the others are brought
     shots : (L,) shot of every image, where several lights share one; None = every image is a shot
-    settings : RegistrationSettings, optional
-
-    Raises
-    ------
-    BadInput
-        With fewer than five images, or where shapes do not fit.
-
-    References
-    ----------
-    Golub, G. and Pereyra, V., "The differentiation of pseudo-inverses and nonlinear least squares problems whose
-    variables separate", SIAM J. Numer. Anal. 10(2), 1973 (the surface is eliminated from the least squares).
     """
     settings = settings or RegistrationSettings()
     stack = check_stack(stack, least=5)

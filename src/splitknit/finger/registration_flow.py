@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.regions import blur
+from splitknit.imaging.geometry import read_at
 from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
@@ -163,15 +164,12 @@ def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
 
 # Details of one size in all shots, at the pixels that matter, and the shifts they imply.
 
-
 SAMPLES = 16_000
 """Pixels of a level that are used, at least, evenly spread; all where it has fewer."""
 SAME_SCALE = 1.1
 """Copies are not reduced by less than this: it would blur some pixels more than others."""
 STEPS = np.float32(32.0)
 """Places within a pixel at which OpenCV interpolates; a shift in steps of these would not settle."""
-LINE = 128
-"""Samples in one row of what OpenCV resamples."""
 FLOPS = 200_000
 """Size of the products that sums are made of; below what libraries divide among threads, so that bytes are the same."""
 
@@ -202,9 +200,7 @@ class Level:
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
             columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
-            across, down = (_in_lines(places) for places in near)
-            taken = cv2.remap(image, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            values[k] = taken.reshape(-1, 3)[:count].T
+            values[k] = read_at(image, near[0], near[1], cv2.INTER_CUBIC).T
             # details vary with the shift without steps: what lies between follows from the slopes
             values[k, 0] += (values[k, 1] * (columns - near[0]) + values[k, 2] * (rows - near[1])) / size
         return values
@@ -249,10 +245,6 @@ def _with_slopes(image: FloatArray, px_per_mm: float) -> FloatArray:
     return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
 
 
-def _in_lines(values: FloatArray) -> FloatArray:
-    return np.pad(values, (0, -values.size % LINE), mode="edge").reshape(-1, LINE)
-
-
 def robust_weight(level: Level, error: FloatArray) -> FloatArray:
     """(N,) weight of every pixel, less where its weighted `error` (N,) is beyond the usual."""
     typical = 1.4826 * float(np.median(error)) + 1e-12
@@ -272,13 +264,10 @@ def _at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float])
     """(..., N) values of fields (..., h, w) whose nodes lie evenly over an image of `extent_mm`, ends included."""
     height, width = field.shape[-2:]
     x, y = level.places()
-    columns = _in_lines((x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32))
-    rows = _in_lines((y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32))
+    columns = (x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32)
+    rows = (y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32)
     flat = np.ascontiguousarray(field, dtype=np.float32).reshape(-1, height, width)
-    found = [
-        cv2.remap(part, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()[: x.size]
-        for part in flat
-    ]
+    found = [read_at(part, columns, rows) for part in flat]
     return np.asarray(np.stack(found).reshape(*field.shape[:-2], x.size), dtype=np.float32)
 
 

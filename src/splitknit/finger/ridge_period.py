@@ -46,20 +46,8 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> _RidgePeriod:
 
     The slopes are reduced by 1, 2, 4, ...; in blocks of 64 pixels one wave of 4 to 10 pixels must hold most of the
     power. The size in which such waves cover most of the surface counts. Periods are corrected for the surface's slant.
-
-    Parameters
-    ----------
-    normals : (H, W, 3) unit normals, x right, y up, z to the camera
-    mask : (H, W) bool
-
-    Returns
-    -------
-    _RidgePeriod
-
-    Raises
-    ------
-    BadInput
-        If no ridges are found.
+    `normals`: (H, W, 3) unit normals, x right, y up, z to the camera; `mask`: (H, W) bool. Raises BadInput if no ridges
+    are found.
 
     Examples
     --------
@@ -102,10 +90,7 @@ def scale_of_ridges(
 ) -> tuple[float, str]:
     """The scale in pixels a millimetre at which ridges lie `period_mm` apart, and how well it is known.
 
-    Raises
-    ------
-    BadInput
-        If `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
+    Raises BadInput if `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
     """
     require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check --ridge-period")

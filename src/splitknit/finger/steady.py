@@ -193,6 +193,8 @@ is found. Grey images show it to 0.02 mm, as all shots together."""
 def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
     """Find the finger; where it moved between the shots, undo that first.
 
+    Raises BadInput if there is no finger, or it moved by more than can be undone.
+
     Returns
     -------
     capture : Capture
@@ -200,11 +202,6 @@ def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capt
         onto the pixels of the reference shot (the middle one of the white band), which is left as it is.
     finger : Finger
         Its facts report the motion.
-
-    Raises
-    ------
-    BadInput
-        If there is no finger, or it moved by more than can be undone.
     """
     finger = find_finger(capture, settings)
     motion = settings.motion

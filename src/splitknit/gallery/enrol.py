@@ -109,17 +109,14 @@ def enroll_files(
 ) -> GalleryEnrolment:
     """Enrol sources of one finger, all or none.
 
+    Raises BadInput, naming what is at fault; the gallery is then as before.
+
     Parameters
     ----------
     gallery : file; made where there is none
     sources : at least one capture, result, template, print or record of minutiae
     person, finger : whose
     session : None: that of the very same source if it is enrolled already, else the next number
-
-    Raises
-    ------
-    BadInput
-        Naming what is at fault; the gallery is then as before.
     """
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
     require(len(sources) == 1 or session is None, "--session goes with one source; several are numbered by themselves.")

@@ -85,12 +85,7 @@ class NewCapture:
 
 
 def check_person(text: str) -> str:
-    """Return `text` in one normal form (NFC) if it can be a person's name.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Return `text` in one normal form (NFC) if it can be a person's name. Raises BadInput."""
     name = unicodedata.normalize("NFC", text).strip()
     sound = 0 < len(name) <= _LONGEST_NAME and name.isprintable()
     shown = text.encode("unicode_escape").decode("ascii")[:60]
@@ -123,13 +118,7 @@ def encode_entry(entry: Entry) -> bytes:
 
 
 def decode_entry(content: bytes) -> Entry:
-    """Read what :func:`encode_entry` wrote.
-
-    Raises
-    ------
-    BadInput
-        If it is something else.
-    """
+    """Read what :func:`encode_entry` wrote. Raises BadInput if it is something else."""
     try:
         document: dict[str, Any] = json.loads(content.decode("ascii"))
         kinds: dict[str, type] = {item.name: str for item in fields(Entry)}

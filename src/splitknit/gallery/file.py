@@ -78,10 +78,7 @@ def create_file(path: Path, about: str, state: bytes) -> bool:
 def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
     """Open an existing gallery.
 
-    Raises
-    ------
-    BadInput
-        If it is none, another program's, of another version, damaged, or cannot be opened.
+    Raises BadInput if it is none, another program's, of another version, damaged, or cannot be opened.
     """
     _look_at(path)
     _put_down(path)
@@ -271,10 +268,7 @@ def is_gallery(file: Path) -> bool:
 def read_counter(file: Path) -> dict[str, int]:
     """Last change that was seen of each gallery; an empty file has seen none.
 
-    Raises
-    ------
-    BadInput
-        If it cannot be read, or is no counter file.
+    Raises BadInput if it cannot be read, or is no counter file.
     """
     content = read_bytes(file, _MAX_COUNTER)
     try:
@@ -305,10 +299,7 @@ def write_counter(file: Path, gallery: str, change: int) -> None:
 def describe(path: Path) -> dict[str, Any]:
     """What anyone can see of a gallery without its key: kind of key, number of rows, sizes.
 
-    Raises
-    ------
-    BadInput
-        If it is no gallery, damaged, or of another version.
+    Raises BadInput if it is no gallery, damaged, or of another version.
     """
     with contextlib.closing(connect(path)) as database, transaction(database, path, write=False):
         version, about = read_about(database, path)

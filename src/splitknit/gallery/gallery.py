@@ -35,16 +35,14 @@ class Gallery:
     def open(cls, path: str | os.PathLike[str], key: Key | None = None, *, wait_s: float = WAIT_S) -> Gallery:
         """Open an existing gallery.
 
+        Raises BadInput if it is no gallery, damaged, of an unknown version, or the key is missing, wrong, or not
+        wanted.
+
         Parameters
         ----------
         path : of the file
         key : if it is encrypted
         wait_s : how long to wait for another program's change
-
-        Raises
-        ------
-        BadInput
-            If it is no gallery, damaged, of an unknown version, or the key is missing, wrong, or not wanted.
         """
         file = Path(path)
         database = connect(file, wait_s=wait_s)
@@ -64,10 +62,7 @@ class Gallery:
     ) -> Gallery:
         """Make a gallery (mode 0600) for templates of these settings, or open the one that is there.
 
-        Raises
-        ------
-        BadInput
-            If it cannot be written, or as :meth:`open`.
+        Raises BadInput if it cannot be written, or as :meth:`open`.
         """
         file = Path(path)
         if not file.exists():
@@ -101,22 +96,13 @@ class Gallery:
         return int(self._rows.about["template_version"])
 
     def require_changeable(self) -> None:
-        """Refuse what only can be read.
-
-        Raises
-        ------
-        BadInput
-            If it is of version 1.
-        """
+        """Refuse what only can be read. Raises BadInput if it is of version 1."""
         self._rows.require_version()
 
     def require_comparable(self, settings_sha256: str) -> None:
         """Refuse to mix templates.
 
-        Raises
-        ------
-        BadInput
-            If its templates are of another version, or made with other settings.
+        Raises BadInput if its templates are of another version, or made with other settings.
         """
         require(
             self.template_version == TEMPLATE_VERSION,
@@ -136,10 +122,7 @@ class Gallery:
     def add(self, captures: Iterable[NewCapture], *, replace: bool = False) -> list[bool]:
         """Put captures in, all or none; of each, whether it is new (False: the very same is there already).
 
-        Raises
-        ------
-        BadInput
-            If another capture has these names (person, finger, session) and `replace` is false.
+        Raises BadInput if another capture has these names (person, finger, session) and `replace` is false.
         """
         rows, new, replaced = self._rows, [], False
         with rows.changing():
@@ -175,10 +158,7 @@ class Gallery:
     ) -> list[Enrolled]:
         """All rows in the order of enrolment, or those of a person, finger or session.
 
-        Raises
-        ------
-        BadInput
-            If a row is damaged.
+        Raises BadInput if a row is damaged.
         """
         with self._rows.reading():
             rows = self._rows.rows()
@@ -240,10 +220,8 @@ class Gallery:
     def migrate(self) -> int:
         """Make a gallery of version 1 one of version 2, under the same key, all or nothing; return the number of rows.
 
-        Raises
-        ------
-        BadInput
-            If it is of version 2 already, or damaged: what is damaged is removed by the program that wrote it.
+        Raises BadInput if it is of version 2 already, or damaged: what is damaged is removed by the program that wrote
+        it.
         """
         about = self._rows.about
         scrypt = ScryptSettings(about["log2_n"], about["r"], about["p"]) if "log2_n" in about else None

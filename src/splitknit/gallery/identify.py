@@ -164,6 +164,9 @@ def identify_file(
 ) -> Identification:
     """Who is it? That nobody is found is a result, no error.
 
+    Raises BadInput if a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger
+    is not in it, or the rate was not measured.
+
     Parameters
     ----------
     gallery : file
@@ -172,12 +175,6 @@ def identify_file(
     preset : by which a capture is reconstructed
     input_ppi : resolution of a print whose file does not state it
     shards : folder of the gallery's shards (:func:`splitknit.gallery.manage.index_gallery`), where codes are compared
-
-    Raises
-    ------
-    BadInput
-        If a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger is not in
-        it, or the rate was not measured.
     """
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)
@@ -211,6 +208,7 @@ def identify_file(
         found, facts = _search(opened, made, pool if mapped is None else mapped, settings=settings, progress=progress)
         seconds = time.perf_counter() - started
     by = {"minutiae": "minutiae_of_prints"}.get(facts.compared_by, facts.compared_by)
+    by = "fingerphotos" if (side.kind, by) == ("photo", "fusion") else by
     threshold = similarity_at(question.fmr, by) if calibrated else None
     candidates = _merged(found, question.merge)[: question.top]
     rated = by if calibrated else None

@@ -37,10 +37,7 @@ _WRITER_S = 3.0
 def key_of(file: Path | None, variable: str = KEY_VARIABLE) -> Key | None:
     """Key from a file (with the counter file beside it), else from the environment; None where neither has one.
 
-    Raises
-    ------
-    BadInput
-        If the file cannot be read, is a pipe that nobody writes into, or what it holds is no key.
+    Raises BadInput if the file cannot be read, is a pipe that nobody writes into, or what it holds is no key.
     """
     if file is not None:
         content = _read_key(file)
@@ -147,18 +144,13 @@ class Key:
 def key_from_bytes(content: bytes, where: str) -> Key:
     """Read a key: 64 hexadecimal digits or 32 bytes that are no text are a key, any other text is a passphrase.
 
+    Raises BadInput if it is empty, larger than 4096 bytes, no text, or a passphrase of fewer than 8 characters.
+
     Parameters
     ----------
     content : of a key file or of an environment variable; line ends after it do not count
     where : for errors
 
-    Raises
-    ------
-    BadInput
-        If it is empty, larger than 4096 bytes, no text, or a passphrase of fewer than 8 characters.
-
-    Examples
-    --------
     >>> key_from_bytes(b"correct horse battery staple", "the key file")
     Key(raw=False)
     """
@@ -328,11 +320,8 @@ def lock(key: Key | None, scrypt: ScryptSettings | None) -> dict[str, Any]:
 def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VERSION) -> Box:
     """Box of a gallery.
 
-    Raises
-    ------
-    BadInput
-        If the key is missing, wrong, of the other kind, or not wanted, the gallery's record is damaged, or its
-        passphrase would take too much memory or time to try.
+    Raises BadInput if the key is missing, wrong, of the other kind, or not wanted, the gallery's record is damaged, or
+    its passphrase would take too much memory or time to try.
     """
     wrong = damaged(path, "its own record cannot be read")
     known = all(isinstance(about.get(name), kind) for name, kind in _ABOUT.items())

@@ -68,10 +68,7 @@ def remove_from_gallery(
 ) -> dict[str, Any]:
     """Remove a person, a finger, a session of it, or rows by number; nothing of them remains in the file.
 
-    Raises
-    ------
-    BadInput
-        If nothing is named, or what is named is not there.
+    Raises BadInput if nothing is named, or what is named is not there.
     """
     require((person is None) != (not rows), "name whose fingers are to be removed: --person NAME, or --row N.")
     require(not rows or (finger is None and session is None), "--row goes without --finger and --session.")
@@ -98,16 +95,13 @@ def index_gallery(
 ) -> dict[str, Any]:
     """Make the search codes that are missing or of another version, and keep them.
 
+    Raises BadInput if the gallery cannot be opened or changed, or the shards not be written or are of another key.
+
     Parameters
     ----------
     shards : folder where the codes, under the gallery's key, are kept for searches through millions as well; brought up
         to date where it is there
     renew : the shards under a new salt: those of before cannot be compared with them
-
-    Raises
-    ------
-    BadInput
-        If the gallery cannot be opened or changed, or the shards not be written or are of another key.
     """
     require(shards is not None or not renew, "--renew is for shards; name their folder with --shards.")
     made = 0
@@ -139,10 +133,7 @@ def _codes(opened: Gallery) -> tuple[NDArray[np.int64], NDArray[np.int8]]:
 def check_gallery(gallery: Path, *, key: Key | None = None, shards: Path | None = None) -> dict[str, Any]:
     """Open everything, and compare every byte of its shards, where they are named, with what its codes give.
 
-    Raises
-    ------
-    Refused
-        If something is damaged; its facts list what.
+    Raises Refused if something is damaged; its facts list what.
     """
     with Gallery.open(gallery, key) as opened:
         problems = opened.problems()
@@ -170,13 +161,7 @@ def check_gallery(gallery: Path, *, key: Key | None = None, shards: Path | None 
 
 
 def rekey_gallery(gallery: Path, *, key: Key | None, new: Key | None, plain: bool = False) -> dict[str, Any]:
-    """Encrypt a gallery anew, or no longer.
-
-    Raises
-    ------
-    BadInput
-        If neither a new key nor `plain` is given, or both.
-    """
+    """Encrypt a gallery anew, or no longer. Raises BadInput if neither a new key nor `plain` is given, or both."""
     require(
         (new is None) == plain,
         f"give the new key with --new-key-file or in {NEW_KEY_VARIABLE} (the old one with --key-file or in "
@@ -195,10 +180,7 @@ def repair_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
 def migrate_gallery(gallery: Path, *, key: Key | None = None) -> dict[str, Any]:
     """Make a gallery of version 1 one of version 2.
 
-    Raises
-    ------
-    BadInput
-        If it is of version 2 already, or damaged; it is then as before.
+    Raises BadInput if it is of version 2 already, or damaged; it is then as before.
     """
     with Gallery.open(gallery, key) as opened:
         return {"gallery": str(gallery), "captures": opened.migrate(), "version": 2}
@@ -218,12 +200,8 @@ def export_gallery(
 ) -> dict[str, Any]:
     """Write all of a gallery, **not encrypted**, into a folder that only its owner may read; return facts.
 
-    Of a `person`, where one is named, everything that is kept: images and search codes (hexadecimal) as well.
-
-    Raises
-    ------
-    BadInput
-        If the gallery or a row of it cannot be read, or the folder not be written; nothing is written then.
+    Of a `person`, where one is named, everything that is kept: images and search codes (hexadecimal) as well. Raises
+    BadInput if the gallery or a row of it cannot be read, or the folder not be written; nothing is written then.
     """
     check_target(out, TABLE_FILE, "an earlier export of a gallery")
     with Gallery.open(gallery, key) as opened:
@@ -259,11 +237,8 @@ def export_gallery(
 def import_gallery(gallery: Path, folder: Path, *, key: Key | None = None, replace: bool = False) -> dict[str, Any]:
     """Put what was exported into a gallery (made where there is none), all or none; return facts.
 
-    Raises
-    ------
-    BadInput
-        If the folder is no export, damaged or of another version, or its templates were made with other settings
-        than the gallery's.
+    Raises BadInput if the folder is no export, damaged or of another version, or its templates were made with other
+    settings than the gallery's.
     """
     about = _read_about(folder)
     captures = _read_table(folder)

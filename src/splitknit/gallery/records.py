@@ -129,21 +129,15 @@ def export_records(
 ) -> dict[str, Any]:
     """Write fingers in a format of other systems, one file each, all or none; return the facts of ``export.json``.
 
+    Raises BadInput, naming the source at fault: it cannot be read, holds no picture where one is needed, or nothing at
+    all.
+
     Parameters
     ----------
     sources : captures, results, prints, records, templates and galleries
     out : folder to write
     settings : the format, and what the sources do not state
     key : of an encrypted gallery
-
-    Raises
-    ------
-    BadInput
-        Naming the source at fault: it cannot be read, holds no picture where one is needed, or nothing at all.
-
-    Examples
-    --------
-    >>> export_records([Path("scan.png")], Path("records"), Exporting("iso-19794-2"))  # doctest: +SKIP
     """
     require(len(sources) > 0, "name what is to be exported: captures, results, prints, records or galleries.")
     for source in sources:
@@ -184,10 +178,7 @@ def import_records(
 ) -> dict[str, Any]:
     """Write prints of other systems as PNG, their minutiae as ISO/IEC 19794-2; as :func:`export_records`.
 
-    Raises
-    ------
-    BadInput
-        Naming the file at fault.
+    Raises BadInput, naming the file at fault.
     """
     for file in files:
         require(
@@ -326,10 +317,7 @@ def _of_payload(name: str, payload: bytes, entry: Entry | None = None) -> _Item:
 def _template_print(template: Template) -> Print:
     """Print of 500 ppi that a template's ridges make: dark, mirrored, four grey levels made smooth, paper elsewhere.
 
-    Raises
-    ------
-    BadInput
-        If the template is empty, or has no ridges.
+    Raises BadInput if the template is empty, or has no ridges.
     """
     require(not template.empty, "the template is a failure to acquire: it holds no ridges.")
     scale, sigma = PPI * template.pitch_mm / 25.4, _WINDOW_MM / template.pitch_mm

@@ -158,10 +158,8 @@ class GalleryRows:
     def verify(self) -> None:
         """Compare the rows with the state, unless that was done and nobody changed the file since.
 
-        Raises
-        ------
-        BadInput
-            If a row is missing, or there that should not be, or the file is older than the counter file knows.
+        Raises BadInput if a row is missing, or there that should not be, or the file is older than the counter file
+        knows.
         """
         (content,) = self.database.execute("PRAGMA data_version").fetchone()
         if content == self._verified:

@@ -93,7 +93,9 @@ def write_shards(
     """Make a folder of shards what a gallery holds; return facts.
 
     Files whose rows are as they were stay as they are; those that are damaged, or that something else changed, are
-    written anew. The same rows, codes, key and salt give the same bytes, in however many steps they were added.
+    written anew. The same rows, codes, key and salt give the same bytes, in however many steps they were added. Raises
+    BadInput if there is no code, the codes are of another shape, the rows do not ascend, the folder holds something
+    else, links, or shards under another key, or it cannot be written.
 
     Parameters
     ----------
@@ -103,12 +105,6 @@ def write_shards(
     key : of the gallery; without one the codes are not protected, as anyone can make the transform from the salt
     renew : under a new salt: everything is written anew, and nothing of before can be compared with it
     rows_a_shard : row numbers that share a file
-
-    Raises
-    ------
-    BadInput
-        If there is no code, the codes are of another shape, the rows do not ascend, the folder holds something else,
-        links, or shards under another key, or it cannot be written.
     """
     require(
         len(rows) > 0, f"there is no code to keep in shards; enrol fingers first (and remove '{folder}' if it is old)."
@@ -230,10 +226,7 @@ def _files(folder: Path) -> list[Path]:
 def _read_header(file: Path) -> dict[str, Any]:
     """Header of a shard whose size is what it says, as a dictionary with its file and sizes.
 
-    Raises
-    ------
-    BadInput
-        If it is none, damaged, cut off, or of another version; nothing is mapped then.
+    Raises BadInput if it is none, damaged, cut off, or of another version; nothing is mapped then.
     """
     wrong = f"'{file}' is no shard of codes, or damaged; make it anew with 'splitknit gallery index --shards'."
     with open_file(file, _LARGEST) as (stream, size):
@@ -269,11 +262,8 @@ class Shards:
     def __init__(self, folder: Path, key: Key | None = None) -> None:
         """Open the shards in a folder.
 
-        Raises
-        ------
-        BadInput
-            If there is none, one is missing, damaged or of another version, or the key is missing, wrong or not
-            wanted.
+        Raises BadInput if there is none, one is missing, damaged or of another version, or the key is missing, wrong or
+        not wanted.
         """
         headers = [_read_header(file) for file in _files(folder)]
         require(
@@ -328,21 +318,14 @@ class Shards:
     def search(self, template: Template, k: int = 500, settings: ProbeSettings | None = None) -> Hits:
         """The `k` fingers whose codes are most similar.
 
+        Raises BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile. The result
+        is the same, whatever the number of shards and threads; equal ones in the order of their rows.
+
         Parameters
         ----------
         template : not empty
         k : at least 1; fewer come back from fewer fingers, and never more than `RESCORED`
         settings : of the probe's variants
-
-        Returns
-        -------
-        Hits
-            The same, whatever the number of shards and threads; equal ones in the order of their rows.
-
-        Raises
-        ------
-        BadInput
-            If the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile.
         """
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         probe = self.probe(template, settings)
@@ -369,10 +352,7 @@ def rescored_count(fingers: int) -> int:
 def scan_shard(file: Path, probe: Probe, count: int) -> Found:
     """The `count` codes of one shard that are nearest by their bits, scored; for a worker, which has no key.
 
-    Raises
-    ------
-    BadInput
-        If the shard is damaged, or of another key than the probe.
+    Raises BadInput if the shard is damaged, or of another key than the probe.
     """
     distance, place = _nearest(probe.bits, _of(file, probe)[1], count)
     return _scored(file, probe, distance, place)

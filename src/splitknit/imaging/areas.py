@@ -14,15 +14,6 @@ from splitknit.model import BoolArray, Camera, FloatArray, Mirror
 Array = NDArray[np.float64]
 
 
-def bin_image(image: FloatArray, factor: int) -> FloatArray:
-    """Means over blocks of `factor` pixels a side of an image (h, w) or (h, w, C); what fills no block is dropped."""
-    if factor == 1:
-        return image
-    height, width = (n // factor for n in image.shape[:2])
-    cut = image[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
 def enlarged_box(
     cells: tuple[slice, slice], factor: int, small: tuple[int, ...], large: tuple[int, ...]
 ) -> tuple[slice, slice]:

@@ -20,7 +20,6 @@ from splitknit.steps import let_go
 
 # Linear light of one stored image.
 
-
 CHANNELS = {"red": 0, "green": 1, "blue": 2}
 GREY_WEIGHTS = np.array([0.299, 0.587, 0.114], dtype=np.float32)
 """ITU-R BT.601 luma weights, the conversion behind the thesis's grey images."""
@@ -174,7 +173,6 @@ def linear_channels(
 
     Parameters
     ----------
-    band : Band
     encoding : ``linear`` or ``srgb``
     channels : names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them
     window : rows and columns, optional
@@ -226,13 +224,8 @@ def linear_stack(
 def linear_survey(band: Band, encoding: str, binning: int = 1) -> tuple[FloatArray, FloatArray]:
     """Mean over all images with all their channels, and every image in grey, without ever holding both for all.
 
-    The mean of a band of coloured LEDs is grey: its colours came from different sides.
-
-    Returns
-    -------
-    mean : (h, w, C) float32
-    grey : (L, h, w) float32
-        As :func:`linear_stack` gives it.
+    The mean of a band of coloured LEDs is grey: its colours came from different sides. Returns `mean`, (h, w, C)
+    float32; `grey`, (L, h, w) float32, as :func:`linear_stack` gives it.
     """
     if band.colours:
         grey = linear_stack(band, encoding, "grey", binning=binning)
@@ -324,10 +317,7 @@ def _lit(flat: FloatArray) -> FloatArray:
 def coarse_flat(image: FloatArray) -> FloatArray:
     """A flat surface's image (H, W) on a coarse grid, smoothed over its pixels.
 
-    Raises
-    ------
-    BadInput
-        If it is black in places.
+    Raises BadInput if it is black in places.
     """
     return _lit(np.asarray(coarse_grid(image), dtype=np.float32))
 
@@ -335,10 +325,7 @@ def coarse_flat(image: FloatArray) -> FloatArray:
 def over_flat(images: FloatArray, flat: FloatArray) -> FloatArray:
     """Images (L, H, W) divided by those of a flat surface (L, h, w) on the coarse grid.
 
-    Raises
-    ------
-    BadInput
-        If they differ in number.
+    Raises BadInput if they differ in number.
     """
     count, shape = len(images), images.shape[1:]
     require(len(flat) == count, f"there are {len(flat)} flat photographs for {count} of the object; give one a light.")

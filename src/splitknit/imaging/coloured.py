@@ -33,10 +33,7 @@ class LightsSettings(Checked):
 def as_lit(capture: Capture, settings: LightsSettings) -> tuple[Capture, tuple[str, ...]]:
     """The capture under the lights that the settings require, and notes on it.
 
-    Raises
-    ------
-    BadInput
-        If coloured exposures are to be put together from white images that are grey or too few.
+    Raises BadInput if coloured exposures are to be put together from white images that are grey or too few.
     """
     white = capture.bands["white"]
     if settings.compose == 0 or white.colours:
@@ -107,10 +104,10 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     """Put a capture under coloured LEDs together from one of at least 3 x `exposures` white images in colour.
 
     The red channel of image i, the green one of image j and the blue one of image k become one exposure, mixed as the
-    IMX219's pixels mix coloured LEDs (:data:`splitknit.model.CROSSTALK`). Three things are not as they
-    would be: a channel under a white LED sees a broad band (and some of its neighbours' light) where a coloured LED is
-    a line; what a finger moved between the white shots is within an exposure; and each channel has the noise of its own
-    shot.
+    IMX219's pixels mix coloured LEDs (:data:`splitknit.model.CROSSTALK`). Three things are not as they would be: a
+    channel under a white LED sees a broad band (and some of its neighbours' light) where a coloured LED is a line; what
+    a finger moved between the white shots is within an exposure; and each channel has the noise of its own shot. Raises
+    BadInput if the white images are grey or too few.
 
     Parameters
     ----------
@@ -121,11 +118,6 @@ def composed(capture: Capture, exposures: int = 2) -> Capture:
     -------
     Capture
         With 16-bit images; other bands, mask and truth are the capture's own.
-
-    Raises
-    ------
-    BadInput
-        If the white images are grey or too few.
     """
     from splitknit.model import CROSSTALK, shared_exposures  # the twin's sensor
 

@@ -20,12 +20,8 @@ def aligned(capture: Capture) -> tuple[Capture, dict[str, Any]]:
     The rig's films give both (:class:`splitknit.model.Films`). Without them the crossed series stays as it is: skin
     does not show its brightness, because light that is scattered once keeps its polarisation. In a path-traced finger
     behind films that pass the same, the crossed images have 0.89 of the parallel ones' red light, and 0.83 of the
-    green, even under the light that the surface reflects least.
-
-    Raises
-    ------
-    BadInput
-        If the rig's films were measured under other LEDs.
+    green, even under the light that the surface reflects least. Raises BadInput if the rig's films were measured under
+    other LEDs.
     """
     parallel, crossed, films = capture.bands["white"], capture.bands.get("white_crossed"), capture.rig.films
     if crossed is None or films is None:

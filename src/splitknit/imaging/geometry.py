@@ -72,29 +72,16 @@ def _difference(height: FloatArray, axis: int) -> FloatArray:
 
 
 def warp(
-    image: NDArray[np.float32],
-    source_from_target: NDArray[np.float64],
-    size: tuple[int, int],
-    *,
-    fill: float = 0.0,
-    nearest: bool = False,
+    image: NDArray[np.float32], source_from_target: NDArray[np.float64], size: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic or nearest.
+    """Resample `image` (H, W) or (H, W, C) to `size` (rows, columns), bicubic.
 
-    `source_from_target` (3 x 3) takes (column, row, 1) of the target to the source; pixels from outside become `fill`.
+    `source_from_target` (3 x 3) takes (column, row, 1) of the target to the source; pixels from outside become zero.
     """
     if abs(float(np.linalg.det(source_from_target[:2, :2]))) < 1e-12:
         raise BadInput("the transform between two frames is singular.")
-    flags = (cv2.INTER_NEAREST if nearest else cv2.INTER_CUBIC) | cv2.WARP_INVERSE_MAP
-    result = cv2.warpAffine(
-        np.ascontiguousarray(image, dtype=np.float32),
-        source_from_target[:2],
-        (size[1], size[0]),
-        flags=flags,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(fill, fill, fill, fill),
-    )
-    return np.asarray(result, dtype=np.float32)
+    pixels, flags = np.ascontiguousarray(image, dtype=np.float32), cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    return np.asarray(cv2.warpAffine(pixels, source_from_target[:2], (size[1], size[0]), flags=flags), dtype=np.float32)
 
 
 def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.float64]:
@@ -109,11 +96,7 @@ def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Gaussian mean (H, W) over what lies inside the mask; zero outside it.
 
-    Parameters
-    ----------
-    values : (H, W) float32, ignored outside `mask`
-    mask : (H, W) bool
-    sigma_px : float, positive
+    `values`: (H, W) float32, ignored outside `mask`; `mask`: (H, W) bool; `sigma_px`: float, positive.
     """
 
     def blurred(image: FloatArray) -> FloatArray:
@@ -137,3 +120,38 @@ def wide_blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     small = np.asarray(cv2.resize(image, reduced, interpolation=cv2.INTER_AREA), dtype=np.float32)
     smooth = cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / factor), size, interpolation=cv2.INTER_LINEAR)
     return np.asarray(smooth, dtype=np.float32)
+
+
+_LINE = 128
+"""Places in one row of what OpenCV reads, which takes no long ones."""
+
+
+def read_at(
+    field: FloatArray, columns: FloatArray, rows: FloatArray, how: int = cv2.INTER_LINEAR, outside: float | None = None
+) -> FloatArray:
+    """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels.
+
+    `how`: OpenCV's interpolation; `outside`: value beside the field, by default that of the nearest pixel.
+    """
+    missing, shape = -columns.size % _LINE, (*columns.shape, *field.shape[2:])
+    padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
+    x, y = (part.reshape(-1, _LINE) for part in padded)
+    border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
+    taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=outside or 0.0) if x.size else np.zeros(0)
+    return np.asarray(taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape), dtype=np.float32)
+
+
+def enlarged(field: FloatArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
+    """A field of blocks of `factor` pixels a side, interpolated at the pixels of an image of `shape`."""
+    size = (field.shape[1] * factor, field.shape[0] * factor)
+    large = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+    return np.pad(large, [(0, side - own) for side, own in zip(shape, large.shape, strict=True)], mode="edge")
+
+
+def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
+    """`values` (h, w), where they are not `known` those of the nearest place where they are."""
+    away = (~known).astype(np.uint8)
+    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
+    table[labels[known]] = values[known]
+    return np.asarray(table[labels])

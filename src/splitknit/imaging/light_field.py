@@ -5,17 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import read_at
 from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, FloatArray, Led, Rig, Shade
 
 _UNIT_MM2 = np.float32(1e4)
 """Irradiance of an LED is relative to a distance of 100 mm (it cancels in the normalisation)."""
-_LONGEST = 30_000
 FEW_LIGHTS = 4
 """So many lights, or fewer, are warned of."""
 
@@ -126,13 +125,7 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
         places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
     column, row = np.broadcast_arrays(*places)
-    flat = row.reshape(-1)
-    read = np.empty(flat.shape, dtype=np.float32)
-    for start in range(0, flat.size, _LONGEST):  # OpenCV reads at most so many places in one line
-        part = slice(start, start + _LONGEST)
-        where = column.reshape(-1)[part, None], flat[part, None]
-        read[part] = cv2.remap(shade.fraction, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
-    return read.reshape(row.shape)
+    return read_at(shade.fraction, column, row)
 
 
 def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
@@ -145,16 +138,12 @@ def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:
     return np.broadcast_to(array, shape)
 
 
-def few_lights(vectors: NDArray[np.float64], name: str = "") -> list[str]:
+def few_lights(vectors: NDArray[np.float64]) -> list[str]:
     """A warning where three or four lights leave little to check, with the error that noise then causes.
 
     Least squares give the normal times the albedo with the covariance s^2 (L'L)^-1 of noise s in the images: for a
-    surface that faces the camera, its x and y parts are the normal's tilt.
-
-    Parameters
-    ----------
-    vectors : (L, 3) light vectors, the mean length one
-    name : of what they light, for the message, such as ``white band``
+    surface that faces the camera, its x and y parts are the normal's tilt. `vectors`: (L, 3) light vectors, the mean
+    length one.
     """
     if len(vectors) > FEW_LIGHTS:
         return []
@@ -167,6 +156,6 @@ def few_lights(vectors: NDArray[np.float64], name: str = "") -> list[str]:
         else ("one is spare, so that one shadow or highlight at a pixel shows, but not which light it is of")
     )
     return [
-        f"{name + ': ' if name else ''}{len(vectors)} lights, of which {lack}; noise of 1 % in the images tilts "
+        f"{len(vectors)} lights, of which {lack}; noise of 1 % in the images tilts "
         f"normals by {tilt_deg:.1f} deg (rms, least squares). Seven lights are a good number."
     ]

@@ -48,12 +48,13 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
 
     The light behind films of four directions gives its Stokes parameters, and they the light behind a film of any
     direction: I(a) = (S0 + S1 cos 2a + S2 sin 2a) / 2. Light of each direction is interpolated to the middle of its
-    block of 2 x 2 pixels first: an edge would seem polarised otherwise.
+    block of 2 x 2 pixels first: an edge would seem polarised otherwise. Raises BadInput if the frame has several
+    channels or sides that hold no whole blocks. Source: E. Collett, "Field Guide to Polarization", 2005: Stokes
+    parameters, Malus's law.
 
     Parameters
     ----------
-    mosaic : (H, W) or (H, W, 1) uint8 or uint16, linear
-        Blocks of 90, 45 / 135, 0 degrees (Sony IMX250MZR).
+    mosaic : (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees (Sony IMX250MZR)
     film_deg : direction of the film before the LEDs, as the camera states its own: 0 along the rows
     colour : whether the blocks lie behind a Bayer pattern: red, green / green, blue (Sony IMX250MYR)
 
@@ -61,15 +62,6 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
     -------
     parallel, crossed : (H / 2, W / 2, C), of the mosaic's type
         Where one of the block's pixels clips, the parallel image does.
-
-    Raises
-    ------
-    BadInput
-        If the frame has several channels or sides that hold no whole blocks.
-
-    References
-    ----------
-    E. Collett, "Field Guide to Polarization", 2005: Stokes parameters, Malus's law.
 
     Examples
     --------
@@ -109,7 +101,9 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     """Specular and diffuse light of linear images through a parallel and a crossed analyser.
 
     What the surface reflects keeps its polarisation and passes the parallel analyser alone; half of what the skin has
-    depolarised passes either. Light that was scattered once or twice stays in part with the specular light.
+    depolarised passes either. Light that was scattered once or twice stays in part with the specular light. Raises
+    BadInput if the two differ in shape. Source: S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology
+    with polarized light", 2002.
 
     Parameters
     ----------
@@ -119,15 +113,6 @@ def separate_polarised(parallel: FloatArray, crossed: FloatArray) -> tuple[Float
     -------
     specular, diffuse : of the same shape
         The difference, zero where noise makes it negative, and the crossed images as they are.
-
-    Raises
-    ------
-    BadInput
-        If the two differ in shape.
-
-    References
-    ----------
-    S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", 2002.
 
     Examples
     --------

@@ -11,6 +11,9 @@ from splitknit.model import FloatArray
 def areal_roughness(height_mm: FloatArray, pitch_mm: float) -> dict[str, float]:
     """Height and hybrid parameters of a surface: its form is to be removed before, as in a result's relief.
 
+    Raises BadInput if no square of four pixels is known. Source: ISO 25178-2:2021, sections 4.2 (Sq, Sz, Sa) and 4.4
+    (Sdr).
+
     Parameters
     ----------
     height_mm : (H, W), NaN where nothing was measured; its mean is subtracted
@@ -22,15 +25,6 @@ def areal_roughness(height_mm: FloatArray, pitch_mm: float) -> dict[str, float]:
         ``Sa_um`` (mean absolute height), ``Sq_um`` (root mean square), ``Sz_um`` (highest peak to lowest pit) and
         ``Sdr_percent`` (developed over projected area less one, of the squares whose four corners are known, two
         triangles each).
-
-    Raises
-    ------
-    BadInput
-        If no square of four pixels is known.
-
-    References
-    ----------
-    ISO 25178-2:2021, sections 4.2 (Sq, Sz, Sa) and 4.4 (Sdr).
 
     Examples
     --------

@@ -174,21 +174,14 @@ def _pixel_axes_mm(camera: Camera, rows: Axis | None = None, columns: Axis | Non
 def plane_points(camera: Camera, pixels: Any) -> Points:
     """Points of the finger plane that pixels look at.
 
-    Parameters
-    ----------
-    camera : Camera
-    pixels : (N, 2) columns and rows, fractions allowed; the centre of the first pixel is (0, 0)
-
-    Returns
-    -------
-    (N, 2) x and y in mm on the plane z = 0
-
-    Raises
-    ------
-    BadInput
-        If `pixels` has another shape or is not finite.
+    `pixels`: (N, 2) columns and rows, fractions allowed; the centre of the first pixel is (0, 0). Returns (N, 2) x and
+    y in mm on the plane z = 0. Raises BadInput if `pixels` has another shape or is not finite.
     """
-    places = _pairs(pixels, "pixels")
+    places = np.asarray(pixels, dtype=np.float64)
+    require(
+        places.ndim == 2 and places.shape[1] == 2 and bool(np.isfinite(places).all()),
+        f"pixels must be finite and of the shape (N, 2), but they have the shape {places.shape}.",
+    )
     if camera.model == "orthographic":
         return np.stack(_pixel_axes_mm(camera, places[:, 1], places[:, 0]), axis=1)
     assert camera.matrix is not None
@@ -204,10 +197,8 @@ def plane_points(camera: Camera, pixels: Any) -> Points:
 def pixels_of(camera: Camera, points_mm: Any) -> Points:
     """Pixels (N, 2), column and row, at which the camera sees points (N, 3) in mm: the inverse of `plane_points`.
 
-    Raises
-    ------
-    BadInput
-        If `points_mm` has another shape, is not finite, or holds a point at or beyond a perspective camera's height.
+    Raises BadInput if `points_mm` has another shape, is not finite, or holds a point at or beyond a perspective
+    camera's height.
     """
     points = np.asarray(points_mm, dtype=np.float64)
     require(
@@ -224,15 +215,6 @@ def pixels_of(camera: Camera, points_mm: Any) -> Points:
     distortion = np.asarray(camera.distortion if camera.distortion else (0.0,) * 5, dtype=np.float64)
     pixels, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), np.asarray(camera.matrix, np.float64), distortion)
     return np.asarray(pixels[:, 0], dtype=np.float64)
-
-
-def _pairs(values: Any, name: str) -> Points:
-    array = np.asarray(values, dtype=np.float64)
-    require(
-        array.ndim == 2 and array.shape[1] == 2 and bool(np.isfinite(array).all()),
-        f"{name} must be finite and of the shape (N, 2), but it has the shape {array.shape}.",
-    )
-    return array
 
 
 # How the lens darkens towards the corners.

@@ -22,7 +22,6 @@ from splitknit.model import FloatArray
 # * ``mirror``: the height mirrored about the rectangle's borders, where dz/dx changes sign at the left and right border
 #   and dz/dy at the top and bottom. Nothing is enlarged: sines and cosines of the rectangle itself are the basis.
 
-
 Transfer = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Gain of the height as a function of the radial frequency in radians per pixel."""
 

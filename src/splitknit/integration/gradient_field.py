@@ -15,10 +15,7 @@ from splitknit.model import BoolArray, FloatArray
 def check_gradients(gradient_x: Any, gradient_y: Any, mask: Any) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return dz/dx, dz/dy (H, W) float32, zero outside the mask, and the mask (H, W).
 
-    Raises
-    ------
-    BadInput
-        If the shapes differ, the mask is empty, or a gradient inside the mask is NaN or infinite.
+    Raises BadInput if the shapes differ, the mask is empty, or a gradient inside the mask is NaN or infinite.
     """
     slope_x, slope_y = np.asarray(gradient_x), np.asarray(gradient_y)
     require(

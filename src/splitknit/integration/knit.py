@@ -27,17 +27,8 @@ class KnitSettings(Checked):
 def add(ridge_mm: Any, shape_mm: Any, mask: Any = None) -> FloatArray:
     """Sum of relief and shape, pixel by pixel; NaN outside the mask.
 
-    Frequencies that both parts contain count twice (see :func:`crossover`).
-
-    Parameters
-    ----------
-    ridge_mm, shape_mm : (H, W)
-        In the same unit.
-    mask : (H, W) bool, optional
-
-    References
-    ----------
-    The thesis, section 3.3.3 and figure 3.27.
+    Frequencies that both parts contain count twice (see :func:`crossover`). `ridge_mm`, `shape_mm`: (H, W), in the same
+    unit; `mask`: (H, W) bool, optional. Source: the thesis, section 3.3.3 and figure 3.27.
     """
     ridge, shape, inside = _checked(ridge_mm, shape_mm, mask)
     return np.where(inside, ridge + shape, np.float32(np.nan)).astype(np.float32)
@@ -49,14 +40,13 @@ def crossover(
     """Fine detail from one surface and the rest from the other, each frequency once: H visible + (1 - H) shape.
 
     Computed as shape + H (visible - shape), so that only the difference of the two, which is small and smooth at the
-    outline, is filtered. Where both agree the result is either of them, whatever H is.
+    outline, is filtered. Where both agree the result is either of them, whatever H is. Raises BadInput if shapes
+    differ, the mask is empty, or a value inside the mask is not finite.
 
     Parameters
     ----------
-    visible_mm : (H, W)
-        Surface from white light; NaN is allowed outside the mask.
-    shape_mm : (H, W)
-        Finger shape, in the same unit.
+    visible_mm : (H, W), surface from white light; NaN is allowed outside the mask
+    shape_mm : (H, W), finger shape, in the same unit
     response : callable
         H: from angular frequencies in rad/px (an array) to gains, zero at zero and one where the detail is fine; the
         normalised response of a shapelet bank, say.
@@ -65,11 +55,6 @@ def crossover(
     Returns
     -------
     (H, W) float32, NaN outside the mask
-
-    Raises
-    ------
-    BadInput
-        If shapes differ, the mask is empty, or a value inside the mask is not finite.
 
     Examples
     --------

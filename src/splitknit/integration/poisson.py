@@ -37,7 +37,6 @@ from splitknit.settings import Checked, Limits
 # Edges are stored at their upper or left pixel in arrays (H, W): `right[i, j]` joins (i, j) and (i, j + 1), `down[i,
 # j]` joins (i, j) and (i + 1, j). The last column of `right` and the last row of `down` are zero.
 
-
 Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
 
 
@@ -383,10 +382,8 @@ def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: Floa
 
     Parameters
     ----------
-    gradient_x, gradient_y : (H, W) float32
-        dz/dx and dz/dy, y up.
-    weights : (H, W) float32
-        Trust in each pixel's gradient, in [0, 1].
+    gradient_x, gradient_y : (H, W) float32, dz/dx and dz/dy, y up
+    weights : (H, W) float32, trust in each pixel's gradient, in [0, 1]
 
     Returns
     -------

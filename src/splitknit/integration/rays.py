@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from splitknit.imaging.geometry import height_gradients, normals_from_gradients
+from splitknit.imaging.band import bin_mean
+from splitknit.imaging.geometry import enlarged, height_gradients, nearest_known, normals_from_gradients
 from splitknit.imaging.view import View, view_of
 from splitknit.integration.poisson import poisson
 from splitknit.model import BoolArray, Camera, FloatArray
@@ -79,16 +79,14 @@ def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tu
     if min(rows, columns) < 4:
         return np.zeros_like(shape_mm)
 
-    def small(field: FloatArray) -> FloatArray:
-        cut = np.ascontiguousarray(field[: rows * binning, : columns * binning], dtype=np.float32)
-        return np.asarray(cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-    inside = small(mask.astype(np.float32)) > 0.999
+    inside = bin_mean(mask.astype(np.float32), binning) > 0.999
     if not inside.any():
         return np.zeros_like(shape_mm)
     pitch = camera.pitch_mm * binning
     view = view_of(camera, *window, binning=binning, along_rays=True)
-    coarse = np.where(inside, small(np.where(mask, shape_mm, 0)), np.float32(np.nan)).astype(np.float32)
+    coarse = np.where(inside, bin_mean(np.where(mask, shape_mm, np.float32(0)), binning), np.float32(np.nan)).astype(
+        np.float32
+    )
     right, up = height_gradients(coarse, pitch)
     x_x, x_y, y_x, y_y = view.stretch(pitch, (rows, columns))
     residual_x, residual_y = (x_x - 1) * right + y_x * up, x_y * right + (y_y - 1) * up
@@ -96,19 +94,7 @@ def unevenness(shape_mm: FloatArray, mask: BoolArray, camera: Camera, window: tu
         np.where(inside, residual_x, 0).astype(np.float32), np.where(inside, residual_y, 0).astype(np.float32), inside
     ) * np.float32(pitch)
     residual = np.nan_to_num(residual, nan=0.0).astype(np.float32)
-    return _enlarged(residual, inside, binning, mask.shape)
-
-
-def _enlarged(field: FloatArray, known: BoolArray, factor: int, shape: tuple[int, ...]) -> FloatArray:
-    """A smooth coarse field on the fine grid, continued beyond `known` by the nearest values."""
-    away = (~known).astype(np.uint8)
-    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    values = np.zeros(int(labels.max()) + 1, dtype=np.float32)
-    values[labels[known]] = field[known]
-    filled = values[labels]
-    large = cv2.resize(filled, (field.shape[1] * factor, field.shape[0] * factor), interpolation=cv2.INTER_LINEAR)
-    missing = ((0, shape[0] - large.shape[0]), (0, shape[1] - large.shape[1]))
-    return np.pad(np.asarray(large, dtype=np.float32), missing, mode="edge")
+    return enlarged(nearest_known(residual, inside), binning, mask.shape)
 
 
 def _normals(height_mm: FloatArray, mask: BoolArray, view: View, pitch_mm: float) -> FloatArray:

@@ -45,12 +45,8 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     (its manifest, ``.splitknit``, lists them); a folder with anything else in it is refused, never deleted. Parent
     folders are created. After an exception or an interrupt `out` is as it was and the temporary folder is gone.
     Everything in it becomes private (see above). Where `out` is itself such a temporary folder, it is yielded as it is.
-
-    Raises
-    ------
-    BadInput
-        If `out` is a file, holds files not written here, exists while `overwrite` is false, lies behind a link inside a
-        folder that the user named, or cannot be written.
+    Raises BadInput if `out` is a file, holds files not written here, exists while `overwrite` is false, lies behind a
+    link inside a folder that the user named, or cannot be written.
     """
     target = _resolved(out)
     if target in _AT_WORK:
@@ -73,13 +69,9 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends without exception.
 
-    Parent folders are created. The file is private (see above).
-
-    Raises
-    ------
-    BadInput
-        If `path` is a folder or a device, exists while `overwrite` is false, is or lies behind a link inside a folder
-        that the user named, or cannot be written.
+    Parent folders are created. The file is private (see above). Raises BadInput if `path` is a folder or a device,
+    exists while `overwrite` is false, is or lies behind a link inside a folder that the user named, or cannot be
+    written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):
@@ -126,10 +118,7 @@ def private_modes() -> tuple[int, int]:
 def make_folder(folder: Path) -> None:
     """Create a private folder and its missing parents; nothing happens to one that exists.
 
-    Raises
-    ------
-    OSError
-        If that fails, as :meth:`pathlib.Path.mkdir`.
+    Raises OSError if that fails, as :meth:`pathlib.Path.mkdir`.
     """
     mode = private_modes()[1]
     for path in [*(path for path in reversed(folder.parents) if not path.exists()), folder]:
@@ -216,10 +205,7 @@ def _release(descriptor: int | None) -> None:
 def hold(stream: IO[Any], busy: str) -> None:
     """Keep other programs out until `stream` is closed or this one ends; without effect where there are no such locks.
 
-    Raises
-    ------
-    BadInput
-        With the message `busy`, if another program holds it.
+    Raises BadInput with the message `busy`, if another program holds it.
     """
     try:
         import fcntl  # not on every system

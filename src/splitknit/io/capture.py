@@ -9,7 +9,7 @@ import shlex
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from splitknit.io.capture_file import (
     read_plan,
 )
 from splitknit.io.content import check_content, mask_from_image
-from splitknit.io.images import ImageSettings, StackReader, encode_image, read_image
+from splitknit.io.images import StackReader, cores, encode_image, read_image
 from splitknit.io.npz import write_npz
 from splitknit.io.provenance import JsonValue, file_hash, plain_json
 from splitknit.io.rig import read_rig, rig_to_json
@@ -35,25 +35,14 @@ from splitknit.model import Band, Capture, PixelArray, Rig, coarse_grid
 from splitknit.steps import let_go
 
 
-@dataclass(frozen=True, slots=True)
-class ReadSettings:
-    """How a capture folder is read."""
-
-    images: ImageSettings = field(default_factory=ImageSettings)
-    """Limits on files, and threads."""
-    may_be_dark: bool = False
-    """Take images that are nearly black, such as those of a black ball."""
-
-
-DEFAULTS = ReadSettings()
-
-
-def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS) -> Capture:
+def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, threads: int = 0) -> Capture:
     """Read a capture folder.
 
     Parameters
     ----------
     path : the folder, or the ``capture.json`` in it
+    may_be_dark : take images that are nearly black, such as those of a black ball
+    threads : that decode images; 0: one for each core, at most eight
 
     Returns
     -------
@@ -76,7 +65,7 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
     plan = read_plan(_document(path))
     folder = _document(path).parent
     size, rig_name = plan.rig.camera.image_size, f"{plan.rig_file} (is the rig for another camera?)"
-    with StackReader(settings.images) as reader:
+    with StackReader(threads) as reader:
         stacks = {key: reader.start(band.files, size, rig_name) for key, band in plan.bands.items()}
         ambients = {
             key: reader.start([band.ambient], size, rig_name)[0]
@@ -89,7 +78,7 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
         key: _seen_by(plan.rig, _band(key, band, stacks[key], ambients.get(key))) for key, band in plan.bands.items()
     }
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(check_content, () if settings.may_be_dark else bands.values()))
+        list(pool.map(check_content, () if may_be_dark else bands.values()))
     for key, band in plan.bands.items():
         if band.flat:
             flat = [coarse_grid(read_image(file).mean(axis=2, dtype=np.float32)) for file in band.flat]
@@ -118,10 +107,8 @@ def read_capture(path: str | os.PathLike[str], settings: ReadSettings = DEFAULTS
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
     """Return the capture as taken by the rig of another file, such as a later calibration of the same rig.
 
-    Raises
-    ------
-    BadInput
-        If the file is not a rig's, its camera has another image size, or it lacks LEDs or has them in another band.
+    Raises BadInput if the file is not a rig's, its camera has another image size, or it lacks LEDs or has them in
+    another band.
     """
     rig = read_rig(path)
     name, size = os.fspath(path), capture.rig.camera.image_size
@@ -344,8 +331,8 @@ def _write_images(folder: Path, images: list[tuple[str, PixelArray]]) -> None:
         (folder / name).write_bytes(encode_image(pixels, Path(name).suffix))
         let_go(pixels)
 
-    with ThreadPoolExecutor(ImageSettings().workers) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         list(pool.map(write, images))
 
 
-__all__ = ["CapturePlan", "ReadSettings", "read_capture", "write_capture"]
+__all__ = ["CapturePlan", "read_capture", "write_capture"]

@@ -75,10 +75,7 @@ class _Entry:
 def read_plan(document_file: Path) -> CapturePlan:
     """Read ``capture.json`` and its rig file.
 
-    Raises
-    ------
-    BadInput
-        Naming the file and the field.
+    Raises BadInput naming the file and the field.
     """
     folder, name = document_file.parent, str(document_file)
     document, data = read_json(document_file)
@@ -259,19 +256,7 @@ def _group(fields: Fields, item: Any, k: int) -> tuple[int, ...]:
 
 
 def _check_light_list(rig: Rig, band: str, leds: tuple[tuple[int, ...], ...], where: str) -> None:
-    """Refuse LEDs that are not in the rig, are of another band, or do not determine a normal.
-
-    Parameters
-    ----------
-    rig : the whole rig
-    band : name of the band
-    leds : the LEDs of every image
-    where : file and field, for messages
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse LEDs (of every image) that are not in the rig, are of another band, or do not determine a normal."""
     for k, group in enumerate(leds):
         for index in group:
             require(

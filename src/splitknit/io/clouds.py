@@ -59,15 +59,12 @@ class Cloud:
 def read_cloud(path: str | os.PathLike[str], unit: str | None = None) -> Cloud:
     """Read a point cloud, the vertices of a mesh, or a height map; its suffix shows which.
 
+    Raises BadInput if the file is damaged, of another kind, too large, or states its unit while `unit` is given.
+
     Parameters
     ----------
     path : a file with one of the suffixes :data:`CLOUDS`
     unit : of the coordinates, a key of :data:`UNITS_MM`; mm by default. X3P and TMD state theirs.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged, of another kind, too large, or states its unit while `unit` is given.
 
     Examples
     --------

@@ -37,13 +37,8 @@ _SAMPLE_PIXELS = 200_000
 def check_content(band: Band) -> None:
     """Refuse a band in which an image is black, unlit, without any structure, or overexposed.
 
-    An overexposed pixel is one in which two of the three channels are clipped: with one channel clipped (red, on
-    light skin) the others still carry the shading.
-
-    Raises
-    ------
-    BadInput
-        Naming the file and its LED.
+    An overexposed pixel is one in which two of the three channels are clipped: with one channel clipped (red, on light
+    skin) the others still carry the shading. Raises BadInput naming the file and its LED.
     """
     ambient = _ambient_light(band)
     peaks = np.array([_check_image(band, k, ambient) for k in range(len(band.pixels))])
@@ -107,10 +102,7 @@ def _ambient_light(band: Band) -> NDArray[np.float32] | None:
 def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
     """Return the mask (H, W) that an image (H, W, C) shows: white (above half the scale), or 1 in an image of 0 and 1.
 
-    Raises
-    ------
-    BadInput
-        If not one pixel is white.
+    Raises BadInput if not one pixel is white.
     """
     bright = pixels.max(axis=2)
     top = int(bright.max())

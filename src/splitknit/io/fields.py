@@ -17,16 +17,9 @@ MAX_JSON_BYTES = 16_000_000
 def read_json(path: Path, damaged: str | None = None) -> tuple[Any, bytes]:
     """Read a UTF-8 JSON file strictly; return the document and the bytes it was read from.
 
-    Parameters
-    ----------
-    path : the file
-    damaged : the whole message where it cannot be read, of files that no person writes: what to do about it
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity, a number beyond the
-        largest (1e999) or a key twice in one object.
+    `path`: the file; `damaged`: the whole message where it cannot be read, of files that no person writes: what to do
+    about it. Raises BadInput if the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity, a number
+    beyond the largest (1e999) or a key twice in one object.
     """
     try:
         data = read_bytes(path, MAX_JSON_BYTES)
@@ -178,10 +171,7 @@ def as_number(value: Any) -> float | None:
 def inside(folder: Path, value: Any, file: str, field: str) -> Path:
     """Return the path that `value`, a relative path in field `field` of `file`, names inside `folder`.
 
-    Raises
-    ------
-    BadInput
-        If it is no string, absolute, or leaves the folder, by ``..`` or by a symbolic link.
+    Raises BadInput if it is no string, absolute, or leaves the folder, by ``..`` or by a symbolic link.
     """
     what = f"{file}: {field}"
     if not isinstance(value, str) or not value.strip():

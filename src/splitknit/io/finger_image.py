@@ -1,18 +1,6 @@
 """Finger image records: ISO/IEC 19794-4:2005 read and written; ISO/IEC 19794-4:2011 and ANSI/INCITS 381-2004 read.
 
-All numbers are big-endian. The record of 2005::
-
-    header, 32 bytes                              each view, 14 bytes and its image
-     0  "FIR" NUL                                  0  length of the view, with these 14 bytes (4 bytes)
-     4  "010" NUL                                  4  finger position, 0 to 10
-     8  length of the record (6 bytes)             5  views of this finger
-    14  capture device                             6  number of this view, from 1
-    16  acquisition level: 31, 41 (500, 1000 ppi)  7  quality, 254: not computed
-    18  number of fingers                          8  impression type
-    19  scale units: 1 inch, 2 cm                  9  columns, 11 rows of the image
-    20  scanned, 24 stored pixels per unit (4 x 2) 13  0
-    28  bits a pixel, 29 compression
-    30  0 (2 bytes)
+All numbers are big-endian; the layout of 2005 stands in ``docs/reference/records.md``.
 
 ANSI/INCITS 381-2004 has the same version and four bytes more, the product's, behind the length. The record of 2011
 ("020") has 16 bytes of header, and resolution, depth and compression in each representation.
@@ -32,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.io.fmr_bytes import Cursor
-from splitknit.io.images import ImageSettings, decode_image
+from splitknit.io.fmr_bytes import Cursor, check_length
+from splitknit.io.images import decode_image
 from splitknit.io.minutiae_record import ANSI_2004_IMPRESSIONS, FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
 from splitknit.io.prints import PrintFile, encode_print_png
 from splitknit.io.wsq_image import decode_wsq, encode_wsq
@@ -61,15 +49,9 @@ _NEAREST = {"contactless_rolled": "contactless", "unknown": "live_plain", "other
 def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none") -> bytes:
     """Bytes of a record of ISO/IEC 19794-4:2005.
 
-    Parameters
-    ----------
-    prints : at least one, all of 500 or all of 1000 ppi
-    compression : ``none``, ``png`` or ``wsq`` (which loses a little, and is for 500 ppi alone)
-
-    Raises
-    ------
-    BadInput
-        If there are none, or the standard has no way to state what they are.
+    `prints`: at least one, all of 500 or all of 1000 ppi; `compression`: ``none``, ``png`` or ``wsq`` (which loses a
+    little, and is for 500 ppi alone). Raises BadInput if there are none, or the standard has no way to state what they
+    are.
 
     Examples
     --------
@@ -108,16 +90,9 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
     """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
 
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is no such record, truncated or damaged, claims more than 64 million pixels, or an image is not 8-bit
-        grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG or PNG.
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is no such record, truncated or
+    damaged, claims more than 64 million pixels, or an image is not 8-bit grey, has no square pixels, or is compressed
+    otherwise than by WSQ, JPEG or PNG.
     """
     require(data[:4] == MAGIC, f"{name} is no finger image record (it does not begin with 'FIR'); name another file.")
     if data[4:8] == _V2011:
@@ -132,7 +107,7 @@ def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFi
 def _read_2005(data: bytes, name: str) -> tuple[PrintFile, ...]:
     cursor = Cursor(data, name, 8)
     length = int.from_bytes(cursor.take(6, "its header"), "big")
-    _check_length(data, length, name)
+    check_length(data, length, name)
     start = next((start for start in (_HEADER_BYTES, _HEADER_BYTES + 4) if _fits(data, start)), 0)
     require(start > 0, f"{name} is damaged: the lengths of its images do not add up to that of the record.")
     cursor.place = start - _PARAMETERS.size
@@ -159,7 +134,7 @@ _REST_2011 = struct.Struct(">BBBHHHHBBBHHI")
 def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
     data, name = cursor.data, cursor.name
     length, count, certified, _ = cursor.unpack(_GENERAL_2011, "its header")
-    _check_length(data, length, name)
+    check_length(data, length, name)
     require(certified <= 1, f"{name} is damaged: the flag of its certificates is {certified}; copy it again.")
     require(1 <= count <= _MAX_VIEWS, f"{name} holds {count} images; 1 to {_MAX_VIEWS} are read.")
     found: list[PrintFile] = []
@@ -187,14 +162,6 @@ def _read_2011(cursor: Cursor) -> tuple[PrintFile, ...]:
         cursor.place == len(data), f"{name} is damaged: {len(data) - cursor.place} bytes follow its {count} images."
     )
     return tuple(found)
-
-
-def _check_length(data: bytes, stated: int, name: str) -> None:
-    require(
-        stated <= len(data),
-        f"{name} is truncated: its header states {stated} bytes, but it has {len(data)}; copy it again.",
-    )
-    require(stated == len(data), f"{name} has {len(data)} bytes, but its header states {stated}; it is damaged.")
 
 
 def _fits(data: bytes, place: int) -> bool:
@@ -233,10 +200,7 @@ def _more(pixels: int, rows: int, columns: int, name: str) -> int:
 def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
     """Decode a print as records hold it: ``none``, ``wsq``, or a picture file, of the (rows, columns) that they state.
 
-    Raises
-    ------
-    BadInput
-        If it has another size, is not 8-bit grey, or is damaged.
+    Raises BadInput if it has another size, is not 8-bit grey, or is damaged.
     """
     rows, columns = size
     expected = f"but its record states {rows} x {columns}"
@@ -246,7 +210,7 @@ def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: s
     if compression == "wsq":
         image = decode_wsq(stored, name).image
     else:
-        pixels = decode_image(stored, name, settings=ImageSettings(max_pixels=rows * columns))
+        pixels = decode_image(stored, name, max_pixels=rows * columns)
         require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not 8-bit grey; convert it.")
         image = np.asarray(pixels[..., 0], dtype=np.uint8)
     require(image.shape == size, f"{name} holds {image.shape[0]} x {image.shape[1]} pixels, {expected}.")

@@ -109,11 +109,6 @@ def make_view(name: str, what: str, **fields: Any) -> FingerView:
     return naming(f"{name}, {what}", lambda: FingerView(**fields))
 
 
-def make_record(name: str, **fields: Any) -> MinutiaeRecord:
-    """Make a record of what was read; what does not fit is said with the file's `name`."""
-    return naming(name, lambda: MinutiaeRecord(**fields))
-
-
 def check_writable(record: MinutiaeRecord, standard: str, device_bits: int, certification_bits: int) -> None:
     """Require what every standard demands of a record before it is written."""
     require(
@@ -144,7 +139,6 @@ def common_image(record: MinutiaeRecord, standard: str) -> tuple[tuple[int, int]
 
 # Views of fingers as ISO/IEC 19794-2:2005 and ANSI/INCITS 378-2004 both write them: 6 bytes and 6 for each minutia.
 
-
 _VIEW = struct.Struct(">BBBB")
 _EXTENDED = struct.Struct(">H")
 
@@ -164,10 +158,7 @@ class ViewCodes:
 def encode_views(views: tuple[FingerView, ...], codes: ViewCodes) -> bytes:
     """Bytes of all views.
 
-    Raises
-    ------
-    BadInput
-        If the standard cannot represent what a view holds.
+    Raises BadInput if the standard cannot represent what a view holds.
     """
     return b"".join(_encode_view(view, codes) for view in views)
 
@@ -177,10 +168,7 @@ def decode_views(
 ) -> tuple[FingerView, ...]:
     """Read `count` views, which must fill the rest of the record.
 
-    Raises
-    ------
-    BadInput
-        If they are truncated or hold what the standard does not allow.
+    Raises BadInput if they are truncated or hold what the standard does not allow.
     """
     views = []
     for number in range(1, count + 1):
@@ -221,7 +209,6 @@ def _encode_view(view: FingerView, codes: ViewCodes) -> bytes:
 
 # Which standard's record a file is: minutiae records of several standards begin with the same eight bytes.
 
-
 ISO_2005 = "ISO/IEC 19794-2:2005"
 ISO_2011 = "ISO/IEC 19794-2:2011"
 ANSI_2004 = "ANSI/INCITS 378-2004"
@@ -258,11 +245,8 @@ def standard_of(data: bytes) -> str | None:
     """Return the standard of a minutiae record, by its header alone; None if it is no such record.
 
     ISO/IEC 19794-2:2005 gives its length in four bytes, ANSI/INCITS 378-2004 in two (or, from 64 KiB, in six), in the
-    same place. The length that fits the file decides; if none does, the one that is possible.
-
-    Parameters
-    ----------
-    data : the whole file, or its first bytes
+    same place. The length that fits the file decides; if none does, the one that is possible. `data`: the whole file,
+    or its first bytes.
 
     Examples
     --------

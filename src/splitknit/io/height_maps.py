@@ -37,16 +37,9 @@ Grid = tuple[FloatArray, tuple[float, float]]
 def read_x3p(path: str | os.PathLike[str]) -> Grid:
     """Read the surface of an X3P file, the first layer of several.
 
-    Returns
-    -------
-    height_mm : (H, W) float32, z towards the observer, row 0 at the largest y
-    steps_mm : along x and y
-
-    Raises
-    ------
-    BadInput
-        If the package x3pio is missing, the file is damaged, too large, or holds a profile, a cloud of points or a grid
-        of uneven steps.
+    Returns `height_mm`, (H, W) float32, z towards the observer, row 0 at the largest y; `steps_mm`, along x and y.
+    Raises BadInput if the package x3pio is missing, the file is damaged, too large, or holds a profile, a cloud of
+    points or a grid of uneven steps.
 
     Examples
     --------
@@ -74,17 +67,14 @@ def read_x3p(path: str | os.PathLike[str]) -> Grid:
 def x3p_bytes(height_mm: FloatArray, pitch_mm: float, comment: str, date: datetime.date | None = None) -> bytes:
     """Bytes of an X3P file (ISO 25178-72:2017, metres, NaN where nothing was measured) of a surface (H, W).
 
+    Raises BadInput if the package x3pio is missing.
+
     Parameters
     ----------
     height_mm : (H, W), row 0 at the top
     pitch_mm : step along both axes
     comment : one line
     date : of the measurement; the standard asks for one, so where it is not known 1980-01-01 is written
-
-    Raises
-    ------
-    BadInput
-        If the package x3pio is missing.
     """
     with importing(_NEEDS_X3PIO):
         import x3pio
@@ -101,10 +91,7 @@ def x3p_bytes(height_mm: FloatArray, pitch_mm: float, comment: str, date: dateti
 def read_tmd(path: str | os.PathLike[str]) -> Grid:
     """Read a TMD file (TrueMap, GelSight): heights in mm on a grid; as :func:`read_x3p`.
 
-    Raises
-    ------
-    BadInput
-        If the file is damaged or too large.
+    Raises BadInput if the file is damaged or too large.
     """
     name = os.fspath(path)
     data = read_bytes(path, _MAX_BYTES)
@@ -141,12 +128,8 @@ def ptm_chunks(normals: FloatArray, albedo: NDArray[np.uint8]) -> Iterator[bytes
     """Yield the bytes of a polynomial texture map (PTM 1.2, LRGB) of a matt surface, for RTIViewer, Relight, OpenLIME.
 
     Per pixel, brightness under a light from (u, v) is a0 u^2 + a1 v^2 + a2 u v + a3 u + a4 v + a5, which is fitted to
-    max(0, n . l) over the hemisphere (equal areas of the disc) by least squares.
-
-    Parameters
-    ----------
-    normals : (H, W, 3), x right, y up, z to the camera; zero where there is no surface
-    albedo : (H, W) grey value
+    max(0, n . l) over the hemisphere (equal areas of the disc) by least squares. `normals`: (H, W, 3), x right, y up, z
+    to the camera; zero where there is no surface; `albedo`: (H, W) grey value.
     """
     disc = (np.arange(_LIGHTS) + 0.5) / _LIGHTS  # sunflower: radius sqrt(k / n), steps of the golden angle
     radius, angle = np.sqrt(disc), np.arange(_LIGHTS) * np.pi * (3.0 - np.sqrt(5.0))

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,25 +20,7 @@ from splitknit.io import png, tiff
 from splitknit.io.atomic import write_file
 from splitknit.io.png import check_size
 from splitknit.model import PixelArray
-from splitknit.settings import Checked, Limits
 from splitknit.steps import large_array, let_go
-
-
-@dataclass(frozen=True, slots=True)
-class ImageSettings(Checked):
-    """What a file may demand of the machine before it is decoded."""
-
-    max_pixels: Annotated[int, Limits(0, above=True)] = 200_000_000
-    """A header that claims more is refused: nothing of the rig's kind is that large, and a small file can claim it."""
-    max_bytes: Annotated[int, Limits(0, above=True)] = 600_000_000
-    """A file that is longer is refused."""
-    threads: Annotated[int, Limits(0)] = 0
-    """Threads that decode a stack; 0 = one for each core."""
-
-    @property
-    def workers(self) -> int:
-        """Number of threads."""
-        return self.threads or min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,23 +39,19 @@ class _ImageInfo:
         return f"{self.rows} x {self.columns} {colour}, {self.dtype.itemsize * 8} bits"
 
 
-DEFAULTS = ImageSettings()
+MAX_PIXELS, MAX_BYTES = 200_000_000, 600_000_000
+"""Of one image, and of its file: nothing of the rig's kind is larger, and a small file can claim any number."""
 _MAPPED_BYTES = 1_000_000_000
 """Beyond so many the images of a capture lie on disk while they are worked on; a full frame of 16 bits takes 0.7 GB."""
 STACK_BYTES = 4_000_000_000
 """Of all images of a capture once decoded: 80 of the rig's camera in 16-bit colour."""
 
 
-def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> PixelArray:
+def read_image(path: str | os.PathLike[str]) -> PixelArray:
     """Read a PNG, TIFF or JPEG file as (H, W, C) uint8 or uint16 in RGB order, C = 1 (grey) or 3.
 
-    Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is dropped, a PNG palette
-    is expanded.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, truncated, damaged, too large, or not 8- or 16-bit grey or RGB.
+    Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is dropped, a PNG palette is
+    expanded. Raises BadInput if the file is missing, truncated, damaged, too large, or not 8- or 16-bit grey or RGB.
 
     Examples
     --------
@@ -83,20 +61,20 @@ def read_image(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS)
     >>> read_image(path).shape
     (2, 3, 1)
     """
-    return decode_image(read_bytes(path, settings.max_bytes), str(path), settings=settings)
+    return decode_image(read_bytes(path, MAX_BYTES), str(path))
 
 
-def image_size(path: str | os.PathLike[str], settings: ImageSettings = DEFAULTS) -> tuple[int, int]:
+def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     """Rows and columns of an image file, without decoding it."""
-    info = _image_info(read_bytes(path, settings.max_bytes), str(path), settings)
+    info = _image_info(read_bytes(path, MAX_BYTES), str(path))
     return info.rows, info.columns
 
 
-def _image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> _ImageInfo:
+def _image_info(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> _ImageInfo:
     """Read size, channels and type from the header in `data`; `name` is for messages.
 
-    Raises BadInput if the header is damaged, of an unknown format, or claims more than `settings` allows, than 400 MB
-    once decoded, or than the file can hold.
+    Raises BadInput if the header is damaged, of an unknown format, or claims more than `max_pixels`, than 400 MB once
+    decoded, or than the file can hold.
     """
     if data.startswith(png.SIGNATURE[:4]):
         header = png.png_header(data, name)
@@ -111,22 +89,25 @@ def _image_info(data: bytes, name: str, settings: ImageSettings = DEFAULTS) -> _
         what = "is empty" if not data else "is not a PNG, TIFF or JPEG image"
         raise BadInput(f"{name} {what}; export it again as 8- or 16-bit PNG.")
     require(
-        info.rows * info.columns <= settings.max_pixels,
-        f"{name} claims {info.rows} x {info.columns} pixels, more than the {settings.max_pixels} that are read.",
+        info.rows * info.columns <= max_pixels,
+        f"{name} claims {info.rows} x {info.columns} pixels, more than the {max_pixels} that are read.",
     )
     return info
 
 
-def decode_image(
-    data: bytes, name: str, out: PixelArray | None = None, settings: ImageSettings = DEFAULTS
-) -> PixelArray:
+def decode_image(data: bytes, name: str, out: PixelArray | None = None, max_pixels: int = MAX_PIXELS) -> PixelArray:
     """Decode the bytes of an image file, into `out` (H, W, C) where given; see :func:`read_image`."""
-    _image_info(data, name, settings)
+    _image_info(data, name, max_pixels)
     if data.startswith(png.SIGNATURE):
         return png.decode_png(data, name, out)
     if data.startswith(_JPEG_SIGNATURE):
         return _decode_jpeg(data, name, out)
     return tiff.decode_tiff(data, name, out)
+
+
+def cores() -> int:
+    """Cores that this process may use, at most eight."""
+    return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 
 
 class StackReader:
@@ -136,9 +117,9 @@ class StackReader:
     stacks share the threads.
     """
 
-    def __init__(self, settings: ImageSettings = DEFAULTS) -> None:  # noqa: D107 - the class says it
-        self._settings = settings
-        self._pool = ThreadPoolExecutor(settings.workers, thread_name_prefix="splitknit-read")
+    def __init__(self, threads: int = 0) -> None:
+        """Start so many threads; 0: one for each core, at most eight."""
+        self._pool = ThreadPoolExecutor(threads or cores(), thread_name_prefix="splitknit-read")
         self._jobs: list[tuple[str, Future[str]]] = []
         self._bytes = 0
 
@@ -151,14 +132,11 @@ class StackReader:
     def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
         """Return the stack (L, H, W, C) that :meth:`finish` will have filled.
 
-        Parameters
-        ----------
-        files : the images, all of one size, colour and depth
-        size : rows, columns that every image must have
-        expected_by : who expects it, for the message
+        `files`: the images, all of one size, colour and depth; `size`: rows, columns that every image must have;
+        `expected_by`: who expects it, for the message.
         """
-        first = read_bytes(files[0], self._settings.max_bytes)
-        info = _image_info(first, str(files[0]), self._settings)
+        first = read_bytes(files[0], MAX_BYTES)
+        info = _image_info(first, str(files[0]))
         _check_size(info, size, str(files[0]), expected_by)
         self._bytes += len(files) * size[0] * size[1] * info.channels * info.dtype.itemsize
         require(
@@ -184,14 +162,14 @@ class StackReader:
         self, file: Path, data: bytes | None, like: _ImageInfo, first: str, out: PixelArray, expected_by: str
     ) -> str:
         name = str(file)
-        data = read_bytes(file, self._settings.max_bytes) if data is None else data
-        info = _image_info(data, name, self._settings)
+        data = read_bytes(file, MAX_BYTES) if data is None else data
+        info = _image_info(data, name)
         _check_size(info, (like.rows, like.columns), name, expected_by)
         require(
             info == like,
             f"{name} is {info.words}, but {first} is {like.words}; all images of a band must agree.",
         )
-        decode_image(data, name, out, self._settings)
+        decode_image(data, name, out)
         let_go(out)
         return hashlib.sha256(data).hexdigest()
 
@@ -199,10 +177,7 @@ class StackReader:
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
     """Write (H, W), (H, W, 1) or (H, W, 3) uint8 or uint16, RGB order, as PNG or TIFF (by the suffix), losslessly.
 
-    Raises
-    ------
-    BadInput
-        If the array or the suffix is of another kind, or the file cannot be written.
+    Raises BadInput if the array or the suffix is of another kind, or the file cannot be written.
     """
     write_file(path, encode_image(pixels, Path(path).suffix.lower()))
 
@@ -250,7 +225,6 @@ def _check_size(info: _ImageInfo, size: tuple[int, int], name: str, expected_by:
 # the same pixels as OpenCV, whose decoder prints on stderr where a file is damaged.
 #
 # Source: ITU-T T.81 (1992), annex B: markers and segments.
-
 
 _JPEG_SIGNATURE = b"\xff\xd8\xff"
 _MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)

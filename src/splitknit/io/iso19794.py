@@ -1,18 +1,6 @@
 """Minutiae records of ISO/IEC 19794-2:2005 (with corrigendum 1:2009), the record format: byte for byte.
 
-All numbers are big-endian::
-
-    header, 24 bytes                      each view, 6 bytes and 6 for each minutia
-     0  "FMR" NUL                          0  finger position, 0 to 10
-     4  " 20" NUL                          1  view number (4 bits), impression type (4 bits)
-     8  length of the record (4 bytes)     2  quality of the finger, 0 to 100
-    12  certificates (4 bits), device      3  number of minutiae
-    14  columns of the image               4  minutiae:  2 bits type, 14 bits column
-    16  rows of the image                                2 bits 0, 14 bits row
-    18  pixels per cm along columns                      direction, steps of 360/256 deg
-    20  pixels per cm along rows                         quality, 0 (none known) to 100
-    22  number of views                       length of the extended data (2 bytes)
-    23  0                                     extended data
+All numbers are big-endian; the layout stands in ``docs/reference/records.md``.
 
 References
 ----------
@@ -24,7 +12,7 @@ from __future__ import annotations
 import os
 import struct
 
-from splitknit.errors import read_bytes, require
+from splitknit.errors import naming, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fmr_bytes import (
     ISO_2005,
@@ -38,7 +26,6 @@ from splitknit.io.fmr_bytes import (
     common_image,
     decode_views,
     encode_views,
-    make_record,
     require_standard,
 )
 from splitknit.io.minutiae_record import ISO_2005_IMPRESSIONS, MinutiaeRecord
@@ -56,12 +43,7 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
     """Bytes of a record.
 
     Contactless prints are written as live-scan plain (or rolled) ones: the standard has no code of their own for them.
-    Directions are rounded to 1.40625 deg.
-
-    Raises
-    ------
-    BadInput
-        If the standard cannot represent what the record holds.
+    Directions are rounded to 1.40625 deg. Raises BadInput if the standard cannot represent what the record holds.
     """
     check_writable(record, ISO_2005, 12, 4)
     (rows, columns), resolution = common_image(record, ISO_2005)
@@ -78,15 +60,8 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
 def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record; writing it again gives the same bytes.
 
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is truncated, of another standard, or holds what the standard does not allow.
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
+    or holds what the standard does not allow.
     """
     require_standard(data, ISO_2005, MAGIC_20, name)
     cursor = Cursor(data, name)
@@ -99,7 +74,9 @@ def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
         "least; its producer does not keep to the standard.",
     )
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
-    return make_record(name, views=views, device=device & 0xFFF, certification=device >> 12, standard=ISO_2005)
+    return naming(
+        name, lambda: MinutiaeRecord(views, device=device & 0xFFF, certification=device >> 12, standard=ISO_2005)
+    )
 
 
 def write_iso19794(path: str | os.PathLike[str], record: MinutiaeRecord) -> None:

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, refusing, require
 from splitknit.io.finger_image import MAX_PIXELS, decode_print, encode_print
 from splitknit.io.minutiae_record import FINGER_CODES, ITL_IMPRESSIONS, name_of, standard_code
-from splitknit.io.png import png_header
+from splitknit.io.prints import PrintFile
 
 # Transactions of ANSI/NIST-ITL with prints: Type-1, a minimal Type-2, and a Type-14 for every print.
 #
@@ -28,7 +27,6 @@ from splitknit.io.png import png_header
 #
 # Source: ANSI/NIST-ITL 1-2011, NIST Special Publication 500-290 edition 3, 2015: clauses 8.1, 8.2, 8.14, annex B.
 
-
 VERSION = "0502"
 COMPRESSIONS = {"none": "NONE", "wsq": "WSQ20", "png": "PNG"}
 """Names, and their codes in field 14.011."""
@@ -36,39 +34,6 @@ MAX_PRINTS = 98
 """Information designation characters go from 0 to 99; 0 is that of Type-2."""
 MIN_PPI, MAX_PPI = 490.0, 5080.0
 """A print below the class of 500 ppi is no exemplar."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TransactionPrint:
-    """One print and its Type-14 record."""
-
-    image: NDArray[np.uint8]
-    """(H, W), ridges dark, as ink on paper."""
-    finger: str = "unknown"
-    """``right_thumb`` to ``left_little``, or ``unknown`` (field 14.013)."""
-    impression: str = "contactless"
-    """One of :data:`splitknit.io.minutiae_record.IMPRESSIONS` (field 14.003)."""
-    ppi: float = 500.0
-    """Pixels per inch (fields 14.008 to 14.010)."""
-    compression: str = "none"
-    """``none`` and ``png`` lose nothing; ``wsq`` does, and is for 500 ppi alone (field 14.011)."""
-
-    def __post_init__(self) -> None:
-        array = np.asarray(self.image)
-        require(
-            array.ndim == 2 and array.dtype == np.uint8 and min(array.shape) >= 10 and max(array.shape) <= 99_999,
-            f"a print must be (H, W) uint8, 10 to 99999 pixels each way, not {array.shape} {array.dtype}.",
-        )
-        require(
-            MIN_PPI <= self.ppi <= MAX_PPI,
-            f"a print of a transaction has {MIN_PPI:g} to {MAX_PPI:g} ppi, not {self.ppi:g}; resample it.",
-        )
-        standard_code(self.finger, FINGER_CODES, "finger")
-        standard_code(self.impression, ITL_IMPRESSIONS, "impression type")
-        require(
-            self.compression in COMPRESSIONS,
-            f"'{self.compression}' is no compression; choose one of {', '.join(COMPRESSIONS)}.",
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,28 +64,18 @@ class TransactionFacts:
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Transaction:
-    """What a transaction holds."""
-
-    prints: tuple[TransactionPrint, ...]
-    facts: TransactionFacts
-
-
-def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFacts) -> bytes:
+def encode_transaction(prints: Sequence[PrintFile], facts: TransactionFacts, compression: str = "none") -> bytes:
     """Bytes of a transaction.
 
-    Parameters
-    ----------
-    prints : 1 to 98; the k-th gets the information designation character k
-    facts : of the whole transaction
-
-    Raises
-    ------
-    BadInput
-        If there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
+    `prints`: 1 to 98; the k-th gets the information designation character k; `facts`: of the whole transaction;
+    `compression`: ``none`` and ``png`` lose nothing; ``wsq`` does, and is for 500 ppi alone (field 14.011). Raises
+    BadInput if there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
     """
     require(1 <= len(prints) <= MAX_PRINTS, f"a transaction takes 1 to {MAX_PRINTS} prints, not {len(prints)}.")
+    require(
+        compression in COMPRESSIONS,
+        f"'{compression}' is no compression; choose one of {', '.join(COMPRESSIONS)}.",
+    )
     nistitl = _itl_package()
     date = facts.date.strftime("%Y%m%d")
     message = nistitl.Message()
@@ -140,7 +95,7 @@ def encode_transaction(prints: Sequence[TransactionPrint], facts: TransactionFac
     second.IDC = 0
     message += second
     for number, item in enumerate(prints, start=1):
-        message += _record(nistitl, item, number, facts.originator, date)
+        message += _record(nistitl, item, compression, {"IDC": number, "SRC": facts.originator, "FCD": date})
     return bytes(message.NIST)
 
 
@@ -153,27 +108,41 @@ def _itl_package() -> Any:
     return nistitl
 
 
-def _record(nistitl: Any, item: TransactionPrint, number: int, agency: str, date: str) -> Any:
-    """Type-14 record; its resolution is in pixels per inch (SLC 1)."""
-    rows, columns = item.image.shape
-    record = nistitl.AsciiRecord(14)
-    record.IDC = number
-    for name, value in (
-        ("IMP", ITL_IMPRESSIONS[item.impression]),
-        ("SRC", agency),
-        ("FCD", date),
-        ("HLL", columns),
-        ("VLL", rows),
-        ("SLC", 1),
-        ("THPS", round(item.ppi)),
-        ("TVPS", round(item.ppi)),
-        ("CGA", COMPRESSIONS[item.compression]),
-        ("BPX", 8),
-        ("FGP", FINGER_CODES[item.finger]),
-    ):
+def _record(nistitl: Any, item: PrintFile, compression: str, given: dict[str, Any]) -> Any:
+    """Type-14 record with the fields that are `given`; its resolution is in pixels per inch (SLC 1)."""
+    ppi = _checked(item).resolution_ppi or 0.0
+    (rows, columns), record = item.image.shape, nistitl.AsciiRecord(14)
+    fields = {
+        **given,
+        "IMP": standard_code(item.impression, ITL_IMPRESSIONS, "impression type"),
+        "HLL": columns,
+        "VLL": rows,
+        "SLC": 1,
+        "THPS": round(ppi),
+        "TVPS": round(ppi),
+        "CGA": COMPRESSIONS[compression],
+        "BPX": 8,
+        "FGP": standard_code(item.finger, FINGER_CODES, "finger"),
+    }
+    for name, value in fields.items():
         setattr(record, name, str(value))
-    record.DATA = encode_print(item.image, item.ppi, item.compression)
+    record.DATA = encode_print(item.image, ppi, compression)
     return record
+
+
+def _checked(item: PrintFile) -> PrintFile:
+    """Refuse a print that a Type-14 record cannot hold."""
+    array = np.asarray(item.image)
+    require(
+        array.ndim == 2 and array.dtype == np.uint8 and min(array.shape) >= 10 and max(array.shape) <= 99_999,
+        f"a print must be (H, W) uint8, 10 to 99999 pixels each way, not {array.shape} {array.dtype}.",
+    )
+    ppi = item.resolution_ppi or 0.0
+    require(
+        MIN_PPI <= ppi <= MAX_PPI,
+        f"a print of a transaction has {MIN_PPI:g} to {MAX_PPI:g} ppi, not {ppi:g}; resample it.",
+    )
+    return item
 
 
 _START = re.compile(rb"([0-9]{1,2})\.0{0,2}1:([0-9]{1,10})\x1d")
@@ -184,19 +153,12 @@ _MAX_PARTS = 100_000
 _INCH_MM, _CM_MM = 25.4, 10.0
 
 
-def decode_transaction(data: bytes, name: str = "the transaction") -> _Transaction:
+def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[PrintFile, ...]:
     """Read the prints (Type-14 records) of a transaction; records of other types are passed over.
 
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Raises
-    ------
-    BadInput
-        If it is no transaction in the traditional encoding, truncated or damaged, holds no print, or one that is not
-        8-bit grey or compressed otherwise than ``NONE``, ``WSQ20`` or ``PNG``.
+    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is no transaction in the
+    traditional encoding, truncated or damaged, holds no print, or one that is not 8-bit grey or compressed otherwise
+    than ``NONE``, ``WSQ20`` or ``PNG``.
     """
     _check_frame(data, name)
     nistitl = _itl_package()
@@ -211,7 +173,8 @@ def decode_transaction(data: bytes, name: str = "the transaction") -> _Transacti
     require(len(named) > 0, f"{name} holds no print (no Type-14 record).")
     pixels = sum(_number(record, "VLL", words) * _number(record, "HLL", words) for record, words in named)
     require(pixels <= MAX_PIXELS, f"{name} claims {pixels} pixels, more than the {MAX_PIXELS} that are read; split it.")
-    return _Transaction(tuple(_print(record, words) for record, words in named), _facts(records[0], name))
+    _check_first(records[0], name)
+    return tuple(_print(record, words) for record, words in named)
 
 
 def _check_frame(data: bytes, name: str) -> None:
@@ -248,16 +211,17 @@ def _check_frame(data: bytes, name: str) -> None:
     require(count > 0, f"{name} is empty; an ANSI/NIST-ITL transaction is expected.")
 
 
-def _facts(record: Any, name: str) -> TransactionFacts:
+def _check_first(record: Any, name: str) -> None:
+    """Refuse a transaction whose Type-1 record does not state its facts."""
     texts = {key: _text(record, key, f"the Type-1 record of {name}") for key in ("TOT", "DAT", "DAI", "ORI", "TCN")}
     try:
         date = datetime.datetime.strptime(texts["DAT"], "%Y%m%d").date()
-        return TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
+        TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
     except ValueError as error:  # BadInput is one
         raise BadInput(f"{name} has a Type-1 record that cannot be read: {_short(error)}") from error
 
 
-def _print(record: Any, name: str) -> TransactionPrint:
+def _print(record: Any, name: str) -> PrintFile:
     rows, columns = _number(record, "VLL", name), _number(record, "HLL", name)
     compression = _text(record, "CGA", name)
     names = {code: word for word, code in COMPRESSIONS.items()}
@@ -270,13 +234,10 @@ def _print(record: Any, name: str) -> TransactionPrint:
     require(isinstance(data, bytes) and len(data) > 0, f"{name} holds no image (field 14.999).")
     ppi = _resolution(record, name)
     try:
-        return TransactionPrint(
-            _pixels(data, names[compression], (rows, columns), name),
-            name_of(_number(record, "FGP", name), FINGER_CODES, "finger position"),
-            name_of(_number(record, "IMP", name), ITL_IMPRESSIONS, "impression type"),
-            ppi,
-            names[compression],
-        )
+        image = decode_print(data, names[compression], (rows, columns), name)
+        finger = name_of(_number(record, "FGP", name), FINGER_CODES, "finger position")
+        impression = name_of(_number(record, "IMP", name), ITL_IMPRESSIONS, "impression type")
+        return _checked(PrintFile(image, ppi, {}, finger, impression))
     except BadInput as error:
         raise BadInput(str(error) if name in str(error) else f"{name}: {error}") from error
 
@@ -286,18 +247,6 @@ def _resolution(record: Any, name: str) -> float:
     require(unit in (1, 2), f"{name} gives no resolution (scale units {unit}; 1 or 2 is expected).")
     require(x == y, f"{name} has {x} pixels along and {y} across; square pixels are expected.")
     return float(x) if unit == 1 else x * _INCH_MM / _CM_MM
-
-
-def _pixels(data: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
-    """Decode the image, of the (rows, columns) that the record states."""
-    if compression == "png":
-        header = png_header(data, name)
-        found = header.rows, header.columns
-        require(
-            found == size,
-            f"{name} holds {found[0]} x {found[1]} pixels, but its record states {size[0]} x {size[1]}.",
-        )
-    return decode_print(data, compression, size, name)
 
 
 def _text(record: Any, key: str, name: str) -> str:

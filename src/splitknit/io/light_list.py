@@ -26,18 +26,9 @@ def read_named_lights(path: str | os.PathLike[str]) -> tuple[NDArray[np.float64]
 
     A first line with a single number is the count of the lights that follow, as in ``.lp`` files of RTI; ``#`` starts a
     comment. A line may begin or end with the name of its photograph. Decimal commas are understood where spaces or
-    semicolons stand between the numbers.
-
-    Returns
-    -------
-    lights : (L, 3)
-        Places in mm where the file's first line is :data:`PLACES`.
-    names : of the photographs, one for each light, without folders; empty where the file holds none
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the line; also where only some of the lines hold a name.
+    semicolons stand between the numbers. Returns `lights`, (L, 3), places in mm where the file's first line is
+    :data:`PLACES`; `names`, of the photographs, one for each light, without folders; empty where the file holds none.
+    Raises BadInput naming the file and the line; also where only some of the lines hold a name.
     """
     lights, names, _ = read_light_list(path)
     return lights, names

@@ -19,7 +19,8 @@ def surface_mesh(
 ) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.int32]]:
     """Triangulate a surface given on a pixel grid; y runs up against the rows, x right along the columns.
 
-    Four valid neighbours give two triangles, three give one. Triangles run counter-clockwise seen from +z.
+    Four valid neighbours give two triangles, three give one. Triangles run counter-clockwise seen from +z. Raises
+    BadInput if the shapes do not fit.
 
     Parameters
     ----------
@@ -33,11 +34,6 @@ def surface_mesh(
     faces : (M, 3) int32
     index : (H, W) int32, the vertex of each pixel, -1 where there is none; ``values[index >= 0]`` are in the order of
         the vertices
-
-    Raises
-    ------
-    BadInput
-        If the shapes do not fit.
     """
     z_mm = np.asarray(z_mm, dtype=np.float32)
     require(z_mm.ndim == 2, f"z_mm must be (H, W), but it is {z_mm.shape}.")
@@ -104,7 +100,6 @@ def bands(shape: tuple[int, ...]) -> Iterator[slice]:
 #
 # STL knows no unit; the header states that it is the millimetre, which printing programs assume.
 
-
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("spare", "<u2")])
 """One triangle of a binary file."""
 HEADER_BYTES = 80
@@ -119,16 +114,9 @@ def stl_size(faces: int) -> int:
 def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
     """Yield the bytes of a file, in order.
 
-    Parameters
-    ----------
-    vertices_mm : (N, 3), mm
-    faces : (M, 3) indices of vertices, counter-clockwise seen from outside
-    title : what the header has behind ``splitknit, unit mm``
-
-    Raises
-    ------
-    BadInput
-        If the shapes do not fit or a face refers to a vertex that is not there.
+    `vertices_mm`: (N, 3), mm; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside; `title`: what
+    the header has behind ``splitknit, unit mm``. Raises BadInput if the shapes do not fit or a face refers to a vertex
+    that is not there.
     """
     require(vertices_mm.ndim == 2 and vertices_mm.shape[1] == 3, f"vertices must be (N, 3), not {vertices_mm.shape}.")
     require(faces.ndim == 2 and faces.shape[1] == 3, f"faces must be (M, 3), not {faces.shape}.")
@@ -155,16 +143,14 @@ def obj_chunks(
 ) -> Iterator[bytes]:
     """Yield the bytes of a Wavefront OBJ file: vertices with normals, then triangles.
 
+    Source: Wavefront Technologies, "Advanced Visualizer", appendix B1: Object Files.
+
     Parameters
     ----------
     vertices_mm : (N, 3), mm, written to 10 nm; OBJ knows no unit, so the first comment states it
     normals : (N, 3), unit length
     faces : (M, 3) indices of vertices, counter-clockwise seen from outside
     comments : single lines
-
-    References
-    ----------
-    Wavefront Technologies, "Advanced Visualizer", appendix B1: Object Files.
     """
     yield "".join(f"# {text}\n" for text in ("unit mm", *comments)).encode("ascii", "replace")
     for pattern, rows in (("v %.5f %.5f %.5f\n", vertices_mm), ("vn %.4f %.4f %.4f\n", normals)):
@@ -184,7 +170,6 @@ def obj_chunks(
 # Source: Khronos Group, glTF 2.0 Specification (ISO/IEC 12113:2022): sections 3.4 (coordinate system and units), 4.4
 # (GLB).
 
-
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _FLOAT, _UINT, _UBYTE = 5126, 5125, 5121
 _VERTICES, _INDICES = 34962, 34963
@@ -200,6 +185,8 @@ def glb_chunks(
 ) -> tuple[int, Iterator[bytes]]:
     """Return the size of a file and its bytes, in order.
 
+    Raises BadInput if the shapes do not fit, there is nothing to write, or a face refers to a vertex that is not there.
+
     Parameters
     ----------
     vertices_mm : (N, 3), mm; y to the fingertip is glTF's "up"
@@ -207,11 +194,6 @@ def glb_chunks(
     intensity : (N,) grey value of each vertex, linear
     faces : (M, 3), counter-clockwise seen from outside
     extras : facts for ``asset.extras`` (provenance), what JSON can hold
-
-    Raises
-    ------
-    BadInput
-        If the shapes do not fit, there is nothing to write, or a face refers to a vertex that is not there.
     """
     count = len(vertices_mm)
     require(count > 0 and len(faces) > 0, "a glTF mesh needs vertices and faces.")

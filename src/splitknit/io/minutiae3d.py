@@ -119,10 +119,7 @@ def angles_of(direction: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None:
     """Write minutiae as JSON, whole or not at all; equal minutiae give equal bytes, and are read exactly as they are.
 
-    Raises
-    ------
-    BadInput
-        If the file cannot be written, or the provenance has no form in JSON.
+    Raises BadInput if the file cannot be written, or the provenance has no form in JSON.
     """
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION, "finger": minutiae.finger}
     document |= {name: np.asarray(getattr(minutiae, name), dtype=np.float64).tolist() for name in _NUMBERS}

@@ -6,7 +6,7 @@ import os
 import struct
 from collections.abc import Callable
 
-from splitknit.errors import BadInput, read_bytes, require
+from splitknit.errors import BadInput, naming, read_bytes, require
 from splitknit.io.fmr_bytes import (
     ANSI_2004,
     ANSI_2009,
@@ -27,7 +27,6 @@ from splitknit.io.fmr_bytes import (
     decode_views,
     encode_minutiae,
     encode_views,
-    make_record,
     make_view,
     require_standard,
     standard_of,
@@ -46,20 +45,8 @@ from splitknit.io.minutiae_record import (
 
 # Minutiae records of ANSI/INCITS 378-2009 and of its amendment 1 (2010): byte for byte.
 #
-# Every view has its own image size and resolution, qualities may be 254 (not computed) and 255 (failed). All numbers
-# are big-endian::
-#
-#     header, 21 bytes                      each view, 19 bytes and 6 for each minutia
-#      0  "FMR" NUL                          0  finger position, 0 to 10
-#      4  "030" NUL, or "035" NUL            1  view number
-#      8  length of the record (4 bytes)     2  impression type
-#     12  owner (not 0) of the product       3  quality of the finger
-#     14  type of the product                4  vendor (not 0), 6 algorithm of the quality
-#     16  certificates (1 byte)              8  columns, 10 rows of the image
-#     17  device                            12  pixels per cm along columns, 14 along rows
-#     19  number of views                   16  number of minutiae
-#     20  0                                 17  minutiae, as in ANSI/INCITS 378-2004
-#                                               length of the extended data (2 bytes), extended data
+# Every view has its own image size and resolution, qualities may be 254 (not computed) and 255 (failed). Numbers are
+# big-endian; the layout stands in docs/reference/records.md.
 #
 # Source: ANSI/INCITS 378-2009; ANSI/INCITS 378-2009/AM 1-2010.
 
@@ -96,9 +83,7 @@ def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord
     require(reserved == 0, f"{name}: the reserved byte of its header is {reserved}, but it must be 0.")
     views = tuple(_decode_view(cursor, f"view {number}") for number in range(1, count + 1))
     check_rest(cursor, count)
-    return make_record(
-        name, views=views, device=device, certification=certification, product=(owner, kind), standard=standard
-    )
+    return naming(name, lambda: MinutiaeRecord(views, device, certification, (owner, kind), standard))
 
 
 def _encode_view(view: FingerView) -> bytes:
@@ -143,19 +128,7 @@ def _decode_view(cursor: Cursor, what: str) -> FingerView:
 # Minutiae records of ANSI/INCITS 378-2004: byte for byte.
 #
 # As :mod:`splitknit.io.iso19794`, but for the header, of 26 bytes (30 where the record is longer than 65535), steps of
-# 2 deg, and a code for contactless prints. All numbers are big-endian::
-#
-#     header                                    each view
-#      0  "FMR" NUL                              as in ISO/IEC 19794-2:2005, with directions in steps of 2 deg
-#      4  " 20" NUL
-#      8  length (2 bytes; or 0 and 4 bytes)
-#     10  owner (not 0) of the product that made it
-#     12  type of the product
-#     14  certificates (4 bits), device
-#     16  columns, 18 rows of the image
-#     20  pixels per cm along columns, 22 along rows
-#     24  number of views
-#     25  0
+# 2 deg, and a code for contactless prints.
 #
 # Source: ANSI/INCITS 378-2004, clause 6.
 
@@ -197,14 +170,7 @@ def decode_ansi378(data: bytes, name: str = "the record") -> MinutiaeRecord:
     require(owner != 0, f"{name}: the owner of its product is 0, which {ANSI_2004} does not allow.")
     require(reserved == 0, f"{name}: the reserved byte of its header is {reserved}, but it must be 0.")
     views = decode_views(cursor, count, (rows, columns), (x_ppcm, y_ppcm), _CODES)
-    return make_record(
-        name,
-        views=views,
-        device=device & 0xFFF,
-        certification=device >> 12,
-        product=(owner, kind),
-        standard=ANSI_2004,
-    )
+    return naming(name, lambda: MinutiaeRecord(views, device & 0xFFF, device >> 12, (owner, kind), ANSI_2004))
 
 
 _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
@@ -218,10 +184,8 @@ _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
 def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record of ISO/IEC 19794-2:2005 or ANSI/INCITS 378-2004 or -2009.
 
-    Raises
-    ------
-    BadInput
-        If it is of no such standard (the message names what it is), truncated, or does not conform to its standard.
+    Raises BadInput if it is of no such standard (the message names what it is), truncated, or does not conform to its
+    standard.
     """
     standard = standard_of(data)
     if standard in _READERS:

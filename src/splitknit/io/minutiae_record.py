@@ -64,10 +64,7 @@ IMPRESSIONS = tuple(ITL_IMPRESSIONS)
 def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
     """Name of a `code` of the table `codes`; `what` it is, for messages.
 
-    Raises
-    ------
-    BadInput
-        If the table does not have it.
+    Raises BadInput if the table does not have it.
 
     Examples
     --------
@@ -83,10 +80,7 @@ def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
 def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
     """Code of a `name` in the table `codes`; `what` it is, for messages.
 
-    Raises
-    ------
-    BadInput
-        If the table does not have it.
+    Raises BadInput if the table does not have it.
     """
     require(name in codes, f"the {what} '{name}' has no code here; choose one of {', '.join(codes)}.")
     return codes[name]
@@ -213,9 +207,7 @@ class FingerView:
     def best(self, count: int = MAX_MINUTIAE) -> FingerView:
         """Return the `count` minutiae of the highest quality, in the order they have here."""
         order = np.argsort(-np.asarray(self.quality).astype(np.int64), kind="stable")[:count]
-        return self._taken(np.sort(order))
-
-    def _taken(self, index: NDArray[np.int64]) -> FingerView:
+        index = np.sort(order)
         names = ("x_px", "y_px", "direction_rad", "type", "quality")
         return dataclasses.replace(self, **{name: getattr(self, name)[index] for name in names})
 

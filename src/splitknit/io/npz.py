@@ -61,14 +61,8 @@ _HEADER = re.compile(
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
     """Write arrays and scalars as an ``.npz`` file that :func:`numpy.load` reads; equal input gives equal bytes.
 
-    Parameters
-    ----------
-    arrays : name to array or number; names are written in the order given
-
-    Raises
-    ------
-    BadInput
-        If a name or an array cannot be stored (objects, 4 GB or more), or the file cannot be written.
+    `arrays`: name to array or number; names are written in the order given. Raises BadInput if a name or an array
+    cannot be stored (objects, 4 GB or more), or the file cannot be written.
     """
     workers = min(8, os.cpu_count() or 1)
     with atomic_file(path) as stream, ThreadPoolExecutor(workers) as pool:
@@ -89,15 +83,8 @@ def read_npz(
 ) -> dict[str, np.ndarray[Any, Any]]:
     """Read arrays of an ``.npz`` file; pickled objects are refused, and sizes are checked before memory is taken.
 
-    Parameters
-    ----------
-    names : of the arrays to read, where they are there; None for all
-    max_bytes : of the arrays that are read, together
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or its arrays are too large.
+    `names`: of the arrays to read, where they are there; None for all; `max_bytes`: of the arrays that are read,
+    together. Raises BadInput if the file is missing, damaged, or its arrays are too large.
     """
     name = os.fspath(path)
     damaged = f"{name} cannot be read as arrays: it is damaged, or no .npz file of numbers; write it again."
@@ -119,14 +106,8 @@ def read_npz(
 def map_npy(path: str | os.PathLike[str], damaged: str | None = None) -> np.ndarray[Any, Any]:
     """Map an ``.npy`` file into memory, read-only: it may be larger than the memory.
 
-    Parameters
-    ----------
-    damaged : the whole message where it is damaged; what to do about it
-
-    Raises
-    ------
-    BadInput
-        If the file is missing or damaged.
+    `damaged`: the whole message where it is damaged; what to do about it. Raises BadInput if the file is missing or
+    damaged.
     """
     damaged = damaged or f"'{os.fspath(path)}' is damaged or no .npy file of numbers; make it again."
     with open_file(path, 1 << 50) as (stream, size), refusing(damaged):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, open_file, read_bytes, refusing, require
 from splitknit.io import png, tiff
-from splitknit.io.images import APP1, DEFAULTS, decode_image, jpeg_segments
+from splitknit.io.images import APP1, MAX_BYTES, MAX_PIXELS, decode_image, jpeg_segments
 from splitknit.io.png import check_size
 
 RAW_SUFFIXES = frozenset({".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw"})
@@ -52,24 +52,16 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
     """Read a photograph, turned upright as its EXIF data say.
 
     RAW is demosaiced to linear 16-bit light in the camera's own colours, black level taken off: no white balance, no
-    tone curve, no automatic brightness.
-
-    Parameters
-    ----------
-    path : JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file
-    room : bytes that the pixels may take, at most 400 MB
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, too large, of another kind, or of a kind whose package is not installed.
+    tone curve, no automatic brightness. `path`: JPEG, PNG, TIFF (8- or 16-bit or float), WEBP, BMP, HEIC or RAW file;
+    `room`: bytes that the pixels may take, at most 400 MB. Raises BadInput if the file is missing, damaged, too large,
+    of another kind, or of a kind whose package is not installed.
 
     Examples
     --------
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
     """
-    return decode_photo(read_bytes(path, DEFAULTS.max_bytes), os.fspath(path), room=room)
+    return decode_photo(read_bytes(path, MAX_BYTES), os.fspath(path), room=room)
 
 
 def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
@@ -102,16 +94,8 @@ def encoding_of(files: Sequence[Path], by_shading: Callable[[], bool]) -> tuple[
 
     Camera RAW is linear; JPEG, WEBP and HEIC are sRGB; PNG is what its chunks sRGB, gAMA and iCCP state. Of other files
     those of 16 bits and of floats are linear, and those of 8 bits too unless their shading fits sRGB clearly better.
-
-    Parameters
-    ----------
-    files : photographs
-    by_shading : whether it does, see :func:`splitknit.imaging.band.shading_is_srgb`; called where it decides
-
-    Raises
-    ------
-    BadInput
-        If some have a tone curve and some have none.
+    `files`: photographs; `by_shading`: whether it does, see :func:`splitknit.imaging.band.shading_is_srgb`; called
+    where it decides. Raises BadInput if some have a tone curve and some have none.
     """
     found = {_stated_encoding(file) for file in files}
     require(
@@ -139,7 +123,7 @@ def _stated_encoding(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix in SRGB_SUFFIXES or suffix in RAW_SUFFIXES:
         return "srgb" if suffix in SRGB_SUFFIXES else "linear"
-    with open_file(file, DEFAULTS.max_bytes) as (stream, _):
+    with open_file(file, MAX_BYTES) as (stream, _):
         head = stream.read(1 << 16).partition(b"IDAT")[0]
     if not head.startswith(png.SIGNATURE):
         return ""
@@ -161,8 +145,8 @@ def _checked(rows: int, columns: int, bytes_each: int, name: str, room: int | No
     """Refuse sizes that are impossible or too large, before anything is decoded."""
     require(rows > 0 and columns > 0, _UNREADABLE.format(name))
     require(
-        rows * columns <= DEFAULTS.max_pixels,
-        f"{name} claims {rows} x {columns} pixels, more than the {DEFAULTS.max_pixels} that are read.",
+        rows * columns <= MAX_PIXELS,
+        f"{name} claims {rows} x {columns} pixels, more than the {MAX_PIXELS} that are read.",
     )
     check_size(rows * columns * bytes_each, name, f"{rows} x {columns}")
     _check_room(rows * columns * bytes_each, name, room)
@@ -181,18 +165,11 @@ def _upright(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 def exif_data(data: bytes) -> bytes:
     """EXIF data of a sound JPEG file (segment APP1) or PNG file (chunk eXIf); empty where there are none."""
-    exif = b""
     if data.startswith(JPEG_SIGNATURE):
         found = (_after(data[start + 4 : end]) for marker, start, end in jpeg_segments(data) if marker == APP1)
-        exif = next(filter(None, found), b"")
     else:
-        place = len(png.SIGNATURE)
-        while place + 8 <= len(data) and not exif:
-            length = int.from_bytes(data[place : place + 4], "big")
-            if data[place + 4 : place + 8] == b"eXIf":
-                exif = data[place + 8 : place + 8 + length]
-            place += 12 + length
-    return exif
+        found = (content for kind, content in png.chunks_of(data) if kind == b"eXIf")
+    return next(filter(None, found), b"")
 
 
 def _after(data: bytes) -> bytes:

@@ -82,10 +82,8 @@ def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
 def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
     """Average `field` (H, W) or (H, W, C) over the picture's pixels, `mask` aware.
 
-    Returns
-    -------
-    values : (h, w) or (h, w, C) float32, zero where the weight is zero
-    weight : (h, w) float32 in [0, 1], the fraction of the pixel inside the mask
+    Returns `values`, (h, w) or (h, w, C) float32, zero where the weight is zero; `weight`, (h, w) float32 in [0, 1],
+    the fraction of the pixel inside the mask.
     """
     (values,), weight = fields_to_frame([field], mask, frame)
     return values, weight
@@ -163,11 +161,10 @@ def colour(values: FloatArray, low: float, high: float, *, diverging: bool = Fal
     return np.asarray(np.round(table).astype(np.uint8)[index])
 
 
-def on_paper(picture: ColourArray, weight: FloatArray, paper: Sequence[int] = PAPER) -> ColourArray:
+def on_paper(picture: ColourArray, weight: FloatArray) -> ColourArray:
     """Blend `picture` into a plain background where `weight` is below one."""
     alpha = weight[..., None]
-    background = np.asarray(paper, dtype=np.float32)
-    return np.round(picture * alpha + background * (1.0 - alpha)).astype(np.uint8)
+    return np.round(picture * alpha + np.asarray(PAPER, dtype=np.float32) * (1.0 - alpha)).astype(np.uint8)
 
 
 def normal_colours(normals: FloatArray) -> ColourArray:

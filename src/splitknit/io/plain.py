@@ -142,6 +142,9 @@ def capture_from_photographs(
 ) -> Photographs:
     """Make a capture of a folder of photographs, one for each light.
 
+    Raises BadInput as :func:`capture_from_plain_images`; also if the folder holds no photographs, their number is not
+    that of the lights, or the lights' file names one that is not there.
+
     Parameters
     ----------
     folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of their names; or a
@@ -151,16 +154,6 @@ def capture_from_photographs(
     px_per_mm : pixels a millimetre on the object; None where it is unknown: heights are then in pixels
     options : mask, material, encoding and others
     announce : called with a sentence on memory and disk before many or large photographs are read
-
-    Returns
-    -------
-    Photographs
-
-    Raises
-    ------
-    BadInput
-        As :func:`capture_from_plain_images`; also if the folder holds no photographs, their number is not that of the
-        lights, or the lights' file names one that is not there.
 
     Examples
     --------
@@ -301,9 +294,10 @@ def photographs_in(
 ) -> tuple[list[Path], list[Path], list[str]]:
     """Photographs of a folder in the order of the lights.
 
+    Raises BadInput if the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
+
     Parameters
     ----------
-    folder : Path
     table : file of the lights, for messages
     names : of photographs, from that file; empty: all, photo_2 before photo_10
     own : files that have another use
@@ -313,11 +307,6 @@ def photographs_in(
     -------
     photographs, masks : files
     skipped : what else is there, each with the reason
-
-    Raises
-    ------
-    BadInput
-        If the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
     """
     found, skipped = _photos_in(folder, own)
     masks = [file for file in found if find_mask and file.stem.lower() == "mask"]
@@ -393,7 +382,8 @@ def capture_from_plain_images(
     """Make a capture of images of one object under distant lights; all of them form the band ``white``.
 
     Photographs under one light (directions within 0.5 deg) are averaged. Photographs of floats are brought to 16 bits
-    by one factor.
+    by one factor. Raises BadInput if files are missing, damaged, of different sizes or turned differently by their EXIF
+    data, lights and images differ in number, the lights do not determine a normal, an image is black or overexposed.
 
     Parameters
     ----------
@@ -407,12 +397,6 @@ def capture_from_plain_images(
     -------
     Capture
         Write it with :func:`splitknit.write_capture`.
-
-    Raises
-    ------
-    BadInput
-        If files are missing, damaged, of different sizes or turned differently by their EXIF data, lights and images
-        differ in number, the lights do not determine a normal, an image is black or overexposed.
     """
     files = [Path(image) for image in images]
     rig = _distant_rig(np.asarray(lights, dtype=np.float64))
@@ -469,6 +453,8 @@ def _assembled(  # noqa: PLR0917
         if file is not None:
             photo = read_photo(Path(file))
             others[what] = reading.reduced(photo, Path(file))
+            if what == "mask" and others[what].dtype.kind == "f":
+                others[what] = (others[what] > 0.5).astype(np.uint8) * np.uint8(255)
             hashes[Path(file).name] = photo.sha256
     black = reading.level(float(background)) if isinstance(background, float | int) else 0.0
     count, series = len(groups), len(stack) // len(files)
@@ -511,7 +497,7 @@ def _assembled(  # noqa: PLR0917
         encoding=encoding,
         material=options.material,
         tip_direction_deg=options.tip_direction_deg,
-        mask=None if mask is None else mask_from_image(_as_bytes(others["mask"]), str(mask)),
+        mask=None if mask is None else mask_from_image(others["mask"], str(mask)),
         hashes=hashes,
         shading=None if options.shading is None else Path(options.shading),
     )
@@ -533,16 +519,9 @@ def _flat_of(
 def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
     """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s.
 
-    Parameters
-    ----------
-    folder : of the photographs, in the order of the lights by their names
-    count : of lights; one colour photograph serves three
-    encoding : of the photographs
-
-    Raises
-    ------
-    BadInput
-        If they are not there, not as many, or black in places.
+    `folder`: of the photographs, in the order of the lights by their names; `count`: of lights; one colour photograph
+    serves three; `encoding`: of the photographs. Raises BadInput if they are not there, not as many, or black in
+    places.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
     files, _, _ = photographs_in(folder, folder / "lights.txt")
@@ -741,10 +720,6 @@ class _Reading:
 
 def _kind(pixels: NDArray[Any]) -> str:
     return f"{'RGB' if pixels.shape[2] == 3 else 'grey'} of {pixels.dtype}"
-
-
-def _as_bytes(pixels: NDArray[Any]) -> PixelArray:
-    return (pixels > 0.5).astype(np.uint8) * np.uint8(255) if pixels.dtype.kind == "f" else pixels
 
 
 def _as_integers(

@@ -41,6 +41,9 @@ def write_ply(  # noqa: PLR0917 - a mesh is these arrays
 ) -> None:
     """Write a surface as binary little-endian PLY.
 
+    Raises BadInput if the shapes do not fit, a face refers to a vertex that is not there, a comment has more than one
+    line, or the file cannot be written.
+
     Parameters
     ----------
     vertices_mm : (N, 3), mm
@@ -48,12 +51,6 @@ def write_ply(  # noqa: PLR0917 - a mesh is these arrays
     intensity : (N,) uint8 in [0, 255], or float in [0, 1]; stored as the property ``quality`` in [0, 1]
     faces : (M, 3) indices of vertices, counter-clockwise seen from outside, or None for a cloud of points
     comments : single lines for the header (units, provenance)
-
-    Raises
-    ------
-    BadInput
-        If the shapes do not fit, a face refers to a vertex that is not there, a comment has more than one line, or the
-        file cannot be written.
     """
     corners = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
     count = len(vertices_mm)
@@ -85,16 +82,9 @@ def write_ply_pieces(
 ) -> None:
     """Write what :func:`write_ply` writes, piece by piece.
 
-    Parameters
-    ----------
-    vertices : how many there are, and pieces of them: places (n, 3) in mm, normals (n, 3) and intensity (n,) in [0, 1]
-    faces : how many there are, and pieces of them, (m, 3)
-    comments : single lines of printable ASCII
-
-    Raises
-    ------
-    BadInput
-        If the file cannot be written.
+    `vertices`: how many there are, and pieces of them: places (n, 3) in mm, normals (n, 3) and intensity (n,) in [0,
+    1]; `faces`: how many there are, and pieces of them, (m, 3); `comments`: single lines of printable ASCII. Raises
+    BadInput if the file cannot be written.
     """
     header = [
         "ply",

@@ -80,11 +80,8 @@ class _PngHeader:
 def png_header(data: bytes, name: str) -> _PngHeader:
     """Read the IHDR chunk of `data`; `name` is for messages.
 
-    Raises
-    ------
-    BadInput
-        If `data` does not begin with a sound IHDR chunk, or the image that it claims is too large to be decoded, or to
-        be in the file.
+    Raises BadInput if `data` does not begin with a sound IHDR chunk, or the image that it claims is too large to be
+    decoded, or to be in the file.
     """
     damaged = f"{name} is not a sound PNG file (its header is damaged); capture or export it again."
     require(len(data) >= 33 and data[:8] == SIGNATURE and data[8:16] == b"\0\0\0\rIHDR", damaged)
@@ -119,16 +116,8 @@ def check_size(decoded_bytes: int, name: str, words: str) -> None:
 def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """Decode a PNG file to (H, W, C) uint8 or uint16 in RGB order, C = 1 or 3; alpha is dropped, palettes expanded.
 
-    Parameters
-    ----------
-    data : bytes of the whole file
-    name : what to call the file in messages
-    out : (H, W, C) array of the header's size, channels and type to decode into, or None
-
-    Raises
-    ------
-    BadInput
-        If the file is truncated or damaged anywhere.
+    `data`: bytes of the whole file; `name`: what to call the file in messages; `out`: (H, W, C) array of the header's
+    size, channels and type to decode into, or None. Raises BadInput if the file is truncated or damaged anywhere.
     """
     header = png_header(data, name)
     palette, compressed = _walk(data, name)
@@ -175,6 +164,15 @@ def _walk(data: bytes, name: str) -> tuple[bytes | None, bytes]:
         end = kind == b"IEND"
         position += 12 + length
     return palette, b"".join(pieces)
+
+
+def chunks_of(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and content of every chunk of a sound PNG file."""
+    place = len(SIGNATURE)
+    while place + 8 <= len(data):
+        length = int.from_bytes(data[place : place + 4], "big")
+        yield data[place + 4 : place + 8], data[place + 8 : place + 8 + length]
+        place += 12 + length
 
 
 def _inflate(compressed: bytes, header: _PngHeader, name: str) -> Iterator[bytes]:

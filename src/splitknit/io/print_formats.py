@@ -15,7 +15,7 @@ from splitknit.errors import BadInput, open_file, require
 from splitknit.io import finger_image, photos, prints, tiff, wsq_image
 from splitknit.io.fmr_bytes import MAX_RECORD_BYTES, what_bytes_are
 from splitknit.io.iso19794 import encode_iso19794
-from splitknit.io.itl_reading import TransactionFacts, TransactionPrint, decode_transaction, encode_transaction
+from splitknit.io.itl_reading import TransactionFacts, decode_transaction, encode_transaction
 from splitknit.io.minutiae_files import decode_minutiae_record, encode_ansi378, encode_ansi378_2009
 from splitknit.io.minutiae_record import FingerView, MinutiaeRecord
 from splitknit.io.png import SIGNATURE as PNG
@@ -61,10 +61,7 @@ class PrintFormat:
 def read_prints(path: str | os.PathLike[str]) -> tuple[PrintFile | FingerView, ...]:
     """Read what a file of any of the formats holds: prints, or minutiae. Its bytes show the format, not its name.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, of no such format, truncated, damaged or too large.
+    Raises BadInput if the file is missing, of no such format, truncated, damaged or too large.
 
     Examples
     --------
@@ -93,11 +90,6 @@ def _wsq(data: bytes, name: str) -> tuple[PrintFile, ...]:
     return (dataclasses.replace(found, resolution_ppi=found.resolution_ppi or WSQ_PPI),)
 
 
-def _transaction(data: bytes, name: str) -> tuple[PrintFile, ...]:
-    found = decode_transaction(data, name).prints
-    return tuple(PrintFile(one.image, one.ppi, {}, one.finger, one.impression) for one in found)
-
-
 def _ppi(item: PrintFile) -> float:
     require(item.resolution_ppi is not None, "a print to be written must have a resolution.")
     return float(item.resolution_ppi or 0.0)
@@ -106,8 +98,7 @@ def _ppi(item: PrintFile) -> float:
 def _to_transaction(item: PrintFile, how: Writing) -> bytes:
     if how.date is None:
         raise BadInput("an ANSI/NIST-ITL transaction states the date of the capture; give it: `date` 2026-01-31.")
-    one = TransactionPrint(item.image, item.finger, item.impression, _ppi(item), how.compression)
-    return encode_transaction([one], TransactionFacts(how.date, how.control_number))
+    return encode_transaction([item], TransactionFacts(how.date, how.control_number), how.compression)
 
 
 def _record(view: FingerView, max_quality: int = 100) -> MinutiaeRecord:
@@ -155,8 +146,8 @@ FORMATS: dict[str, PrintFormat] = {
             lambda one, how: finger_image.encode_finger_images([one], how.compression), 200_000_000,
         ),
         PrintFormat(
-            "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"), _transaction,
-            _to_transaction, _MAX_ITL,
+            "ansi-nist-itl", ".an2", "image", "ANSI/NIST-ITL", (b"1.001:", b"1.01:", b"1.1:"),
+            decode_transaction, _to_transaction, _MAX_ITL,
         ),
         _minutiae("iso-19794-2", ".iso", "ISO/IEC 19794-2", lambda view, how: encode_iso19794(_record(view))),
         _minutiae("ansi-378", ".fmr", "ANSI/INCITS 378", lambda view, how: encode_ansi378(_record(view))),

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from splitknit.errors import BadInput, read_bytes, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import parse_json
-from splitknit.io.images import DEFAULTS, encode_image, jpeg_segments
+from splitknit.io.images import MAX_BYTES, encode_image, jpeg_segments
 from splitknit.io.photos import BMP_SIGNATURE, JPEG_SIGNATURE, decode_photo, exif_data
 from splitknit.io.png import SIGNATURE as PNG
-from splitknit.io.png import decode_png
+from splitknit.io.png import chunks_of, decode_png
 from splitknit.io.provenance import canonical_json
 from splitknit.io.tiff import SIGNATURES as TIFFS
 from splitknit.io.tiff import TiffPage, encode_tiff, stated_ppi, tiff_page
@@ -61,16 +61,9 @@ def write_print_png(
 ) -> None:
     """Write a print as an 8-bit grey PNG.
 
-    Parameters
-    ----------
-    image : (H, W) uint8, ridges dark
-    ppi : pixels per inch, stored in whole pixels per metre (500 ppi: 19685)
-    text : keyword (1 to 79 printable ASCII characters) to text, such as the provenance
-
-    Raises
-    ------
-    BadInput
-        If the image, the resolution or a keyword is of another kind, or the file cannot be written.
+    `image`: (H, W) uint8, ridges dark; `ppi`: pixels per inch, stored in whole pixels per metre (500 ppi: 19685);
+    `text`: keyword (1 to 79 printable ASCII characters) to text, such as the provenance. Raises BadInput if the image,
+    the resolution or a keyword is of another kind, or the file cannot be written.
     """
     write_file(path, encode_print_png(image, ppi, text))
 
@@ -96,12 +89,9 @@ def png_with_texts(data: bytes, text: Mapping[str, str], *chunks: bytes) -> byte
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
     """Read a grey PNG with its resolution and texts.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or not 8-bit grey.
+    Raises BadInput if the file is missing, damaged, or not 8-bit grey.
     """
-    data, name = read_bytes(path, DEFAULTS.max_bytes), os.fspath(path)
+    data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
     pixels = decode_png(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
     return PrintFile(np.asarray(pixels[..., 0], dtype=np.uint8), *_png_facts(data))
@@ -109,6 +99,8 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
     """Read a PNG, TIFF, JPEG or BMP file as a print, turned upright as its EXIF data say.
+
+    Raises BadInput if the file is damaged, too large, of colour or of another kind, or its pixels are not square.
 
     Parameters
     ----------
@@ -121,11 +113,6 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
     PrintFile
         Its resolution is that of pHYs, of the JFIF header or the EXIF data, of the TIFF tags, or of the BMP header;
         None where it is stated nowhere.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged, too large, of colour or of another kind, or its pixels are not square.
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
     pixels = decode_photo(data, name).pixels
@@ -144,28 +131,24 @@ def decode_print_image(data: bytes, name: str) -> PrintFile:
 def _grey(pixels: NDArray[Any], name: str) -> NDArray[np.uint8]:
     """(H, W) of (H, W, 1 or 3)."""
     require(pixels.dtype in (np.uint8, np.uint16), f"{name} holds {pixels.dtype}; save the print with 8 bits.")
-    if pixels.shape[2] == 3:
-        spread = pixels.max(axis=2) - pixels.min(axis=2)
-        limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
-        coloured = float((spread > limit).mean())
-        require(
-            coloured <= _COLOURED,
-            f"{name} is a colour image ({100 * coloured:.0f} % of it is no grey), not an 8-bit grey image; save the "
-            "print as one.",
-        )
-        pixels = pixels[..., 1:2]
-    grey = pixels[..., 0]
+    require(not is_coloured(pixels), f"{name} is a colour image, not an 8-bit grey image; save the print as one.")
+    grey = pixels[..., pixels.shape[2] // 2]
     return np.ascontiguousarray(grey if grey.dtype == np.uint8 else (grey.astype(np.uint32) + 128) // 257, np.uint8)
+
+
+def is_coloured(pixels: NDArray[Any]) -> bool:
+    """Whether a picture (H, W, 1 or 3) is more than grey stored in colour."""
+    if pixels.shape[2] != 3 or pixels.dtype not in (np.uint8, np.uint16):
+        return False
+    limit = _COLOUR_LEVELS if pixels.dtype == np.uint8 else _COLOUR_LEVELS * 257
+    return float((pixels.max(axis=2) - pixels.min(axis=2) > limit).mean()) > _COLOURED
 
 
 def _png_facts(data: bytes) -> tuple[float | None, dict[str, str]]:
     """Resolution and texts of a sound PNG file."""
     resolution, text = None, {}
-    position = 8
-    while position < len(data):
-        length = int.from_bytes(data[position : position + 4], "big")
-        kind, body = data[position + 4 : position + 8], data[position + 8 : position + 8 + length]
-        if kind == b"pHYs" and length == 9 and body[8] == 1:
+    for kind, body in chunks_of(data):
+        if kind == b"pHYs" and len(body) == 9 and body[8] == 1:
             resolution = struct.unpack(">I", body[:4])[0] * _METRES_PER_INCH
         elif kind == b"tEXt":
             keyword, _, value = body.partition(b"\0")
@@ -173,7 +156,6 @@ def _png_facts(data: bytes) -> tuple[float | None, dict[str, str]]:
         elif kind == b"iTXt":
             keyword, _, rest = body.partition(b"\0")
             text[keyword.decode("latin-1")] = rest[2:].split(b"\0", 2)[-1].decode("utf-8", "replace")
-        position += 12 + length
     return resolution, text
 
 

@@ -47,10 +47,7 @@ def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) ->
 def file_hash(path: str | os.PathLike[str]) -> str:
     """SHA-256 (hex) of a file, read piece by piece.
 
-    Raises
-    ------
-    BadInput
-        If it is missing, no regular file, or cannot be read.
+    Raises BadInput if it is missing, no regular file, or cannot be read.
     """
     with open_file(path, 1 << 50) as (stream, _):  # nothing is kept of it
         return hashlib.file_digest(stream, "sha256").hexdigest()
@@ -64,12 +61,8 @@ def settings_hash(settings: Any) -> str:
 def canonical_json(value: Any) -> str:
     """Return `value` as ASCII JSON with sorted keys, no spaces, and floats in their shortest exact form.
 
-    Dataclasses, mappings, sequences, numpy scalars and arrays, and paths are converted.
-
-    Raises
-    ------
-    BadInput
-        If a number is NaN or infinite, a key is not a string, or a value has no JSON form.
+    Dataclasses, mappings, sequences, numpy scalars and arrays, and paths are converted. Raises BadInput if a number is
+    NaN or infinite, a key is not a string, or a value has no JSON form.
     """
     return json.dumps(plain_json(value), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
 

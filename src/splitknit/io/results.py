@@ -32,8 +32,6 @@ from splitknit.io.provenance import JsonValue, canonical_json, settings_hash
 from splitknit.model import NO_SCALE, BoolArray, FloatArray, Reconstruction
 
 Origin = dict[str, JsonValue]
-
-
 LARGEST_MM = 1000.0
 """Of a result's frame."""
 _FRAME = ("mask", "pitch_mm", "input_from_upright", "upright_size")
@@ -110,19 +108,10 @@ def read_fields(
     """Fields of a result's ``height.npz``, and its frame (``mask``, ``pitch_mm``, ``input_from_upright``,
     ``upright_size``), checked against each other.
 
-    Parameters
-    ----------
-    path : file
-    names : fields that must be there
-    optional : fields that may be
-    unscaled : whether a result whose scale is unknown will do: then ``scale_known`` is false, ``pitch_mm`` is 1 and
-        the fields named ``_mm`` are in pixels
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged, an array is missing, of another shape, or impossible, or the scale is needed and
-        unknown.
+    `names`: fields that must be there; `optional`: fields that may be; `unscaled`: whether a result whose scale is
+    unknown will do: then ``scale_known`` is false, ``pitch_mm`` is 1 and the fields named ``_mm`` are in pixels. Raises
+    BadInput if the file is damaged, an array is missing, of another shape, or impossible, or the scale is needed and
+    unknown.
     """
     in_pixels = [name.removesuffix("_mm") + "_px" for name in names if name.endswith("_mm")]
     arrays: dict[str, Any] = dict(read_npz(path, (*_FRAME, *names, *optional, *in_pixels)))
@@ -178,10 +167,7 @@ def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
         "input_from_upright": result.input_from_upright,
         "upright_size": np.asarray(result.upright_size, dtype=np.int64),
     }
-    for name in ("x_mm", "y_mm"):
-        if getattr(result, name) is not None:
-            arrays[name] = getattr(result, name)
-    for name in ("uncertainty_um", "normals_measured", "specular"):
+    for name in ("x_mm", "y_mm", "uncertainty_um", "normals_measured", "specular"):
         if getattr(result, name) is not None:
             arrays[name] = getattr(result, name)
     if result.whole:
@@ -248,18 +234,15 @@ def surface_chunks(
 ) -> tuple[dict[str, Any], Iterator[bytes]]:
     """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
 
+    Raises BadInput if the result has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven
+    places.
+
     Parameters
     ----------
-    result : Reconstruction
     kind : ``stl``, ``obj`` (in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it), meshes as
         ``phalange.ply`` is one; ``x3p`` or ``tmd``, heights on the input's pixel grid; ``ptm``, relightable picture
     title : one line for the file's header
     date : of the measurement, where it is known; of ``x3p``
-
-    Raises
-    ------
-    BadInput
-        If the result has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven places.
     """
     require(result.scale_known, NO_SCALE)
     box = bounding_box(result.mask)

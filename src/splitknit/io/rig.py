@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.errors import BadInput, naming, require
+from splitknit.errors import naming, require
 from splitknit.io.atomic import write_file
 from splitknit.io.fields import Fields, as_number, read_json
 from splitknit.io.provenance import JsonValue, plain_json
@@ -65,13 +65,11 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
     """Return the rig as the document that :func:`rig_from_json` reads.
 
-    Raises
-    ------
-    BadInput
-        If LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
+    Raises BadInput if LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
     """
-    camera = rig.camera
-    leds: list[JsonValue] = []
+    camera, distortion, leds = rig.camera, rig.camera.distortion, list[JsonValue]()
+    if camera.model == "perspective" and distortion is None:
+        distortion = (0.0,) * 5  # the file must say so
     for index, led in enumerate(rig.leds):
         require(not led.also, f"LED {index} of the rig is a group of LEDs; write the rig from which it was selected.")
         place = "position_mm" if led.position_mm is not None else "direction"
@@ -83,6 +81,10 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
         if led.colour:
             entry["colour"] = led.colour
         leds.append(plain_json(entry))
+    mirrors = [
+        {"name": one.name, "corners_mm": np.array(one.corners_mm, np.float64), "reflectance": float(one.reflectance)}
+        for one in rig.mirrors
+    ]
     return {
         "format": RIG_FORMAT,
         "version": RIG_VERSION,
@@ -92,25 +94,15 @@ def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
             "image_size": [int(camera.image_size[0]), int(camera.image_size[1])],
             "height_mm": float(camera.height_mm),
             "matrix": plain_json(camera.matrix),
-            "distortion": plain_json(_distortion(camera)),
+            "distortion": plain_json(distortion),
             **({"shading": plain_json(camera.shading)} if camera.shading else {}),
             **({} if camera.crosstalk is None else {"crosstalk": plain_json(camera.crosstalk)}),
         },
         "leds": leds,
-        **({"mirrors": [_mirror_entry(mirror) for mirror in rig.mirrors]} if rig.mirrors else {}),
+        **({"mirrors": plain_json(mirrors)} if mirrors else {}),
         **({} if rig.films is None else {"films": plain_json(asdict(rig.films))}),
         "provenance": plain_json(rig.provenance),
     }
-
-
-def _mirror_entry(mirror: Mirror) -> JsonValue:
-    corners = [[float(value) for value in corner] for corner in mirror.corners_mm]
-    return plain_json({"name": mirror.name, "corners_mm": corners, "reflectance": float(mirror.reflectance)})
-
-
-def _distortion(camera: Camera) -> tuple[float, ...] | None:
-    """Zeros for a perspective camera without distortion, because the file must say so."""
-    return (0.0,) * 5 if camera.model == "perspective" and camera.distortion is None else camera.distortion
 
 
 def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
@@ -118,12 +110,8 @@ def rig_from_json(document: Any, name: str = "rig.json") -> Rig:
 
     ``camera.model`` may be left out (orthographic), and so may ``height_mm`` of an orthographic camera (140),
     ``intensity`` (1), ``lobe_exponent`` (0), ``mirrors`` (none) and ``films`` (ideal). A ``px_per_mm`` of null is a
-    scale that nobody has measured. Fields that the format does not know are ignored.
-
-    Raises
-    ------
-    BadInput
-        Naming the file and the field.
+    scale that nobody has measured. Fields that the format does not know are ignored. Raises BadInput naming the file
+    and the field.
     """
     fields = Fields(document, name)
     fields.format(RIG_FORMAT, RIG_VERSION)
@@ -169,12 +157,8 @@ def _mirror(fields: Fields) -> Mirror:
         if x is None or y is None or z is None or max(abs(x), abs(y), abs(z)) > 1e4:
             fields.refuse("corners_mm", "a list of points, each three numbers in mm")
         corners.append((x, y, z))
-    try:
-        return Mirror(fields.text("name"), tuple(corners), fields.number("reflectance", 1e-6, 1.0, 0.9))
-    except BadInput as error:
-        if str(error).startswith(fields.name):
-            raise
-        raise BadInput(f"{fields.name}: {fields.where}: {error}") from error
+    name, reflectance = fields.text("name"), fields.number("reflectance", 1e-6, 1.0, 0.9)
+    return naming(f"{fields.name}: {fields.where}", lambda: Mirror(name, tuple(corners), reflectance))
 
 
 def _camera(fields: Fields) -> Camera:
@@ -247,37 +231,32 @@ def _led(fields: Fields) -> Led:
         f"{fields.name}: {fields.where} must have either position_mm (near) or direction (distant), "
         f"but it has {'both' if near else 'neither'}.",
     )
-    try:
-        return Led(
-            band=band,
-            position_mm=_position(fields) if near else None,
-            direction=_direction(fields) if distant else None,
-            intensity=fields.number("intensity", 1e-9, 1e9, 1.0),
-            lobe_exponent=fields.number("lobe_exponent", 0.0, 1000.0, 0.0),
-            aim=_aim(fields) if fields.has("aim") else None,
-            colour=fields.text("colour", ""),
-        )
-    except BadInput as error:
-        if str(error).startswith(fields.name):
-            raise
-        raise BadInput(f"{fields.name}: {fields.where}: {error}") from error
+    position, direction = _position(fields) if near else None, _direction(fields) if distant else None
+    intensity = fields.number("intensity", 1e-9, 1e9, 1.0)
+    lobe_exponent = fields.number("lobe_exponent", 0.0, 1000.0, 0.0)
+    aim = _three(fields, "aim") if fields.has("aim") else None
+    colour = fields.text("colour", "")
+    return naming(
+        f"{fields.name}: {fields.where}",
+        lambda: Led(band, position, direction, intensity, lobe_exponent, aim=aim, colour=colour),
+    )
+
+
+def _three(fields: Fields, name: str) -> tuple[float, float, float]:
+    x, y, z = fields.numbers(name, (3,))
+    return x, y, z
 
 
 def _position(fields: Fields) -> tuple[float, float, float]:
-    x, y, z = fields.numbers("position_mm", (3,))
+    x, y, z = _three(fields, "position_mm")
     if not z >= 1e-3:
         fields.refuse("position_mm", "a place above the finger plane (the third number positive)")
     return x, y, z
 
 
-def _aim(fields: Fields) -> tuple[float, float, float]:
-    x, y, z = fields.numbers("aim", (3,))
-    return x, y, z
-
-
 def _direction(fields: Fields) -> tuple[float, float, float]:
     """Return the unit vector: 2 % of rounding in a hand-written file are forgiven and taken off."""
-    x, y, z = fields.numbers("direction", (3,))
+    x, y, z = _three(fields, "direction")
     length = math.sqrt(x * x + y * y + z * z)
     require(
         0.98 <= length <= 1.02,

@@ -22,7 +22,8 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
     """Refuse to replace a folder that is not empty and not of this kind, or that is read from (`keep`).
 
     :func:`splitknit.io.atomic.atomic_folder` refuses files of other programs; this keeps one kind of folder from
-    replacing another, such as a result a capture.
+    replacing another, such as a result a capture. Raises BadInput if `out` must not be replaced, or cannot be looked
+    into.
 
     Parameters
     ----------
@@ -31,11 +32,6 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
     words : for the kind, such as "an earlier result"
     keep : what is read from, if that is a folder
     form : the field "format" of `marker`, where that is a JSON file that folders of other kinds have as well
-
-    Raises
-    ------
-    BadInput
-        If `out` must not be replaced, or cannot be looked into.
     """
     out = out.expanduser()
     try:
@@ -60,18 +56,9 @@ def check_capture(
 ) -> None:
     """Refuse a folder for photographs that holds anything, or, with `overwrite`, anything but photographs of ours.
 
-    Every verb that writes photographs asks this, before it works: they cannot be made again as a result can.
-
-    Parameters
-    ----------
-    out : folder to write
-    overwrite : replace an earlier one of the kind
-    marker, words, keep : as for :func:`check_target`
-
-    Raises
-    ------
-    BadInput
-        If `out` must not be replaced, or cannot be looked into.
+    Every verb that writes photographs asks this, before it works: they cannot be made again as a result can. `out`:
+    folder to write; `overwrite`: replace an earlier one of the kind; `marker`, `words`, `keep`: as for
+    :func:`check_target`. Raises BadInput if `out` must not be replaced, or cannot be looked into.
     """
     check_target(out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None)
     taken = (out.expanduser() / marker).exists()
@@ -84,17 +71,14 @@ def check_capture(
 def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
     """Refuse to replace a file that is not of this kind; called before the work, so that none is done in vain.
 
+    Raises BadInput if `out` exists and is a folder or of another kind, or cannot be looked into.
+
     Parameters
     ----------
     out : file to write; nothing is checked where it is None
     words : for the kind, such as "a template"
     is_own : whether a file that begins with these bytes, at most 16 MB of it, is of the kind
     form : the field "format" of a JSON file of the kind, instead
-
-    Raises
-    ------
-    BadInput
-        If `out` exists and is a folder or of another kind, or cannot be looked into.
     """
     if out is None or not os.path.lexists(out := out.expanduser()):
         return

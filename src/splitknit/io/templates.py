@@ -74,10 +74,7 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
 def read_template(path: str | os.PathLike[str], version: int) -> bytes:
     """Payload of a template file.
 
-    Raises
-    ------
-    BadInput
-        If the file cannot be read, or as :func:`_decode_template`.
+    Raises BadInput if the file cannot be read, or as :func:`_decode_template`.
     """
     return _decode_template(read_bytes(path, _LARGEST + HEADER_BYTES), version, os.fspath(path))
 
@@ -85,9 +82,6 @@ def read_template(path: str | os.PathLike[str], version: int) -> bytes:
 def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:
     """Write a template file, whole or not at all; zero bytes for an empty payload.
 
-    Raises
-    ------
-    BadInput
-        If the file cannot be written.
+    Raises BadInput if the file cannot be written.
     """
     write_file(path, encode_template(payload, version))

@@ -118,7 +118,8 @@ def write_float_tiff(
     """Write a field of floats, such as heights or light, as an uncompressed float32 TIFF.
 
     The description tag is a JSON object with ``unit``, ``pitch_mm`` (exact) where it is known, and everything in
-    `metadata`; pixels per centimetre are in the resolution tags. Equal input gives equal bytes.
+    `metadata`; pixels per centimetre are in the resolution tags. Equal input gives equal bytes. Raises BadInput if the
+    array or the pitch is of another kind, or the file cannot be written.
 
     Parameters
     ----------
@@ -126,11 +127,6 @@ def write_float_tiff(
     unit : of the values, such as ``mm``, ``pixel``, ``rad`` or ``linear light, 1 = full scale``
     metadata : what JSON can hold (see :func:`splitknit.io.provenance`)
     pitch_mm : size of a pixel; None where the scale is unknown: the file then states no resolution
-
-    Raises
-    ------
-    BadInput
-        If the array or the pitch is of another kind, or the file cannot be written.
     """
     image = np.ascontiguousarray(field, dtype=np.float32)
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
@@ -147,10 +143,8 @@ def write_float_tiff(
 def tiff_page(data: bytes, name: str) -> TiffPage:
     """Read and check the first page's tags.
 
-    Raises
-    ------
-    BadInput
-        If they are damaged, name strips that are not in the file, or the image is not flat grey or RGB of 8 to 64 bits.
+    Raises BadInput if they are damaged, name strips that are not in the file, or the image is not flat grey or RGB of 8
+    to 64 bits.
     """
     damaged = f"{name} is not a sound TIFF file: its tags are damaged; export it again."
     with refusing(damaged):
@@ -215,10 +209,7 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
 def tiff_header(data: bytes, name: str) -> TiffPage:
     """Read the first page's tags.
 
-    Raises
-    ------
-    BadInput
-        As :func:`tiff_page`, and if the image is not 8- or 16-bit grey or RGB.
+    Raises BadInput as :func:`tiff_page`, and if the image is not 8- or 16-bit grey or RGB.
     """
     page = tiff_page(data, name)
     require(
@@ -232,10 +223,7 @@ def tiff_header(data: bytes, name: str) -> TiffPage:
 def decode_tiff(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """Decode the first page of a TIFF file to (H, W, C) uint8 or uint16, C = 1 or 3; alpha is dropped.
 
-    Raises
-    ------
-    BadInput
-        If the file is truncated or damaged, or not 8- or 16-bit grey or RGB.
+    Raises BadInput if the file is truncated or damaged, or not 8- or 16-bit grey or RGB.
     """
     page = tiff_header(data, name)
     if out is None:
@@ -306,14 +294,8 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
 def stated_ppi(data: bytes, name: str) -> float | None:
     """Resolution by the first directory of a TIFF file or of EXIF data; None where there is none, or it is damaged.
 
-    Raises
-    ------
-    BadInput
-        If it is not the same both ways.
-
-    References
-    ----------
-    TIFF, revision 6.0, Adobe 1992: XResolution, YResolution, ResolutionUnit.
+    Raises BadInput if it is not the same both ways. Source: TIFF, revision 6.0, Adobe 1992: XResolution, YResolution,
+    ResolutionUnit.
     """
     damaged = f"{name} has damaged tags; export it again."
     try:
@@ -337,15 +319,12 @@ def stated_ppi(data: bytes, name: str) -> float | None:
 def exif_orientation(data: bytes, name: str) -> int:
     """How the picture is turned, 1 to 8, by the first directory of a TIFF file or of EXIF data, which are one format.
 
+    Raises BadInput if the directory is damaged.
+
     Returns
     -------
     int
         1 (as stored) where there are no data, no such tag, or one without meaning.
-
-    Raises
-    ------
-    BadInput
-        If the directory is damaged.
     """
     if not data:
         return 1

@@ -59,15 +59,9 @@ else:
 def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
     """Compress a print; what comes back differs a little from it.
 
-    Parameters
-    ----------
-    image : (H, W) uint8, ridges dark, at least 96 pixels each way
-    ppi : its resolution, 500 within 1 %: WSQ is defined for no other; its comment states 500
-
-    Raises
-    ------
-    BadInput
-        If the image or the resolution is of another kind, or the package `wsq` is not installed.
+    `image`: (H, W) uint8, ridges dark, at least 96 pixels each way; `ppi`: its resolution, 500 within 1 %: WSQ is
+    defined for no other; its comment states 500. Raises BadInput if the image or the resolution is of another kind, or
+    the package `wsq` is not installed.
     """
     array = np.asarray(image)
     require(
@@ -89,6 +83,8 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
 def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     """Decompress a print.
 
+    Raises BadInput if it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
+
     Parameters
     ----------
     data : the whole file
@@ -98,11 +94,6 @@ def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
     -------
     PrintFile
         Its resolution is that of the comment, None where there is none.
-
-    Raises
-    ------
-    BadInput
-        If it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
     """
     header = _wsq_header(data, name)
     decoded = _run("decode", header.rows * header.columns, data)

@@ -32,7 +32,6 @@ from splitknit.settings import Checked, Limits, check_fields
 # Both are known to some millimetres only (roll shifts ridges across, pitch along), which is why a probe is sampled in
 # many places and turned by several angles, and a gallery finger once.
 
-
 COLUMNS, ROWS, STEP_MM = 17, 17, 1.0
 """The grid of a code: its first row lies one step below the finger's uppermost skin."""
 CELLS = COLUMNS * ROWS
@@ -63,16 +62,9 @@ class _CodeField:
 
 
 def code_field(template: Template) -> _CodeField:
-    """Directions and frequency of the ridges of a template that is not empty.
+    """Directions and frequency of the ridges of a template that is not empty. Raises BadInput if the template is empty.
 
-    Raises
-    ------
-    BadInput
-        If the template is empty.
-
-    References
-    ----------
-    Bigun and Granlund 1987, Optimal orientation detection of linear symmetry; Cappelli 2011, Fast and accurate
+    Source: Bigun and Granlund 1987, Optimal orientation detection of linear symmetry; Cappelli 2011, Fast and accurate
     fingerprint indexing based on ridge orientation and frequency.
     """
     require(not template.empty, "a failure to acquire has no ridges; test template.empty first.")
@@ -133,11 +125,7 @@ def sampled(
 ) -> tuple[FloatArray, FloatArray]:
     """Channels and weights on the grid of a code, for the finger turned and then shifted by several amounts.
 
-    Parameters
-    ----------
-    field : RidgeField
-    turn_rad : (V,) counter-clockwise as seen
-    right_mm, down_mm : (V,)
+    `turn_rad`: (V,) counter-clockwise as seen. `right_mm`, `down_mm`: (V,).
 
     Returns
     -------
@@ -166,7 +154,6 @@ CODE_VERSION = 1
 SCALE = 360.0
 """A code is the direction of the latent numbers times this, rounded; longer numbers than 127 are cut (hardly any)."""
 _FILE = Path(__file__).with_name("code_model.npz")
-
 
 _TURN_STEP_DEG = 5.0
 """Between two turns."""
@@ -236,20 +223,14 @@ def code_size() -> int:
 def code_of(template: Template) -> NDArray[np.int8]:
     """Code of a gallery finger.
 
-    Parameters
-    ----------
-    template : Template
+    Source: Cappelli 2011, Fast and accurate fingerprint indexing based on ridge orientation and frequency (what is
+    described); Prince and Elder 2007, Probabilistic linear discriminant analysis (how it is reduced).
 
     Returns
     -------
     (K,) int8 with K = :func:`code_size`; zeros for a failure to acquire, which a search never finds. The same template
     gives the same code (of this `CODE_VERSION`); a code reveals roughly how a finger's ridges run, and should be
     protected like the template.
-
-    References
-    ----------
-    Cappelli 2011, Fast and accurate fingerprint indexing based on ridge orientation and frequency (what is described);
-    Prince and Elder 2007, Probabilistic linear discriminant analysis (how it is reduced).
     """
     if template.empty:
         return np.zeros(code_size(), dtype=np.int8)
@@ -262,11 +243,7 @@ def probe_codes(template: Template, settings: ProbeSettings | None = None) -> Fl
     """(V, K) float32 variants of a probe, so scaled that the product with a finger's own code is about 1.
 
     They are in steps (:func:`in_steps`), so that a product with a code is the same in whatever order it is summed.
-
-    Raises
-    ------
-    BadInput
-        If the template is a failure to acquire.
+    Raises BadInput if the template is a failure to acquire.
     """
     settings = settings or ProbeSettings()
     require(not template.empty, "the probe is a failure to acquire; lay the finger down again.")

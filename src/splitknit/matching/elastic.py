@@ -20,7 +20,6 @@ from splitknit.settings import Checked, Limits
 Affine = NDArray[np.float64]
 """(2, 3): place (column, row, 1) in B to place in A."""
 
-
 _MIN_OVERLAP = 0.6
 """Fraction of a patch that must be valid on both sides."""
 np.empty(1 << 21)

@@ -26,7 +26,6 @@ from splitknit.settings import Checked, Limits
 # Codes are bytes: bit k is set where the neighbour at the angle 2 pi k / 8, counter-clockwise from the right, is at
 # least as large as the pixel itself.
 
-
 Codes = NDArray[np.uint8]
 AnyArray = np.ndarray[Any, Any]
 
@@ -57,18 +56,11 @@ class LbpSettings(Checked):
 def lbp_codes(image: FloatArray, radius: float = 1.0, interpolation: str = "linear") -> Codes:
     """Codes (H, W) of an image (H, W); pixels beyond the border repeat its edge.
 
-    Raises
-    ------
-    BadInput
-        If the image is not finite and two-dimensional, or the radius is not positive.
+    Raises BadInput if the image is not finite and two-dimensional, or the radius is not positive.
 
-    References
-    ----------
-    Ojala, Pietikainen and Maenpaa 2002, Multiresolution gray-scale and rotation invariant texture classification with
-    local binary patterns, section 2.1; the thesis, section 5.2.1.
+    Source: Ojala, Pietikainen and Maenpaa 2002, Multiresolution gray-scale and rotation invariant texture
+    classification with local binary patterns, section 2.1; the thesis, section 5.2.1.
 
-    Examples
-    --------
     >>> lbp_codes(np.array([[0, 0, 0], [0, 5, 9], [0, 0, 0]], np.float32))[1, 1].item()
     1
     """
@@ -222,10 +214,7 @@ def _histograms(counts: NDArray[np.float32], settings: LbpSettings) -> NDArray[n
 def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | None = None) -> NDArray[np.float32]:
     """Feature vector of one channel (H, W): the normalised histograms of all whole cells.
 
-    Raises
-    ------
-    BadInput
-        If the image is not finite and two-dimensional, or smaller than a cell.
+    Raises BadInput if the image is not finite and two-dimensional, or smaller than a cell.
     """
     settings, image = settings or LbpSettings(), check_image(image)
     radius, cell = settings.radius(px_per_mm), cell_px(px_per_mm)
@@ -237,7 +226,6 @@ def lbp_features(image: FloatArray, px_per_mm: float, settings: LbpSettings | No
 
 
 Vector = NDArray[np.float32]
-
 
 _CELL_PX = 64.0
 """Side of a cell at 75.7 px/mm."""
@@ -263,9 +251,7 @@ def cell_px(px_per_mm: float) -> int:
 def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
     """Histograms of oriented gradients: cells, directions shared between two bins, blocks of 2 x 2 cells.
 
-    References
-    ----------
-    Dalal and Triggs 2005, Histograms of oriented gradients for human detection.
+    Source: Dalal and Triggs 2005, Histograms of oriented gradients for human detection.
     """
     image = check_image(image)
     across = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1)
@@ -305,9 +291,7 @@ def hog_features(image: FloatArray, px_per_mm: float) -> Vector:
 def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     """Mean magnitude of Gabor responses in cells, for each period and direction, of unit length in a cell.
 
-    References
-    ----------
-    Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
+    Source: Jain, Prabhakar, Hong and Pankanti 2000, Filterbank-based fingerprint matching.
     """
     import scipy.fft  # a comparison of templates needs none of it
 
@@ -364,9 +348,7 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
     Flanks are where the channel, freed from its mean over two cells, changes its sign. Fixed places instead of matched
     points make vectors of one length, as the thesis's distance needs them.
 
-    References
-    ----------
-    Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape contexts.
+    Source: Belongie, Malik and Puzicha 2002, Shape matching and object recognition using shape contexts.
     """
     image = check_image(image)
     cell = cell_px(px_per_mm)

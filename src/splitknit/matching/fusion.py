@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.matching.elastic import Affine, Agreement, PatchGrid, bent, bent_by, compare_patches, shown_in_a
+from splitknit.matching.elastic import Affine, Agreement, PatchGrid, bent, bent_by, compare_patches, rigid, shown_in_a
 from splitknit.matching.minutia_pairs import Laid, Places, agreeing, pair_minutiae
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.matching.ridge import (
@@ -23,7 +23,6 @@ from splitknit.matching.ridge import (
     refined,
     ridge_match,
     scored,
-    start_at,
     starts_by_ridges,
 )
 from splitknit.matching.score import prepared_sides
@@ -97,15 +96,9 @@ class _Start:
 def fused_match(a: Template | Prepared, b: Template | Prepared) -> _FusedMatch:
     """Compare two prints by their ridges and their minutiae.
 
-    Parameters
-    ----------
-    a, b : Template or Prepared
-        With minutiae, as :func:`splitknit.matching.inputs.print_template` makes them.
+    Raises BadInput as :func:`splitknit.matching.ridge.ridge_match`.
 
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.matching.ridge.ridge_match`.
+    `a`, `b`: with minutiae, as :func:`splitknit.matching.inputs.print_template` makes them.
     """
     left, right = prepared_sides(a, b, Prepared, None)
     swapped = _order(left) > _order(right)
@@ -156,8 +149,8 @@ def _score(agreeing_minutiae: float, correlation: float, support: float) -> floa
 def _best_start(a: Prepared, b: Prepared, laid: list[Laid]) -> tuple[_Start, Agreement]:
     """The alignment that ridges and minutiae agree on best, and its patches."""
     starts = [_Start(one) for one in starts_by_ridges(a, b)]
-    pitch = a.template.pitch_mm
-    starts += [_Start(start_at(a, b, one.angle_rad, (one.right_mm / pitch, -one.up_mm / pitch)), one) for one in laid]
+    pitch, shapes = a.template.pitch_mm, (a.template.valid.shape, b.template.valid.shape)
+    starts += [_Start(rigid(*shapes, one.angle_rad, (one.right_mm / pitch, -one.up_mm / pitch)), one) for one in laid]
     places = _pixels(b, _of(b)[0]) if laid else np.zeros((0, 2))
     tried = []
     for start in starts:

@@ -32,14 +32,16 @@ class Side:
 
     path: Path
     kind: str
-    """``capture``, ``result``, ``template``, ``print`` or ``minutiae``."""
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
     surface: Surface | None = None
     template: Template | None = None
     """Of its ridges; None where only minutiae are known."""
     picture: NDArray[np.uint8] | None = None
-    """(H, W) of a print, at 500 ppi."""
+    """(H, W) of a print, at 500 ppi; of a photograph, unrolled."""
     minutiae: Minutiae | None = None
     """Of a record, of a template that holds minutiae, or of a folder that ``splitknit print`` wrote."""
+    note: str | None = None
+    """What a photograph was taken for."""
 
     @property
     def payload(self) -> bytes:
@@ -59,10 +61,7 @@ def read_side(  # noqa: PLR0911 - one for each kind
 ) -> Side:
     """Read one side, whatever it is, and make its template; `input_ppi` as for prints in ``prints.from_file``.
 
-    Raises
-    ------
-    BadInput
-        If it is none of these, or cannot be read.
+    Raises BadInput if it is none of these, or cannot be read.
     """
     if isinstance(given, Reconstruction | Capture):
         result = given if isinstance(given, Reconstruction) else _reconstructed(given, preset, progress)
@@ -106,14 +105,27 @@ def read_side(  # noqa: PLR0911 - one for each kind
             return naming(path, lambda: Side(path, "template", minutiae=unpack_minutiae(payload)))
         return naming(path, lambda: Side(path, "template", None, unpack(payload)))
     from splitknit.io.minutiae_record import FingerView  # a template needs none of it
+    from splitknit.prints.fingerphoto import is_fingerphoto
     from splitknit.prints.from_file import minutiae_of, print_at_500_ppi, read_one_finger
 
+    if is_fingerphoto(path):
+        return _photo(path, settings, input_ppi)
     finger = read_one_finger(path, input_ppi)
     if isinstance(finger, FingerView):
         return naming(path, lambda: Side(path, "minutiae", minutiae=minutiae_of(finger)))
     printed = naming(path, lambda: print_at_500_ppi(finger))
     template = naming(path, lambda: print_template(printed.image, printed.resolution_ppi or PPI, settings))
     return naming(path, lambda: Side(path, "print", None, template, printed.image))
+
+
+def _photo(path: Path, settings: MatchingSettings, input_ppi: float | None) -> Side:
+    """A photograph of a finger: its print, unrolled by the mean shape."""
+    from splitknit.prints.fingerphoto import read_fingerphoto
+    from splitknit.prints.make import make_print
+
+    source = read_fingerphoto(path, None if input_ppi is None else input_ppi / 25.4)
+    image = naming(path, lambda: make_print(source, "photo", "free").image)
+    return Side(path, "photo", None, print_template(image, settings=settings), image, note=source.scale)
 
 
 def _print_folder(folder: Path, settings: MatchingSettings) -> Side:
@@ -138,10 +150,7 @@ def is_of_minutiae(path: Path) -> bool:
 def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: MatchingSettings | None = None) -> Template:
     """Template of a print (H, W), ridges dark, with its minutiae, as ``splitknit print`` finds them.
 
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.matching.ridge_band.print_band`.
+    Raises BadInput as :func:`splitknit.matching.ridge_band.print_band`.
     """
     from splitknit.io.prints import PrintFile  # templates of others need none of these
     from splitknit.prints.from_file import pressed_print
@@ -158,13 +167,7 @@ def print_template(image: NDArray[np.uint8], ppi: float = PPI, settings: Matchin
 
 
 def _read_surface(path: Path) -> Surface:
-    """Read a result's ``height.npz``.
-
-    Raises
-    ------
-    BadInput
-        If it is damaged, or an array is missing or of another shape.
-    """
+    """Read a result's ``height.npz``. Raises BadInput if it is damaged, or an array is missing or of another shape."""
     from splitknit.io.results import read_fields  # a template needs none of it
 
     arrays = read_fields(path, ("ridge_mm", "shape_mm", "normals"), ("whole",))

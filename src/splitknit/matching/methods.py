@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from splitknit.io.templates import is_template, write_template
 from splitknit.matching.fusion import can_fuse, fused_match
 from splitknit.matching.inputs import Side, read_side
 from splitknit.matching.minutiae import NFIQ2_FAILED, extract, minutiae_match, nfiq2
-from splitknit.matching.minutiae_record import PPI, Minutiae
+from splitknit.matching.minutiae_record import PPI, Minutiae, SpaceMinutiae
 from splitknit.matching.ridge import RidgeMatch, prepared, ridge_match
 from splitknit.matching.score import FmrTable
 from splitknit.matching.surface import MatchingSettings, surface_images
@@ -32,6 +32,7 @@ METHODS = ("auto", "ridge", "fusion", "thesis", "minutiae", "voted", *SPACE_METH
 TABLES = {
     "ridge": "match_fmr.json",
     "fusion": "match_fmr_prints.json",
+    "fingerphotos": "match_fmr_fingerphotos.json",
     "minutiae": "match_fmr_minutiae.json",
     "minutiae_of_prints": "match_fmr_minutiae_prints.json",
     "minutiae3d": "match_fmr_minutiae3d.json",
@@ -53,7 +54,7 @@ class ComparedSide:
 
     path: str
     kind: str
-    """``capture``, ``result``, ``template``, ``print`` or ``minutiae``."""
+    """``capture``, ``result``, ``template``, ``print``, ``photo`` (of a finger) or ``minutiae``."""
     area_mm2: float
     """Of its ridges."""
     acquired: bool
@@ -66,6 +67,8 @@ class ComparedSide:
     """Whether its print was enhanced first."""
     code_mm2: float | None = None
     """Area of its finger surface code."""
+    note: str | None = None
+    """What a photograph was taken for, and how its scale is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,37 +162,33 @@ def match_files(
     input_ppi: float | None = None,
     fmr: float | None = None,
 ) -> Match:
-    """Compare two fingers' files.
+    """Compare two fingers' files. Raises BadInput, naming the file at fault, or if `fmr` is below what was measured.
 
     Parameters
     ----------
-    a, b
-        Capture folder, result folder, template (``.skt``), print, record of minutiae, or an object.
+    a, b : capture folder, result folder, template (``.skt``), print, record of minutiae, or an object
     method
         ``ridge``, ``fusion`` (of ridges and minutiae; of two prints), ``thesis``, ``minutiae``, ``voted``,
         ``minutiae3d``, ``surface-code`` or ``tetrahedra``; ``auto`` is ``minutiae`` where one is a record of minutiae,
         ``fusion`` where both sides have minutiae of a print, else ``ridge``.
-    template
-        File to write the template of `a` into.
-    preset
-        By which captures are reconstructed.
-    input_ppi
-        Resolution of prints whose files do not state it.
+    template : file to write the template of `a` into
+    preset : by which captures are reconstructed
+    input_ppi : resolution of prints whose files do not state it; beside a photograph of a finger,
+        that of the photograph alone
     fmr
         False match rate at which is decided whether it is one finger (``decision``); by default 1e-4, or the smallest
         one that the method's impostor scores can state.
-
-    Raises
-    ------
-    BadInput
-        Naming the file at fault, or if `fmr` is below what was measured.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(fmr is None or 0 < fmr < 1, f"`fmr` must lie between 0 and 1, but it is {fmr}.")
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     if template is not None:
         _check_template_file(template, a, b)
-    first, second = (read_side(side, preset, chosen, progress, input_ppi) for side in (a, b))
+    photos = [_is_photo(side) for side in (a, b)]
+    scales = [input_ppi if photo or not any(photos) else None for photo in photos]
+    first, second = (
+        read_side(side, preset, chosen, progress, ppi) for side, ppi in zip((a, b), scales, strict=True)
+    )  # fmt: skip
     if method == "auto":
         method = _usual_method(first, second)
     progress("comparing", 0.9)
@@ -219,10 +218,7 @@ def make_template_file(
 ) -> tuple[ComparedSide, TemplateFile]:
     """Write the template of one finger; parameters as of :func:`match_files`.
 
-    Raises
-    ------
-    BadInput
-        Naming the file at fault.
+    Raises BadInput, naming the file at fault.
     """
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     _check_template_file(template, finger)
@@ -244,6 +240,14 @@ def _check_template_file(template: Path, *inputs: Path | Reconstruction | Captur
 def _written(template: Path, side: Side) -> TemplateFile:
     write_template(template, side.payload, VERSION)
     return TemplateFile(str(template), template.stat().st_size)
+
+
+def _is_photo(side: Path | Reconstruction | Capture) -> bool:
+    if not isinstance(side, Path) or side.suffix.lower() in (".skt", ".npz") or not side.is_file():
+        return False
+    from splitknit.prints.fingerphoto import is_fingerphoto  # a template needs none of it
+
+    return is_fingerphoto(side)
 
 
 def _usual_method(a: Side, b: Side) -> str:
@@ -286,6 +290,8 @@ def _laid(found: RidgeMatch) -> PlaneAlignment:
 
 def _scores_of(method: str, a: Side, b: Side) -> str:
     """Which table holds the impostor scores of a comparison."""
+    if "photo" in (a.kind, b.kind):
+        return "fingerphotos" if method == "fusion" else f"{method} on photographs"
     of_surfaces = a.surface is not None and b.surface is not None
     return "minutiae_of_prints" if method == "minutiae" and not of_surfaces else method.replace("-", "_")
 
@@ -328,10 +334,7 @@ def false_match_rate(similarity: float, method: str = "ridge") -> float:
 def similarity_at(fmr: float, method: str = "ridge") -> float:
     """Smallest similarity (in steps of 1e-5) at which :func:`false_match_rate` is `fmr` or less.
 
-    Raises
-    ------
-    BadInput
-        If the table was measured on too few comparisons to state such a rate.
+    Raises BadInput if the table was measured on too few comparisons to state such a rate.
     """
     table = _measured(method)
     enough = table.fmr <= fmr
@@ -347,7 +350,12 @@ def similarity_at(fmr: float, method: str = "ridge") -> float:
 def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
     """Whether scores mean what they meant when the table was measured."""
     ridges = ("band", "template", "ridge")
-    names = {"ridge": ridges, "fusion": ridges, "surface_code": ("surface_code", "surface_match")}
+    names = {
+        "ridge": ridges,
+        "fusion": ridges,
+        "fingerphotos": ridges,
+        "surface_code": ("surface_code", "surface_match"),
+    }
     plain = MatchingSettings()
     asked = names.get(method, (method,) if hasattr(plain, method) else ())
     return all(getattr(settings, name) == getattr(plain, name) for name in asked)
@@ -356,13 +364,7 @@ def as_calibrated(settings: MatchingSettings, method: str = "ridge") -> bool:
 def _by_thesis(a: Side, b: Side, settings: MatchingSettings) -> Match:
     from splitknit.matching.thesis import thesis_match  # a template needs none of it
 
-    images = []
-    for side in (a, b):
-        if side.surface is None:
-            raise BadInput(
-                f"{side.path} is a {side.kind}; the thesis's matcher needs a surface: name a capture or a result."
-            )
-        images.append(naming(side.path, partial(surface_images, side.surface)))
+    images = [naming(side.path, partial(surface_images, _surface(side, "thesis"))) for side in (a, b)]
     found = thesis_match(images[0], images[1], settings.thesis)
     return Match(
         method="thesis", a=_side(a), b=_side(b), similarity=found.similarity, compared=found.compared,
@@ -382,7 +384,7 @@ def _side(side: Side) -> ComparedSide:
     if template is None:
         assert side.minutiae is not None
         return ComparedSide(str(side.path), side.kind, 0.0, side.minutiae.acquired)
-    return ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty)
+    return ComparedSide(str(side.path), side.kind, template.area_mm2, not template.empty, note=side.note)
 
 
 def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
@@ -391,34 +393,21 @@ def _by_minutiae(a: Side, b: Side, settings: MatchingSettings) -> Match:
     Surfaces are compared by their relief prints as they are, prints from files after enhancement. Raises BadInput if a
     side is a template of ridges, or nbis-py is not installed.
     """
-    found, sides = [side_minutiae(side) for side in (a, b)], []
-    for side, minutiae in zip((a, b), found, strict=True):
+    found = [side_minutiae(side) for side in (a, b)]
+    sides = []
+    for side, known in zip((a, b), _with_minutiae(a, b, found), strict=True):
         quality = NFIQ2_FAILED if side.template is None else nfiq2(_print_of(side)[0], PPI)
-        sides.append(
-            replace(
-                _side(side),
-                minutiae=minutiae.count,
-                nfiq2=None if quality == NFIQ2_FAILED else quality,
-                acquired=minutiae.acquired,
-                enhanced=side.picture is not None,
-            )
-        )
+        quality_or_none = None if quality == NFIQ2_FAILED else quality
+        sides.append(replace(known, nfiq2=quality_or_none, enhanced=side.picture is not None))
     compared = all(one.acquired for one in found)
-    similarity = minutiae_match(*found)
-    return Match(
-        method="minutiae", a=sides[0], b=sides[1], similarity=similarity, compared=compared,
-    )  # fmt: skip
+    return Match(method="minutiae", a=sides[0], b=sides[1], similarity=minutiae_match(*found), compared=compared)
 
 
 def side_minutiae(side: Side) -> Minutiae:
     """Minutiae of a side: those of its record, or of its print, as ``splitknit print`` finds them.
 
-    Those of a surface are mindtct's, of its relief seen from above.
-
-    Raises
-    ------
-    BadInput
-        If it is a template of ridges, or nbis-py is not installed.
+    Those of a surface are mindtct's, of its relief seen from above. Raises BadInput if it is a template of ridges, or
+    nbis-py is not installed.
     """
     if side.minutiae is not None:
         return side.minutiae
@@ -451,23 +440,25 @@ def _surface(side: Side, method: str) -> Surface:
     return side.surface
 
 
+def _with_minutiae(a: Side, b: Side, found: Sequence[Minutiae | SpaceMinutiae]) -> list[ComparedSide]:
+    """Both sides, with how many minutiae were found in each."""
+    return [
+        replace(_side(side), minutiae=one.count, acquired=one.acquired) for side, one in zip((a, b), found, strict=True)
+    ]
+
+
 def _by_space_minutiae(method: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
     from splitknit.matching.minutiae3d import minutiae3d_match, tetrahedra_match  # a template needs none of it
     from splitknit.matching.space_features import space_minutiae  # a template needs none of it
 
     surfaces = [_surface(side, method) for side in (a, b)]
-    left, right = (
-        naming(side.path, partial(space_minutiae, surface)) for side, surface in zip((a, b), surfaces, strict=True)
-    )
+    left, right = (naming(side.path, partial(space_minutiae, one)) for side, one in zip((a, b), surfaces, strict=True))
     tetrahedra = method == "tetrahedra"
     if tetrahedra:
         found = tetrahedra_match(left, right, settings.tetrahedra)
     else:
         found = minutiae3d_match(left, right, settings.minutiae3d)
-    sides = [
-        replace(_side(side), minutiae=one.count, acquired=one.acquired)
-        for side, one in zip((a, b), (left, right), strict=True)
-    ]
+    sides = _with_minutiae(a, b, (left, right))
     return Match(
         method=method, a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
         agreeing=found.agreeing, tetrahedra=found.proposals if tetrahedra else None,
@@ -479,14 +470,14 @@ def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
     from splitknit.matching.surface_code import surface_code_match  # a template needs none of it
 
     surfaces = [_surface(side, "surface-code") for side in (a, b)]
-    left, right = (
-        naming(side.path, partial(surface_code, surface, settings.surface_code))
-        for side, surface in zip((a, b), surfaces, strict=True)
-    )
-    found = surface_code_match(left, right, settings.surface_match)
+    codes = [
+        naming(side.path, partial(surface_code, one, settings.surface_code))
+        for side, one in zip((a, b), surfaces, strict=True)
+    ]
+    found = surface_code_match(codes[0], codes[1], settings.surface_match)
     sides = [
         replace(_side(side), code_mm2=one.area_mm2, acquired=not one.empty)
-        for side, one in zip((a, b), (left, right), strict=True)
+        for side, one in zip((a, b), codes, strict=True)
     ]
     return Match(
         method="surface-code", a=sides[0], b=sides[1], similarity=found.similarity, compared=found.compared,
@@ -495,9 +486,7 @@ def _by_codes(a: Side, b: Side, settings: MatchingSettings) -> Match:
 
 
 def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> Match:
-    """Compare by voted minutiae: similarity, and what each side's images hold. Raises BadInput if a side is no capture,
-    or nbis-py is not installed.
-    """
+    """Compare by voted minutiae. Raises BadInput if a side is no capture, or nbis-py is not installed."""
     for side in (a, b):
         if side.kind != "capture":
             raise BadInput(
@@ -505,10 +494,7 @@ def _by_votes(preset: str, a: Side, b: Side, settings: MatchingSettings) -> Matc
                 "name the capture itself, or compare with the method minutiae."
             )
     voted = [_voted(side, preset, settings) for side in (a, b)]
-    sides = [
-        replace(_side(side), minutiae=one.count, acquired=one.acquired, enhanced=False)
-        for side, one in zip((a, b), voted, strict=True)
-    ]
+    sides = [replace(side, enhanced=False) for side in _with_minutiae(a, b, voted)]
     return Match(
         method="voted", a=sides[0], b=sides[1], similarity=minutiae_match(*voted),
         compared=all(one.acquired for one in voted),

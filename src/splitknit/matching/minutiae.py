@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 # Where a print is cut off, every ridge ends: those ends are the cut's, not the finger's. A contact print fades out
 # there, and mindtct leaves such places alone; the print of a reconstruction has full contrast up to its outline.
 
-
 EDGE_MM = 0.6
 """Minutiae nearer to the outline are left out: about one and a third ridge periods."""
 _PRESSED_EDGE_MM = 0.3
@@ -88,12 +87,16 @@ def extract(
 ) -> Minutiae:  # fmt: skip
     """Find the minutiae of a print with mindtct.
 
+    Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed. The result lists
+    at most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to
+    acquire.
+
+    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
+
     Parameters
     ----------
-    print_image : (H, W) uint8
-        Ridges dark, as ink on paper.
-    ppi : float
-        Its resolution; other ones than 500 are resampled first.
+    print_image : (H, W) uint8; ridges dark, as ink on paper
+    ppi : its resolution; other ones than 500 are resampled first
     enhance : bool or PressedRidges
         Whether the print is enhanced first, or its enhancement: for prints pressed on glass or paper. Without,
         it is taken as it is: right for the relief prints of reconstructions, whose contrast is even.
@@ -101,20 +104,6 @@ def extract(
         Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
         :data:`splitknit.matching.minutiae.EDGE_MM` for prints taken as they are, and half of it after `enhance`:
         pressed prints fade out at their border.
-
-    Returns
-    -------
-    Minutiae
-        At most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to acquire.
-
-    Raises
-    ------
-    BadInput
-        If the image or the resolution is of another kind, or `nbis-py` is not installed.
-
-    References
-    ----------
-    C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
@@ -152,9 +141,7 @@ def minutiae_match(a: Minutiae, b: Minutiae) -> float:
     Comparing A with B gives what B with A gives: the larger of both directions. Different fingers seldom reach 40. With
     fewer than ten minutiae on one side (`acquired` is false) nothing is compared, and the score is 0.
 
-    References
-    ----------
-    C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: BOZORTH3.
+    Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: BOZORTH3.
     """
     if not (a.acquired and b.acquired):
         return 0.0
@@ -166,14 +153,9 @@ def minutiae_match(a: Minutiae, b: Minutiae) -> float:
 def nfiq2(print_image: NDArray[np.uint8], ppi: float = PPI) -> int:
     """NIST Fingerprint Image Quality 2 of a print (H, W) uint8: 0 (useless) to 100, or 255 where it sees no print.
 
-    Raises
-    ------
-    BadInput
-        As :func:`extract`.
+    Raises BadInput as :func:`extract`.
 
-    References
-    ----------
-    ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
+    Source: ISO/IEC 29794-4:2017; E. Tabassi et al., "NIST Fingerprint Image Quality 2", NIST IR 8382, 2021.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
@@ -210,10 +192,7 @@ def _exchanged(minutiae: Minutiae) -> bytes:
 def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
     """Resample a print (H, W) uint8 to 500 ppi; the size is checked first.
 
-    Raises
-    ------
-    BadInput
-        If the image or the resolution is of another kind, or the print were larger than 8192 pixels.
+    Raises BadInput if the image or the resolution is of another kind, or the print were larger than 8192 pixels.
     """
     image = np.asarray(print_image)
     require(

@@ -167,12 +167,8 @@ def _voted(a: _Framed, b: _Framed, pairs: tuple[Index, Index]) -> list[Index]:
         around = np.abs((angle - top[0] + steps // 2) % steps - steps // 2) <= 1
         around &= (np.abs(cell - np.array(top[1:])) <= 1).all(axis=1)
         groups.append(np.flatnonzero(around))
-        votes[
-            np.ix_(
-                [(top[0] + d) % steps for d in (-1, 0, 1)],
-                *(_beside(k, votes.shape[1 + d]) for d, k in enumerate(top[1:])),
-            )
-        ] = 0.0
+        turns = [(top[0] + d) % steps for d in (-1, 0, 1)]
+        votes[turns, max(top[1] - 1, 0) : top[1] + 2, max(top[2] - 1, 0) : top[2] + 2] = 0.0
     return groups
 
 
@@ -190,11 +186,11 @@ def _agreeing(a: _Framed, b: _Framed, rotation: Array, shift_mm: Array, settings
     i, j, turned, risen = i[similar], j[similar], turned[similar], risen[similar]
     cost = plane2[i, j] / settings.plane_mm**2 + (apart[i, j, 2] / _HEIGHT_MM) ** 2
     cost += (turned / np.deg2rad(_THETA_DEG)) ** 2 + (risen / np.deg2rad(_PHI_DEG)) ** 2
-    chosen = _one_to_one(i, j, cost)
+    chosen = one_to_one(i, j, cost)
     return _Agreement(i[chosen], j[chosen], rotation, shift_mm)
 
 
-def _one_to_one(i: Index, j: Index, cost: Array) -> Index:
+def one_to_one(i: Index, j: Index, cost: Array) -> Index:
     """Which of the pairs (i, j) are kept if each side is used once, the cheapest first."""
     kept, seen_i, seen_j = [], set(), set()
     for k in np.argsort(cost, kind="stable").tolist():
@@ -237,10 +233,6 @@ def _plane_motions(a: _Framed, b: _Framed, left: Index, right: Index) -> tuple[A
     cosine, sine = np.cos(turn), np.sin(turn)
     moved = np.stack([cosine * middle[:, 0] - sine * middle[:, 1], sine * middle[:, 0] + cosine * middle[:, 1]], axis=1)
     return turn, there - moved
-
-
-def _beside(k: np.intp, size: int) -> list[int]:
-    return list(range(max(int(k) - 1, 0), min(int(k) + 2, size)))
 
 
 def _armed(side: _Framed, index: Index) -> Array:
@@ -331,17 +323,11 @@ def minutiae3d_match(
 
     Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space.
 
-    Parameters
-    ----------
-    a, b : SpaceMinutiae or PreparedMinutiae3D
-        Prepare a side that is compared more than once; then its settings must be those given here.
-    settings : Minutiae3DSettings, optional
+    `a`, `b`: prepare a side that is compared more than once; then its settings must be those given here.
 
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta and phi; the
-    score is m^2 / (M_P M_Q).
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta
+    and phi; the score is m^2 / (M_P M_Q).
     """
     return _compared(*prepared_sides(a, b, PreparedMinutiae3D, settings))
 
@@ -449,10 +435,8 @@ def tetrahedra_match(
 ) -> SpaceMatch:
     """Compare the minutiae in space of two fingers by their tetrahedra; as :func:`minutiae3d_match`.
 
-    References
-    ----------
-    C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination", IEEE
-    Trans. PAMI 40(12), 2018. The accessible text of the paper lacks its tolerances: those here are chosen by us.
+    Source: C. Lin and A. Kumar, "Tetrahedron based fast 3D fingerprint identification using colored LEDs illumination",
+    IEEE Trans. PAMI 40(12), 2018. The accessible text of the paper lacks its tolerances: those here are chosen by us.
     """
     return _compared(*prepared_sides(a, b, PreparedTetrahedra, settings))
 
@@ -464,12 +448,8 @@ def _compared(a: _Framed, b: _Framed) -> SpaceMatch:
     left, right = (b, a) if a.key > b.key else (a, b)
     pairs = left.correspondences(right)
     count = len(_best_agreement(left, right, pairs, left.settings.agreement).a)
-    return SpaceMatch(_fraction_of_both(count, a.minutiae.count, b.minutiae.count), count, len(pairs[0]), compared=True)
-
-
-def _fraction_of_both(count: int, a: int, b: int) -> float:
-    """Score of `count` agreeing minutiae of `a` and `b`: count squared over their product, 0 to 1."""
-    return count * count / (a * b) if a and b else 0.0
+    similarity = count * count / (a.minutiae.count * b.minutiae.count)
+    return SpaceMatch(similarity, count, len(pairs[0]), compared=True)
 
 
 def _best_order(a: PreparedTetrahedra, b: PreparedTetrahedra, i: Index, j: Index) -> tuple[Index, NDArray[np.bool_]]:

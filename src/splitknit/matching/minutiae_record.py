@@ -35,8 +35,6 @@ class Packing:
     """Format of the sizes in the head, little-endian, as of :mod:`struct`."""
     remedy: str
     """What to do about bytes that cannot be read."""
-    plural: bool = True
-    """Whether the name is one of many things."""
 
     @property
     def head(self) -> struct.Struct:
@@ -50,13 +48,9 @@ class Packing:
     def unpack(self, data: bytes, body_size: Callable[..., int]) -> tuple[tuple[Any, ...], bytes]:
         """Sizes and body of what :meth:`pack` made; `body_size` gives the body's length by the sizes, 0 if impossible.
 
-        Raises
-        ------
-        BadInput
-            If the bytes are damaged, of another version, or something else.
+        Raises BadInput if the bytes are damaged, of another version, or something else.
         """
         head, name = self.head, self.name
-        are, their = ("are", "their") if self.plural else ("is", "its")
         require(
             len(data) > head.size and data[:4] == self.magic,
             f"these {len(data)} bytes are no packed {name} (they begin with '{self.magic.decode('ascii')}'); "
@@ -65,13 +59,13 @@ class Packing:
         _, version, *sizes, sum_ = head.unpack_from(data)
         require(
             version == self.version,
-            f"the {name} {are} of version {version}, but this program reads version {self.version}; {self.remedy}",
+            f"the {name} are of version {version}, but this program reads version {self.version}; {self.remedy}",
         )
         body = data[head.size :]
         size = body_size(*sizes)
         require(
             size > 0 and len(body) == size and zlib.crc32(body) == sum_,
-            f"the packed {name} {are} damaged ({their} length or checksum does not fit); {self.remedy}",
+            f"the packed {name} are damaged (their length or checksum does not fit); {self.remedy}",
         )
         return tuple(sizes), body
 
@@ -189,13 +183,8 @@ def holds_minutiae(data: bytes) -> bool:
 def unpack_minutiae(data: bytes) -> Minutiae:
     """Read what :func:`pack_minutiae` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the bytes are damaged, of another version, or no minutiae.
+    Raises BadInput if the bytes are damaged, of another version, or no minutiae.
 
-    Examples
-    --------
     >>> unpack_minutiae(b"").acquired
     False
     """
@@ -295,13 +284,8 @@ def pack_space_minutiae(minutiae: SpaceMinutiae) -> bytes:
 def unpack_space_minutiae(data: bytes) -> SpaceMinutiae:
     """Read what :func:`pack_space_minutiae` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the bytes are damaged, of another version, or no minutiae in space.
+    Raises BadInput if the bytes are damaged, of another version, or no minutiae in space.
 
-    Examples
-    --------
     >>> unpack_space_minutiae(b"").acquired
     False
     """

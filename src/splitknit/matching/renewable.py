@@ -60,17 +60,13 @@ class RenewableCode:
     def stored(self, codes: NDArray[np.int8]) -> tuple[NDArray[np.uint8], NDArray[np.int8]]:
         """Codes as a gallery keeps them.
 
-        Parameters
-        ----------
-        codes : (N, K) int8 of :func:`splitknit.matching.code.code_of`
+        `codes`: (N, K) int8 of :func:`splitknit.matching.code.code_of`.
 
         Returns
         -------
         bits : (N, BITS / 8) uint8, packed
         fine : (N, K) int8, the turned codes, whose products are those of `codes` but for rounding
 
-        Examples
-        --------
         >>> code = np.arange(-96, 96, dtype=np.int8)[None]
         >>> bits, fine = RenewableCode(b"a secret").stored(code)
         >>> bits.shape, fine.shape

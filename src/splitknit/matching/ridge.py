@@ -35,7 +35,6 @@ from splitknit.settings import Checked, Limits
 
 Spectra = NDArray[np.complex64]
 
-
 _STEP_DEG = 5.0
 """Between two rotations whose directions of ridges are compared."""
 _ROTATIONS = 6
@@ -235,16 +234,10 @@ def _ridge_pass() -> FloatArray:
     return np.asarray((cycles > 1.2) & (cycles < min(3.8, 0.5 / _PITCH_MM)), dtype=np.float32)
 
 
-def _band_of(value: FloatArray, valid: BoolArray) -> FloatArray:
-    """Ridge band with the steps of its levels smoothed away, zero outside."""
-    return np.where(valid, gaussian_blur(value, 0.6), np.float32(0.0)).astype(np.float32)
-
-
 _REFINEMENTS = 2
 """Affine fits to the patches' shifts."""
 _MIN_OVERLAP_MM2 = 60.0
 """Where less skin overlaps, and it is not all that the smaller template has, the similarity is lowered."""
-
 
 FIRST_PATCHES = PatchSettings(patch_mm=2.4, step_mm=2.4, search_mm=0.8)
 """Patches that refine the coarse alignment."""
@@ -292,8 +285,9 @@ class Prepared:
 
     @cached_property
     def value(self) -> FloatArray:
-        """(H, W) smooth ridge band."""
-        return _band_of(self.template.value(), self.template.valid)
+        """(H, W) ridge band with the steps of its levels smoothed away, zero outside."""
+        smooth = gaussian_blur(self.template.value(), 0.6)
+        return np.where(self.template.valid, smooth, np.float32(0.0)).astype(np.float32)
 
     @cached_property
     def rotated(self) -> _RotatedViews:
@@ -333,29 +327,15 @@ class Prepared:
 def ridge_match(
     a: Template | Prepared, b: Template | Prepared, settings: RidgeMatchSettings | None = None
 ) -> RidgeMatch:
-    """Compare two templates.
+    """Compare two templates. Raises BadInput if the templates have different pitches.
 
-    Parameters
-    ----------
-    a, b : Template or Prepared
-        Prepare a template that is compared more than once; then its settings must be those given here.
-    settings : RidgeMatchSettings, optional
+    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the
+    shift that the neighbouring patches support, times sqrt(min(1, overlap / least)) with least =
+    min(60 mm2, half of the smaller template).
 
-    Returns
-    -------
-    RidgeMatch
-        Its `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
-        neighbouring patches support, times sqrt(min(1, overlap / least)) with least = min(`least_overlap_mm2`, half of
-        the smaller template).
+    `a`, `b`: prepare a template that is compared more than once; then its settings must be those given here.
 
-    Raises
-    ------
-    BadInput
-        If the templates have different pitches.
-
-    References
-    ----------
-    Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A fingerprint matching
+    Source: Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A fingerprint matching
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based
     fingerprint verification system (local patches).
     """
@@ -402,16 +382,11 @@ def lay(a: Prepared, b: Prepared) -> tuple[RidgeMatch, Affine]:
 
 def starts_by_ridges(a: Prepared, b: Prepared) -> list[Affine]:
     """Alignments to begin with, by correlation."""
-    pitch = a.template.pitch_mm
+    pitch, shapes = a.template.pitch_mm, (a.template.valid.shape, b.template.valid.shape)
     return [
-        start_at(a, b, float(np.deg2rad(one.angle_deg)), (one.right_mm / pitch, one.down_mm / pitch))
+        rigid(*shapes, float(np.deg2rad(one.angle_deg)), (one.right_mm / pitch, one.down_mm / pitch))
         for one in peaks(a.rotated, b.directions, b.ridges)
     ]
-
-
-def start_at(a: Prepared, b: Prepared, angle_rad: float, shift_px: tuple[float, float]) -> Affine:
-    """As :func:`splitknit.matching.elastic.rigid`, of two templates."""
-    return rigid(a.template.valid.shape, b.template.valid.shape, angle_rad, shift_px)
 
 
 def refined(a: Prepared, b: Prepared, start: Affine, found: Agreement) -> Affine:

@@ -79,35 +79,23 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 ) -> RidgeBand:
     """Return the ridge band of a relief.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive. The band's
+    pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
+
+    Source: Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor);
+    Chen, Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
+    (unrolling by arc length).
+
     Parameters
     ----------
-    ridge_mm : (H, W) float32
-        Relief, ridges up, of any unit; ignored outside `mask`.
+    ridge_mm : (H, W) float32; relief, ridges up, of any unit; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Side of a pixel of the input on the finger plane.
+    pitch_mm : side of a pixel of the input on the finger plane
     shape_mm : (H, W) float32, optional
         Finger without its ridges, mm; without it nothing is unrolled and no slant is known.
     input_from_upright : (3, 3), optional
         Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
     upright_size : (rows, columns) of the upright frame, optional
-    settings : RidgeBandSettings, optional
-
-    Returns
-    -------
-    RidgeBand
-        Whose pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the pitch is not positive.
-
-    References
-    ----------
-    Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor); Chen,
-    Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
-    (unrolling by arc length).
     """
     settings = settings or RidgeBandSettings()
     require(
@@ -184,19 +172,13 @@ def print_band(
 ) -> RidgeBand:  # fmt: skip
     """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
 
+    Raises BadInput if it is no grey image or the resolution is not positive.
+
     Parameters
     ----------
-    image : (H, W) uint8
-        Grey, ridges dark, upright, as ink on paper.
-    ppi : float
-        Pixels per inch.
-    inside : (H, W) bool, optional
-        Where there are ridges; by default wherever there is contrast.
-
-    Raises
-    ------
-    BadInput
-        If it is no grey image or the resolution is not positive.
+    image : (H, W) uint8; grey, ridges dark, upright, as ink on paper
+    ppi : pixels per inch
+    inside : (H, W) bool, optional; where there are ridges; by default wherever there is contrast
     """
     settings = settings or RidgeBandSettings()
     require(

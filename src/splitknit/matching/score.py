@@ -21,10 +21,7 @@ Side = TypeVar("Side", bound=Any)
 def dissimilarity(ratio: float, distances: ArrayLike) -> float:
     """(5.2): exp(-ratio^4 / sum of distances), in [0, 1); 0 for distance 0.
 
-    Raises
-    ------
-    BadInput
-        If `ratio` is not in (0, 1] or a distance is negative or not finite.
+    Raises BadInput if `ratio` is not in (0, 1] or a distance is negative or not finite.
     """
     total = float(np.sum(np.asarray(distances, dtype=np.float64)))
     require(0 < ratio <= 1, f"the ratio of the masks must lie in (0, 1], but it is {ratio}.")
@@ -32,24 +29,10 @@ def dissimilarity(ratio: float, distances: ArrayLike) -> float:
     return math.exp(-(ratio**4) / total) if total > 0 else 0.0
 
 
-def dissimilarity_of_gated(ratio: float) -> float:
-    """Score of a pair that is not compared because its masks overlap too little: exp(2 - ratio), above e."""
-    require(0 <= ratio <= 1, f"the ratio of the masks must lie in [0, 1], but it is {ratio}.")
-    return math.exp(2.0 - ratio)
-
-
-def similarity_of(dissimilarity_value: float) -> float:
-    """The library's convention: 1 - dissimilarity. 1 for equal, down to 0; below -1.7 where nothing was compared."""
-    return 1.0 - dissimilarity_value
-
-
 def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
     """One side of a comparison as `kind`, made with `settings` (or the usual ones) where it is not prepared.
 
-    Raises
-    ------
-    BadInput
-        If it was prepared with other settings.
+    Raises BadInput if it was prepared with other settings.
     """
     if not isinstance(side, kind):
         made: Side = kind(side) if settings is None else kind(side, settings)
@@ -61,10 +44,7 @@ def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
 def prepared_sides(a: Any, b: Any, kind: type[Side], settings: Any) -> tuple[Side, Side]:
     """Both sides, see :func:`prepared_side`.
 
-    Raises
-    ------
-    BadInput
-        If one was prepared with other settings than the other, or than `settings`.
+    Raises BadInput if one was prepared with other settings than the other, or than `settings`.
     """
     left, right = (prepared_side(side, kind, settings) for side in (a, b))
     require(
@@ -101,16 +81,10 @@ class FmrTable:
 def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
     """Table of false match rates from impostor similarities (N,).
 
-    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero.
+    The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero. Raises
+    BadInput if there are fewer than 100 scores or one is not finite.
 
-    Raises
-    ------
-    BadInput
-        If there are fewer than 100 scores or one is not finite.
-
-    References
-    ----------
-    ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
+    Source: ISO/IEC 19795-1 (false match rate); Phipson and Smyth 2010, Permutation p-values should never be zero.
     """
     scores = np.sort(np.asarray(impostor, dtype=np.float64).ravel())
     require(scores.size >= 100, f"a calibration needs at least 100 impostor scores, but there are {scores.size}.")
@@ -123,58 +97,3 @@ def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
     # between two entries the lower one's (larger) rate holds
     count = scores.size - np.searchsorted(scores, thresholds, side="left")
     return FmrTable(thresholds, (count + 1) / (scores.size + 1), int(scores.size))
-
-
-@dataclass(frozen=True, slots=True)
-class _Logistic:
-    """Probability that a pair is genuine, where both kinds are equally likely beforehand."""
-
-    slope: float
-    offset: float
-
-    def __call__(self, similarity: float) -> float:
-        """Probability in [0, 1]."""
-        return 0.5 * (1.0 + math.tanh(0.5 * (self.slope * similarity + self.offset)))
-
-
-def calibrate_probability(genuine: ArrayLike, impostor: ArrayLike, prior: float = 1e-3) -> _Logistic:
-    """Logistic regression on similarities, both classes of equal weight, slope held back by `prior`.
-
-    Parameters
-    ----------
-    genuine, impostor : (N,) and (M,) similarities, ten at least of each
-    prior : weight of the slope's square beside the mean loss
-
-    Returns
-    -------
-    _Logistic
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than ten scores of a class, or some are NaN or infinite.
-
-    References
-    ----------
-    Platt 1999, Probabilistic outputs for support vector machines.
-    """
-    sides = [np.asarray(side, dtype=np.float64).ravel() for side in (genuine, impostor)]
-    require(min(side.size for side in sides) >= 10, "a calibration needs at least 10 scores of each class.")
-    require(all(bool(np.isfinite(side).all()) for side in sides), "scores contain NaN or infinite values.")
-    values = np.concatenate(sides)
-    middle, scale = float(values.mean()), float(values.std()) or 1.0
-    x = np.column_stack([(values - middle) / scale, np.ones(values.size)])
-    y = np.repeat([1.0, 0.0], [side.size for side in sides])
-    weight = np.repeat([0.5 / side.size for side in sides], [side.size for side in sides])
-    answer = np.zeros(2)
-    hold = np.diag([prior, 0.0])
-    for _ in range(100):  # Newton steps, shortened
-        rate = 0.5 * (1.0 + np.tanh(0.5 * (x @ answer)))
-        slope = x.T @ (weight * (rate - y)) + hold @ answer
-        bend = (x * (weight * np.maximum(rate * (1 - rate), 1e-9))[:, None]).T @ x + hold + 1e-9 * np.eye(2)
-        step = np.linalg.solve(bend, slope)
-        step *= min(1.0, 2.0 / float(np.abs(step).max() + 1e-30))
-        answer -= step
-        if float(np.abs(step).max()) < 1e-10:
-            break
-    return _Logistic(float(answer[0] / scale), float(answer[1] - answer[0] * middle / scale))

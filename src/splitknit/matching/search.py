@@ -4,7 +4,7 @@ the comparison of the ridges of a few.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -62,80 +62,25 @@ class Candidate:
 
 
 class CodeIndex:
-    """Codes of a gallery in memory: contiguous, one byte a number, grown as needed.
+    """Codes of a gallery in memory, one byte a number.
 
-    It guarantees that `search` looks at every code (no approximation beyond the code itself), that its order of
-    results depends on the set of (id, code) alone, not on the order in which they were added and removed, and that it
-    holds `nbytes`, at most 2 code_size() bytes a finger just after growing, beside the ids.
-    It is not safe to change it in one thread while another searches.
+    `search` looks at every code (no approximation beyond the code itself), and the order of its results depends on the
+    set of (id, code) alone. Threads may share it.
     """
 
-    def __init__(self, ids: Iterable[str] = (), codes: NDArray[np.int8] | None = None) -> None:
-        """Make an index of ids (N) and codes (N, code_size()); both may be left out."""
-        self._ids: list[str] = []
-        self._place: dict[str, int] = {}
-        self._codes: NDArray[np.int8] = np.zeros((0, code_size()), dtype=np.int8)
-        names = list(ids)
-        if names or codes is not None:
-            self.add_many(names, np.zeros((0, code_size()), dtype=np.int8) if codes is None else codes)
+    def __init__(self, ids: Iterable[str], codes: NDArray[np.int8]) -> None:
+        """Take ids (N), each once, and codes (N, code_size()) of :func:`splitknit.matching.code.code_of`."""
+        self.ids, self.codes = tuple(ids), np.ascontiguousarray(codes)
+        wanted = (len(self.ids), code_size())
+        require(
+            self.codes.dtype == np.int8 and self.codes.shape == wanted,
+            f"codes must be int8 of the shape {wanted}, but they are {self.codes.dtype} of the shape "
+            f"{self.codes.shape}; make them with code_of.",
+        )
+        require(len(set(self.ids)) == len(self.ids), "an id is in the index twice; each finger needs its own.")
 
     def __len__(self) -> int:
-        return len(self._ids)
-
-    def __contains__(self, identity: object) -> bool:
-        return identity in self._place
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """In the order of `codes`."""
-        return tuple(self._ids)
-
-    @property
-    def codes(self) -> NDArray[np.int8]:
-        """(N, code_size()) view, read-only."""
-        view = self._codes[: len(self._ids)]
-        view.flags.writeable = False
-        return view
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the codes, room for growth included."""
-        return self._codes.nbytes
-
-    def add(self, identity: str, code: NDArray[np.int8]) -> None:
-        """Add a finger; BadInput if its id is there already or the code is none of this version."""
-        self.add_many([identity], np.asarray(code)[None])
-
-    def add_many(self, identities: Sequence[str], codes: NDArray[np.int8]) -> None:
-        """Add fingers: ids (N) and codes (N, code_size()); all of them or, if one is refused, none."""
-        codes = np.asarray(codes)
-        require(
-            codes.dtype == np.int8 and codes.shape == (len(identities), code_size()),
-            f"codes must be int8 of the shape ({len(identities)}, {code_size()}), but they are {codes.dtype} of the "
-            f"shape {codes.shape}; make them with code_of.",
-        )
-        new = set(identities)
-        twice = len(new) < len(identities) or any(identity in self._place for identity in new)
-        require(not twice, "an id is in the index already; remove it first, or choose another.")
-        start, end = len(self._ids), len(self._ids) + len(identities)
-        if end > len(self._codes):
-            room = np.zeros((end if start == 0 else max(end, 2 * start, 256), code_size()), dtype=np.int8)
-            room[:start] = self._codes[:start]
-            self._codes = room
-        self._codes[start:end] = codes
-        self._ids.extend(identities)
-        self._place.update(zip(identities, range(start, end), strict=True))
-
-    def remove(self, identity: str) -> None:
-        """Take a finger out; its code is overwritten. BadInput if there is none of that id."""
-        require(identity in self._place, f"there is no '{identity}' in the index.")
-        place, last = self._place.pop(identity), len(self._ids) - 1
-        if place != last:  # the last one moves into the gap
-            self._codes[place] = self._codes[last]
-            self._ids[place] = self._ids[last]
-            self._place[self._ids[place]] = place
-        self._codes[last] = 0
-        self._ids.pop()
+        return len(self.ids)
 
     def search(
         self, probe: Template, k: int = 50, settings: ProbeSettings | None = None
@@ -154,26 +99,26 @@ class CodeIndex:
         scores : (k,) float32, -1 to about 1
         """
         require(k >= 1, f"k must be at least 1, but it is {k}.")
-        if not self._ids:
+        if not self.ids:
             return [], np.zeros(0, dtype=np.float32)
         places, scores = self.nearest(probe_codes(probe, settings), k)
-        return [self._ids[place] for place in places], scores
+        return [self.ids[place] for place in places], scores
 
     def nearest(self, variants: FloatArray, k: int) -> tuple[list[int], FloatArray]:
         """Places and scores of the `k` best, as :meth:`search`, for the variants (V, code_size()) of a probe."""
         scores = self.scores(variants)
         k = min(k, len(scores))
         least = np.partition(scores, len(scores) - k)[len(scores) - k]
-        ranked = sorted((-float(scores[n]), self._ids[n], n) for n in np.flatnonzero(scores >= least).tolist())[:k]
+        ranked = sorted((-float(scores[n]), self.ids[n], n) for n in np.flatnonzero(scores >= least).tolist())[:k]
         return [n for _, _, n in ranked], np.array([-score for score, _, _ in ranked], dtype=np.float32)
 
     def scores(self, variants: FloatArray) -> FloatArray:
         """(N,) best product of each code with the variants (V, code_size()) of a probe."""
-        best = np.empty(len(self._ids), dtype=np.float32)
+        best = np.empty(len(self), dtype=np.float32)
         left = np.ascontiguousarray(variants, dtype=np.float32)
         block = np.empty((_BLOCK, code_size()), dtype=np.float32)
         for start in range(0, len(best), _BLOCK):
-            codes = self._codes[start : min(start + _BLOCK, len(best))]
+            codes = self.codes[start : start + _BLOCK]
             part = block[: len(codes)]
             part[...] = codes
             best[start : start + len(codes)] = (left @ part.T).max(axis=0)
@@ -243,21 +188,10 @@ def identify(
 def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
     """How well patches of the probe's ridges are found in the other finger, laid as its code fits best.
 
-    Parameters
-    ----------
-    probe, other : Prepared
-    settings : of the probe's variants
-    variant : number of the one that fits best
+    Raises BadInput if the templates have different pitches. Returns agreement times the root of the number of
+    patches; -1 for a failure to acquire.
 
-    Returns
-    -------
-    float
-        Agreement times the root of the number of patches; -1 for a failure to acquire.
-
-    Raises
-    ------
-    BadInput
-        If the templates have different pitches.
+    `settings`: of the probe's variants. `variant`: number of the one that fits best.
     """
     if other.template.empty:
         return -1.0

@@ -55,16 +55,10 @@ def space_minutiae(surface: Surface) -> SpaceMinutiae:
     """Minutiae (x, y, z, theta, phi) of a reconstruction, in the upright finger's frame.
 
     Found in the relief's print by mindtct; phi is the elevation of the smoothed surface along the minutia's direction.
+    Raises BadInput if `nbis-py` is not installed.
 
-    Raises
-    ------
-    BadInput
-        If `nbis-py` is not installed.
-
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: minutiae of the plane print with their height z and elevation phi.
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015: minutiae of the plane print with their height z and elevation phi.
     """
     from splitknit.matching.minutiae import extract  # large, and not everywhere
 
@@ -96,6 +90,8 @@ def in_space(
 ) -> Array:
     """Where places of a print lie on the surface, in the upright finger's frame, and their directions there.
 
+    Returns (N, 6) x, y, z in mm and the direction; NaN where the print shows nothing, or the surface is not known.
+
     Parameters
     ----------
     places : (N, 2) column and row on the print
@@ -105,10 +101,6 @@ def in_space(
     pitch_mm : of the input
     input_from_upright : (3, 3)
     xy_mm : x and y (H, W) of the surface's points, where the camera's rays spread
-
-    Returns
-    -------
-    (N, 6) x, y, z in mm and the direction; NaN where the print shows nothing, or the surface is not known
     """
     require(height_mm.ndim == 2, f"heights must be (H, W), but they are {height_mm.shape}.")
     there = print_map.input_from_print(places)

@@ -30,10 +30,7 @@ NATURAL = np.arange(ZONES, dtype=np.uint8)
 GRAY = NATURAL ^ (NATURAL >> 1)
 CODINGS = {"gray": GRAY, "binary": NATURAL}
 LARGEST_SIDE_PX = 4096
-_PACKING = Packing(
-    "surface code", b"SKSC", SURFACE_CODE_VERSION, "HHH", "make it from the surface again.", plural=False
-)
-
+_PACKING = Packing("surface codes", b"SKSC", SURFACE_CODE_VERSION, "HHH", "make them from the surface again.")
 
 CODE_PITCH_MM = 0.1
 """Of the grid of places; a ridge's period has four to five of them."""
@@ -88,22 +85,17 @@ def make_surface_code(
 ) -> SurfaceCode:
     """Code of a shape index on an upright grid of the settings' pitch.
 
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015: finger surface codes; V. Kanhangad, A. Kumar and D. Zhang, "A unified framework for
+    contactless hand verification", IEEE Trans. IFS 6(3), 2011: nine surface types in four bits; J. Koenderink and A.
+    van Doorn, "Surface shape and curvature scales", Image and Vision Computing 10, 1992. Which bits stand for which
+    type is not printed in the accessible text: the Gray code is chosen by us.
+
     Parameters
     ----------
     shape_index : (H, W) 0 to 1; ignored where it is NaN or outside `mask`
     mask : (H, W) bool
-    settings : SurfaceCodeSettings, optional
 
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: finger surface codes; V. Kanhangad, A. Kumar and D. Zhang, "A unified framework for contactless hand
-    verification", IEEE Trans. IFS 6(3), 2011: nine surface types in four bits; J. Koenderink and A. van Doorn, "Surface
-    shape and curvature scales", Image and Vision Computing 10, 1992. Which bits stand for which type is not printed
-    in the accessible text: the Gray code is chosen by us.
-
-    Examples
-    --------
     >>> ridge_and_valley = np.array([[0.75, 0.25]], dtype=np.float32)
     >>> make_surface_code(ridge_and_valley, np.ones((1, 2), bool), SurfaceCodeSettings(least_area_mm2=0)).code.tolist()
     [[5, 3]]
@@ -147,13 +139,8 @@ def _body_size(rows: int, columns: int, pitch_um: int) -> int:
 def unpack_surface_code(data: bytes) -> SurfaceCode:
     """Read what :func:`pack_surface_code` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the bytes are damaged, of another version, or no surface code.
+    Raises BadInput if the bytes are damaged, of another version, or no surface code.
 
-    Examples
-    --------
     >>> unpack_surface_code(b"").empty
     True
     """
@@ -180,7 +167,6 @@ def _words(bits: NDArray[np.uint8] | BoolArray) -> NDArray[np.uint64]:
 
 Words = NDArray[np.uint64]
 
-
 _CANDIDATES = 2
 """Turns and shifts of the first level that are counted exactly."""
 _MIN_OVERLAP = 0.4
@@ -201,11 +187,6 @@ class SurfaceMatchSettings(Checked):
     """Largest shift across it."""
     coarse_mm: Annotated[float, Limits(0.05, 1)] = 0.15
     """Pitch of the first level."""
-
-    def turns_deg(self) -> list[float]:
-        """Turns of the first level, zero among them."""
-        count = int(self.turn_deg / self.turn_step_deg + 1e-9)
-        return [self.turn_step_deg * k for k in range(-count, count + 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,23 +275,13 @@ def surface_code_match(
 ) -> _SurfaceMatch:
     """Compare two surface codes.
 
-    Comparing A with B gives what B with A gives.
+    Comparing A with B gives what B with A gives. Raises BadInput if the codes have different pitches.
 
-    Parameters
-    ----------
-    a, b : SurfaceCode or PreparedSurface
-        Prepare a side that is compared more than once; then its settings must be those given here.
-    settings : SurfaceMatchSettings, optional
+    `a`, `b`: prepare a side that is compared more than once; then its settings must be those given here.
 
-    Raises
-    ------
-    BadInput
-        If the codes have different pitches.
-
-    References
-    ----------
-    A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-    37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our addition.
+    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
+    Trans. PAMI 37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our
+    addition.
     """
     left, right = prepared_sides(a, b, PreparedSurface, settings)
     pitch = left.surface_code.pitch_mm
@@ -357,7 +328,8 @@ def _candidates(a: PreparedSurface, b: PreparedSurface, min_mm2: float) -> list[
     if not bool(enough.any()):
         return []
     found: list[tuple[float, float, int, int]] = []
-    for turn in settings.turns_deg():
+    count = int(settings.turn_deg / settings.turn_step_deg + 1e-9)
+    for turn in (settings.turn_step_deg * k for k in range(-count, count + 1)):
         equal = scipy.fft.irfft2((a.planes(turn, size).conj() * planes).sum(axis=0), size)[chosen]
         agreement = equal / common
         # how far above what is usual, in units of what chance gives at this overlap

@@ -69,24 +69,13 @@ class Template:
 def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
+    Raises BadInput if the band is larger than the format allows: larger than any finger. The result is empty where
+    less than ``least_area_mm2`` is valid: a failure to acquire.
+
     Parameters
     ----------
-    band : RidgeBand
-        As :func:`splitknit.matching.ridge_band` gives it.
-    settings : TemplateSettings, optional
+    band : as :func:`splitknit.matching.ridge_band` gives it
 
-    Returns
-    -------
-    Template
-        Empty where less than ``least_area_mm2`` is valid: a failure to acquire.
-
-    Raises
-    ------
-    BadInput
-        If the band is larger than the format allows: larger than any finger.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> from splitknit.matching.ridge_band import ridge_band
     >>> waves = np.sin(np.arange(200) * 1.4)[None, :] * np.ones((200, 1))
@@ -161,13 +150,7 @@ def pack(template: Template) -> bytes:
 
 
 def unpack(payload: bytes) -> Template:
-    """Read what :func:`pack` wrote.
-
-    Raises
-    ------
-    BadInput
-        If the payload is damaged.
-    """
+    """Read what :func:`pack` wrote. Raises BadInput if the payload is damaged."""
     if not payload:
         return _failed_template()
     require(not holds_minutiae(payload), "the template holds minutiae, no ridges; compare it by the method minutiae.")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box, warp
 from splitknit.matching.features import LbpSettings, gabor_features, hog_features, lbp_features, shape_context_features
-from splitknit.matching.score import dissimilarity, dissimilarity_of_gated, similarity_of
+from splitknit.matching.score import dissimilarity
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits, check_fields
 
@@ -34,25 +34,13 @@ class _MaskAlignment:
 def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     """Lay the query's mask on the database's: tip on tip, then sideways to the largest overlap.
 
-    Parameters
-    ----------
-    database, query : (H, W) and (h, w) bool
-        Upright (tip at row 0), cut to their bounding boxes, of one scale.
+    Raises BadInput if a mask is empty. The lateral shift is found on masks reduced to about 128
+    rows, then to the pixel.
 
-    Returns
-    -------
-    _MaskAlignment
-        The lateral shift is found on masks reduced to about 128 rows, then to the pixel.
+    `database`, `query`: (H, W) and (h, w) bool; upright (tip at row 0), cut to their bounding boxes, of one scale.
 
-    Raises
-    ------
-    BadInput
-        If a mask is empty.
-
-    References
-    ----------
-    The thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the search
-    removes that chance.
+    Source: the thesis, section 5.3.1, steps 1 and 2. Where the first row of a tip starts depends on a pixel or two; the
+    search removes that chance.
     """
     require(bool(database.any()) and bool(query.any()), "a mask is empty: not one pixel belongs to the finger.")
     factor = max(1, max(database.shape[0], query.shape[0]) // 128)
@@ -62,19 +50,14 @@ def align_masks(database: BoolArray, query: BoolArray) -> _MaskAlignment:
     middle = round(start / factor)
     coarse, _ = _largest(small_database, small_query, range(middle - reach, middle + reach + 1))
     best, both = _largest(database, query, range((coarse - 1) * factor, (coarse + 1) * factor + 1))
-    return _MaskAlignment(best, _intersection_over_union(database, query, both))
+    union = np.count_nonzero(database) + np.count_nonzero(query) - both
+    return _MaskAlignment(best, float(both / union))
 
 
 def _tip_column(mask: BoolArray) -> int:
     """Middle of the first row of a mask that has any pixel."""
     row = int(np.argmax(mask.any(axis=1)))
     return int(np.flatnonzero(mask[row]).mean())
-
-
-def _intersection_over_union(a: BoolArray, b: BoolArray, both: int) -> float:
-    """(5.1) of two masks that have `both` pixels in common."""
-    union = np.count_nonzero(a) + np.count_nonzero(b) - both
-    return float(both / union) if union else 0.0
 
 
 def _largest(a: BoolArray, b: BoolArray, shifts: range) -> tuple[int, int]:
@@ -194,25 +177,18 @@ def finger_images(
 ) -> FingerImages:
     """Bring normals and relief upright and cut them to the finger.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+
     Parameters
     ----------
-    normals : (H, W, 3) float32
-        Of the fingerprint's surface, in the frame of the images; they turn with the picture.
-    ridge_mm : (H, W) float32
-        Ridge-valley relief.
+    normals : (H, W, 3) float32; of the fingerprint's surface, in the frame of the images; they turn with the picture
+    ridge_mm : (H, W) float32; ridge-valley relief
     mask : (H, W) bool
-    pitch_mm : float
-        Side of a pixel.
+    pitch_mm : side of a pixel
     input_from_upright : (3, 3), optional
         Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
     upright_size : (rows, columns) of the upright frame, optional
-    shape_normals : (H, W, 3) float32, optional
-        Of the finger without ridges.
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the pitch is not positive.
+    shape_normals : (H, W, 3) float32, optional; of the finger without ridges
     """
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, but it is {pitch_mm}.")
     require(ridge_mm.ndim == 2, f"ridge_mm must have the shape (H, W), but it has {ridge_mm.shape}.")
@@ -254,19 +230,8 @@ def finger_images(
 def finger_features(images: FingerImages, settings: ThesisSettings | None = None) -> dict[str, NDArray[np.float32]]:
     """Feature vector of each channel that `settings` name, for a finger of the database that is compared often.
 
-    Parameters
-    ----------
-    images : FingerImages
-    settings : ThesisSettings, optional
-
-    Returns
-    -------
-    Channel to (n,) float32, for :func:`thesis_match`.
-
-    Raises
-    ------
-    BadInput
-        If a channel is missing, or smaller than a cell.
+    Raises BadInput if a channel is missing, or smaller than a cell. Returns (n,) float32 by
+    channel, for :func:`thesis_match`.
     """
     settings = settings or ThesisSettings()
     extract = _extractor(settings, images.px_per_mm)
@@ -281,31 +246,18 @@ def thesis_match(
 ) -> _ThesisMatch:
     """Compare a query with a finger of the database, as the thesis does.
 
-    The query is resampled to the database's box, so that the order of the two matters a little.
+    The query is resampled to the database's box, so that the order of the two matters a little. Raises BadInput if the
+    two have different scales, or one lacks a channel. The similarity is 1 - the mean dissimilarity (5.2):
+    1 for equal fingers, below -1.7 where the gate left the pair out.
+
+    Source: the thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2) are those of the
+    channels of one attribute; relief has one.
 
     Parameters
     ----------
-    database, query : FingerImages
-        Of one scale (pixels per mm).
-    settings : ThesisSettings, optional
+    database, query : of one scale (pixels per mm)
     features : of the database's finger by channel, optional
         What :func:`finger_features` made with the same settings; the database's channels are not needed then.
-
-    Returns
-    -------
-    _ThesisMatch
-        The similarity, 1 - the mean dissimilarity (5.2): 1 for equal fingers, below -1.7 where the gate
-        left the pair out.
-
-    Raises
-    ------
-    BadInput
-        If the two have different scales, or one lacks a channel.
-
-    References
-    ----------
-    The thesis, section 5.3.1, steps 1 to 8, (5.1) and (5.2). The three distances of (5.2) are those of the channels of
-    one attribute; relief has one.
     """
     settings = settings or ThesisSettings()
     require(
@@ -318,10 +270,8 @@ def thesis_match(
     needed = _needed(query, settings)
     laid = align_masks(database.mask, query.mask)
     if laid.ratio < settings.gate or laid.ratio <= 0.0:
-        gated = dissimilarity_of_gated(laid.ratio)
-        return _ThesisMatch(
-            similarity_of(gated), dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False
-        )
+        gated = float(np.exp(2.0 - laid.ratio))  # above e: worse than any pair that is compared
+        return _ThesisMatch(1.0 - gated, dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False)
     from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
 
     box = database.mask.shape[0], database.mask.shape[1]
@@ -338,7 +288,7 @@ def thesis_match(
         for attribute in settings.attributes
     }
     mean = float(np.mean(list(scores.values())))
-    return _ThesisMatch(similarity_of(mean), scores, distances, laid.ratio, laid.right, True)
+    return _ThesisMatch(1.0 - mean, scores, distances, laid.ratio, laid.right, True)
 
 
 def _needed(images: FingerImages, settings: ThesisSettings) -> list[str]:

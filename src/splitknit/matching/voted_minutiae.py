@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 MM_PER_INCH = 25.4
 
-
 _REACH_MM = 0.3
 """Minutiae of two pictures are the same if they lie no further apart: a third to two thirds of a ridge period."""
 _TURN_DEG = 40.0
@@ -42,31 +41,17 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
 
     Every picture has one vote for a place. The place with most votes is taken first, and the minutiae that voted for it
     have then no vote left for another, so that each minutia counts once. A kept minutia lies at the mean of its voters,
-    points in their mean direction and has the type of most of them.
+    points in their mean direction and has the type of most of them. Raises BadInput if there are no pictures, or their
+    sizes differ. The result lists minutiae by column and row; the quality is the fraction of the pictures that show it,
+    0 to 100. The order of the pictures changes nothing.
+
+    Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
+    2018, as the thesis describes it (section 2.2.1).
 
     Parameters
     ----------
     pictures : lists of minutiae, all on prints of one size
-    settings : VoteSettings, optional
 
-    Returns
-    -------
-    Minutiae
-        By column and row; the quality is the fraction of the pictures that show it, 0 to 100. The order of the pictures
-        changes nothing.
-
-    Raises
-    ------
-    BadInput
-        If there are no pictures, or their sizes differ.
-
-    References
-    ----------
-    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as
-    the thesis describes it (section 2.2.1).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> def one(x):
     ...     small = np.array([1], np.uint8)
@@ -217,29 +202,18 @@ def left_out_pictures(
     """Photometric stereo without each white image in its turn: normals and albedo as prints.
 
     Grey images, distant lights, a matt surface: no model of the skin. The sets share all work but one addition a pixel
-    (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time.
+    (:func:`splitknit.photometric.lambertian.left_out`), and one set is in memory at a time. Raises BadInput if the
+    capture shows no finger, or the white band has fewer than four images.
 
-    Parameters
-    ----------
-    capture : Capture
-    settings : of the mask and the orientation
-    chosen : LeaveOneOutSettings, optional
-    finger : where the finger is, if that is known; otherwise it is found, and its motion undone, as for a surface
+    `settings`: of the mask and the orientation. `finger`: where the finger is, if that is known; otherwise it is found,
+    and its motion undone, as for a surface.
+
+    Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
+    2018, as the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
 
     Yields
     ------
-    _LeftOut
-        For each image that is left out, each of the pictures. A picture without any contrast is left out itself.
-
-    Raises
-    ------
-    BadInput
-        If the capture shows no finger, or the white band has fewer than four images.
-
-    References
-    ----------
-    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018, as
-    the thesis describes it (section 2.2.1): seven sets of six images, four pictures of each.
+    _LeftOut : for each image that is left out, each of the pictures. A picture without any contrast is left out itself.
     """
     # settings of this method belong to those of all, so that every comparison imports this module
     from splitknit.finger.locate import prepared_capture
@@ -285,15 +259,9 @@ def voted_minutiae(
 ) -> Minutiae:
     """Minutiae on which enough pictures of all sets agree; their quality is the fraction that does.
 
-    Parameters
-    ----------
-    capture, settings, chosen : as of :func:`left_out_pictures`
-    votes : VoteSettings, optional
+    Raises BadInput as :func:`left_out_pictures`, or if `nbis-py` is not installed.
 
-    Raises
-    ------
-    BadInput
-        As :func:`left_out_pictures`, or if `nbis-py` is not installed.
+    `capture`, `settings`, `chosen`: as of :func:`left_out_pictures`.
     """
     found = [extract(one.print_image, PPI) for one in left_out_pictures(capture, settings, chosen)]
     return vote(found, votes) if found else no_minutiae()

@@ -108,20 +108,15 @@ class _Sections:
         """X and Z where a line of that normal touches, and the normal's second part after the shear."""
         turned = normal_z + self.shear * normal_t
         steepness = np.arctan2(np.abs(self.a * normal_t), np.abs(self.b * turned))
-        angle = _oval_angle(steepness, self.squareness)
+        angle = np.interp(steepness, *_oval_table(self.squareness))
         sine, cosine = np.sin(angle), np.cos(angle)
         rise = cosine * (1.0 + self.squareness * sine * sine)
         return np.copysign(sine, normal_t), np.copysign(rise, turned), turned
 
 
-def _oval_angle(steepness: Array, squareness: float) -> Array:
-    """w at which the oval X = sin w, Z = cos w (1 + k sin^2 w) has its normal `steepness` away from Z, radians."""
-    return np.asarray(np.interp(steepness, *_oval_table(squareness)))
-
-
 @lru_cache(maxsize=64)
 def _oval_table(squareness: float) -> tuple[Array, Array]:
-    """Steepness of the oval's normal at nodes w, and these."""
+    """Steepness, away from Z, of the normal of the oval X = sin w, Z = cos w (1 + k sin^2 w) at nodes w, and these."""
     node = np.linspace(0.0, 0.5 * np.pi, OVAL_NODES)
     sine, cosine = np.sin(node), np.cos(node)
     normal_x = sine * (1.0 + squareness * (sine * sine - 2.0 * cosine * cosine))
@@ -148,7 +143,6 @@ def _basis_table(count: int) -> Array:
 
 
 # A body as seen from above: z over every pixel, and slopes.
-
 
 _DENSE_STATIONS, ANGLES, NODES = 120, 181, 121
 STEEPEST_DEG = 24.0
@@ -188,13 +182,8 @@ def heights_on(
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:
     """Where the rays of a window's pixels meet the body.
 
-    Returns
-    -------
-    x_mm, y_mm, z_mm : (h, w)
-        Finite everywhere; beside the body its outline's z goes on.
-    on_body : (h, w)
-    known : (h, w)
-        Rows of the finger that the outlines reach.
+    Returns `x_mm`, `y_mm`, `z_mm`, (h, w), finite everywhere; beside the body its outline's z goes on; `on_body`, (h,
+    w); `known`, (h, w), rows of the finger that the outlines reach.
     """
     view = view_of(camera, rows, columns, binning=binning)
     plane_x, plane_y = view.on_plane()
@@ -231,15 +220,6 @@ def _looked_up(body: Body, table: _Table, x: FloatArray, y: FloatArray) -> tuple
     node = (np.arcsin(np.clip(place, -1, 1)) / np.float32(np.pi) + np.float32(0.5)) * np.float32(NODES - 1)
     z = cv2.remap(table.z, node, s, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(z, dtype=np.float32), np.asarray(inside), np.asarray(w <= 1)
-
-
-def nearest_known(values: FloatArray, known: BoolArray) -> FloatArray:
-    """`values` (h, w), where they are not `known` those of the nearest place where they are."""
-    away = (~known).astype(np.uint8)
-    _, labels = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    table = np.zeros(int(labels.max()) + 1, dtype=np.float32)
-    table[labels[known]] = values[known]
-    return np.asarray(table[labels])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from splitknit.errors import require
 from splitknit.finger.locate import Finger
 from splitknit.finger.mask import MaskSettings, finger_outline, finger_region
 from splitknit.imaging.areas import mirror_outline
-from splitknit.imaging.band import Window, linear_survey
+from splitknit.imaging.band import Window, bin_mean, linear_survey
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.imaging.view import pixels_of, view_of
 from splitknit.integration.knit import crossover
@@ -54,20 +54,9 @@ def mirror_shape_of(
     """The shape from mirrors on the finger's window.
 
     Every pixel of the front view has its own z of the shape, so that relief and shape need no other mapping.
-
-    Parameters
-    ----------
-    finger : Finger
-    seen : SeenInMirrors
-    settings : MirrorShapeSettings
-    detail_mm : (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
-        and what no smooth section has; None: nothing is
-
-    Returns
-    -------
-    shape_mm : (h, w)
-    mask : (H, W) the finger's mask as far as the mirrors show it
-    facts : for the result
+    `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
+    and what no smooth section has; None: nothing is. Returns `shape_mm`, (h, w); `mask`, (H, W) the finger's mask as
+    far as the mirrors show it; `facts`, for the result.
     """
     camera = seen.capture.rig.camera
     window, inside = finger.window, finger.inside
@@ -125,10 +114,7 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
     """Views and shape of a capture.
 
-    Raises
-    ------
-    BadInput
-        If the rig has no mirrors, or they do not show one finger.
+    Raises BadInput if the rig has no mirrors, or they do not show one finger.
     """
     rig = capture.rig
     require(
@@ -149,10 +135,7 @@ def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeS
 def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray]:
     """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
 
-    Raises
-    ------
-    BadInput
-        See :func:`splitknit.mirrors.views.find_views`.
+    Raises BadInput as :func:`splitknit.mirrors.views.find_views`.
     """
     rig = capture.rig
     binning = view_binning(rig.camera.px_per_mm)
@@ -179,37 +162,27 @@ def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Vi
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
     """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in the mirrors.
 
-    Parameters
-    ----------
-    capture : Capture
-    grey : (L, h, w) white images on the views' grid
-    views : Views
-    shape : a first one: it gives where each light reaches the skin
+    `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives where each light reaches the skin.
     """
     camera = capture.rig.camera
     pitch = camera.pitch_mm * views.binning
     factor = max(1, round(SLOPES_MM / pitch))
-    height, width = (n // factor for n in views.front.shape)
-
-    def small(image: FloatArray) -> FloatArray:
-        cut = np.ascontiguousarray(image[: height * factor, : width * factor], dtype=np.float32)
-        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-    inside: BoolArray = np.asarray(small(views.front.astype(np.float32)) > 0.999)
+    inside: BoolArray = np.asarray(bin_mean(views.front.astype(np.float32), factor) > 0.999)
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1] * pitch * factor
     if len(grey) < 3 or not bool((depth > RIM_MM).any()):
         return None
-    stack = np.stack([small(image) for image in grey])
+    stack = bin_mean(grey, factor)
     view = view_of(camera, binning=views.binning * factor)
     block = factor * views.binning
-    x, y, z = shape.points(slice(0, height * block), slice(0, width * block), block)
+    rows, columns = (slice(0, side * block) for side in inside.shape)
+    x, y, z = shape.points(rows, columns, block)
     inside &= np.isfinite(z)
     surface = np.where(inside, z, np.float32(np.nanmin(z)))
     points = np.stack([x, y, surface], axis=-1).astype(np.float64)
     turned = normals_from_gradients(*height_gradients(np.where(inside, z, np.float32(np.nan)), pitch * factor))
     rig = _with_images(
         capture.rig.select(capture.bands["white"].lights),
-        _glasses_of(shape, capture.rig),
+        tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in capture.rig.mirrors),  # where the outlines have them
         points,
         turned.astype(np.float64),
     )
@@ -229,21 +202,13 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
     return Slopes(places, smooth[0][chosen].astype(np.float64), smooth[1][chosen].astype(np.float64))
 
 
-def _glasses_of(shape: MirrorShape, rig: Rig) -> tuple[Glass, ...]:
-    """The rig's mirrors, in the poses that the outlines gave."""
-    return tuple(glass_in(mirror, *shape.plane(mirror)) for mirror in rig.mirrors)
-
-
 def _with_images(
     rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> Rig:
     """The rig whose exposures are also lit by the LEDs' images in mirrors, each where it reaches the skin.
 
-    Parameters
-    ----------
-    rig : `rig.leds[k]` lights image k
-    glasses : the mirrors
-    points_mm, normals : (h, w, 3) of the skin on a regular grid
+    `rig`: `rig.leds[k]` lights image k; `glasses`: the mirrors; `points_mm`, `normals`: (h, w, 3) of the skin on a
+    regular grid.
     """
     leds = []
     for exposure in rig.leds:

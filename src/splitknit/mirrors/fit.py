@@ -201,11 +201,8 @@ def touched(body: Body, planes: Touching) -> Array:
 
 # What is expected without any outline, what the skin's slopes add, and how far points of an outline are trusted.
 
-
 _SLOPE_ERROR = 0.1
 """Standard deviation of a measured slope of the skin; skin that scatters light looks flatter than it is."""
-
-
 SHEAR_SD = 0.05
 """Standard deviation of the shear: a roll by 8 deg gives about 0.045."""
 INDEPENDENT_SLOPES = 20.0
@@ -361,7 +358,6 @@ def fit_body(
     ----------
     start : a first guess
     outlines : of all views
-    settings : MirrorShapeSettings
     slopes : of the skin, optional
     sure_from : corrections before points of an outline may be left out altogether
     """
@@ -464,7 +460,6 @@ def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:
 
 
 # Whether views are of one finger, and what was found.
-
 
 _MISFIT_MM = 0.6
 """Views that agree no better than this (rms) are not of one finger."""

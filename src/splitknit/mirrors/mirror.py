@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import pixels_of, view_of
-from splitknit.mirrors.body import Body, Slopes, heights_on, nearest_known
+from splitknit.mirrors.body import Body, Slopes, heights_on
 from splitknit.mirrors.fit import (
     Estimate,
     Fit,
@@ -42,15 +43,10 @@ Array = NDArray[np.float64]
 
 # A first guess: how far mirrors are turned, by the tips of two views, and a plain body.
 
-
 _KNOTS = 11
 """Spans of the splines along the finger."""
-
-
 MAX_TURN_RAD = 0.12
 """Mirrors are not turned by more."""
-
-
 TIPS_APART = (
     "the views do not fit one finger: the fingertip in the {} mirror is not beside the one in front; check that the "
     "rig file's mirrors are those in the picture and that one finger alone is in view."
@@ -78,8 +74,9 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: MirrorPlane, ax
         epipole = moved.epipole(camera)
         if epipole is None:
             return float(np.max(side @ upward) - np.max(front @ upward))
-        far = [_slopes_about(points - epipole, joint, upward) for points in (side, front)]
-        return float(far[0] - far[1]) * float(np.hypot(*epipole))
+        rays = (points - epipole for points in (side, front))
+        far = [float(np.max((ray @ upward) / np.abs(ray @ joint))) for ray in rays]
+        return (far[0] - far[1]) * float(np.hypot(*epipole))
 
     low, high = -MAX_TURN_RAD, MAX_TURN_RAD
     values = apart(low), apart(high)
@@ -92,10 +89,6 @@ def turn_of_tips(views: Views, name: str, camera: Camera, plane: MirrorPlane, ax
         else:
             high = middle
     return 0.5 * (low + high)
-
-
-def _slopes_about(points: Array, joint: Array, upward: Array) -> float:
-    return float(np.max((points @ upward) / np.abs(points @ joint)))
 
 
 def first_body(
@@ -265,22 +258,15 @@ def mirror_shape(
 ) -> MirrorShape:
     """Find the finger's shape.
 
+    Raises BadInput if the views do not fit one finger. Source: the thesis, section 3.3.2.3. Cipolla and Giblin 2000,
+    Visual Motion of Curves and Surfaces (frontier points).
+
     Parameters
     ----------
     views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.find_views`
     rig : its camera, and where its mirrors nominally are
-    settings : MirrorShapeSettings, optional
     tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise
     slopes : of the skin in the front view, optional: they determine the sections' form and roll
-
-    Raises
-    ------
-    BadInput
-        If the views do not fit one finger.
-
-    References
-    ----------
-    The thesis, section 3.3.2.3. Cipolla and Giblin 2000, Visual Motion of Curves and Surfaces (frontier points).
     """
     settings = settings or MirrorShapeSettings()
     require(bool(views.mirrors), "no mirror shows the finger; the shape needs one beside it at least.")

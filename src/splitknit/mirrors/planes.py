@@ -30,20 +30,12 @@ class Touching:
     offset_mm: Array
     """(n,) normal . X on the plane."""
 
-    def part(self, chosen: NDArray[np.bool_]) -> Touching:
-        """Some of them."""
-        return Touching(self.point[chosen], self.direction[chosen], self.normal[chosen], self.offset_mm[chosen])
-
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
     """Rays and planes of points of an outline.
 
-    Parameters
-    ----------
-    camera : Camera
-    places_mm : (n, 2) where the outline's pixels look on the finger plane
-    along : (n, 2) direction of the outline there
-    outward : (n, 2) any direction on the finger plane that leaves the finger
+    `places_mm`: (n, 2) where the outline's pixels look on the finger plane; `along`: (n, 2) direction of the outline
+    there; `outward`: (n, 2) any direction on the finger plane that leaves the finger.
     """
     n = len(places_mm)
     point = np.column_stack([places_mm, np.zeros(n)])
@@ -80,7 +72,7 @@ class MirrorPlane:
         shift_mm : along the normal
         about_mm : (3,) point of the mirror that stays where it is but for the shift
         """
-        level = _level(self.normal)
+        level = self.normal[:2] / np.hypot(*self.normal[:2])
         cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
         level = np.array([cosine * level[0] - sine * level[1], sine * level[0] + cosine * level[1]])
         elevation = np.arctan2(self.normal[2], np.hypot(*self.normal[:2])) + lean_rad
@@ -106,10 +98,6 @@ class MirrorPlane:
         if camera.model == "orthographic":
             return None
         return np.asarray(-camera.height_mm * self.normal[:2] / self.normal[2])
-
-
-def _level(normal: Array) -> Array:
-    return np.asarray(normal[:2] / np.hypot(*normal[:2]))
 
 
 def _unit(vectors: Array) -> Array:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
-from splitknit.imaging.areas import bin_image, blanked, box_around, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.areas import blanked, box_around, enlarged_box, filled, grown, mirror_outline
+from splitknit.imaging.band import block_means
 from splitknit.model import BoolArray, FloatArray, Rig
 
 _PX_PER_MM = 22.0
@@ -56,27 +57,23 @@ def find_views(
     The front view is what `find_finger` sees of the image without the mirrors' nominal outlines; each mirror's view is
     what it sees around that mirror's outline, without the front view. A mirror's frame, second reflections and the
     finger's far parts are left out because one piece of skin is wanted from each. With `find_outline`, `find_finger`
-    works on a small copy of the image, and the outlines are found in the image around what was seen there.
+    works on a small copy of the image, and the outlines are found in the image around what was seen there. Raises
+    BadInput if there are no mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
 
     Parameters
     ----------
-    image : (h, w, C) float32
-        Linear, in blocks of `binning` pixels a side of the camera's image.
+    image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
     find_finger : segmentation mask of an image, such as :func:`splitknit.finger.mask.finger_mask`
-    binning : int
     find_outline : outline of a finger roughly known, such as :func:`splitknit.finger.mask.finger_outline`, optional
-
-    Raises
-    ------
-    BadInput
-        If there are no mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
     """
     require(bool(rig.mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = 1
     if find_outline is not None:
         factor = max(1, int(rig.camera.px_per_mm / binning / SEARCH_PX_PER_MM))
-    rough = _rough_views(bin_image(image, factor), rig, find_finger, binning * factor)
+    size = (image.shape[0] // factor, image.shape[1] // factor)
+    small = block_means(image[: size[0] * factor, : size[1] * factor], size, factor) if factor > 1 else image
+    rough = _rough_views(small, rig, find_finger, binning * factor)
     views = rough
     if find_outline is not None:
         views = _outlined(image, rig, rough, find_outline, factor)

@@ -126,14 +126,8 @@ def shrinkage_gain(rms: float, error: float) -> float:
     """Factor that restores the variance which a minimum-mean-square-error estimate has lost.
 
     Such an estimate is a mean over all that is possible; its power is that of the truth less the expected error's.
+    Returns sqrt(1 + error^2 / rms^2), at most sqrt(1 + :data:`MAX_MISSING`).
 
-    Parameters
-    ----------
-    rms : root mean square of the estimate
-    error : expected root mean square error
-
-    Returns
-    -------
-    sqrt(1 + error^2 / rms^2), at most sqrt(1 + :data:`MAX_MISSING`)
+    `rms`: root mean square of the estimate. `error`: expected root mean square error.
     """
     return float(np.sqrt(1 + min((error / max(rms, 1e-6)) ** 2, MAX_MISSING)))

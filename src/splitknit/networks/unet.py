@@ -30,7 +30,6 @@ _THREADS = min(8, os.cpu_count() or 1)
 NO_TELEMETRY = "ORT_DISABLE_TELEMETRY"
 """Environment variable of onnxruntime; ``1`` stops files, look-ups and uploads of its telemetry."""
 
-
 DEVICES = ("cpu", "cuda", "auto")
 CUDA_TOLERANCE = 1e-3
 """Between cpu and cuda, of the largest value of a result: sums are formed in another order, in single precision (TF32
@@ -65,23 +64,14 @@ def running() -> Running:
 def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     """Choose how networks of this process are loaded, and so run, from now on.
 
+    Raises BadInput if there is no such device, or onnxruntime has no provider for it. Returns ``cpu``, always the
+    same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
+
     Parameters
     ----------
     device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
     threads : of a network; not a bit of a result depends on it
 
-    Returns
-    -------
-    str
-        ``cpu``, always the same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
-
-    Raises
-    ------
-    BadInput
-        If there is no such device, or onnxruntime has no provider for it.
-
-    Examples
-    --------
     >>> use_device("auto") in ("cpu", "cuda")
     True
     """
@@ -114,16 +104,13 @@ class Network:
 def load_network(name: str | os.PathLike[str]) -> Network:
     """Load a network, check its hash and prepare it for running.
 
+    Raises BadInput if weights or card are missing or damaged, or onnxruntime is not installed.
+
     Parameters
     ----------
     name
         Name of a network in the package (loaded once while it is in use), or path of an ``.onnx`` file with its card
         beside it.
-
-    Raises
-    ------
-    BadInput
-        If weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
     return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running)
@@ -149,13 +136,10 @@ def _load(name: str) -> Network:
 def network_of(card: Card, weights: bytes) -> Network:
     """Prepare weights that are in memory.
 
-    Raises
-    ------
-    BadInput
-        If they are not those of such a network, or may lie in part outside `weights`: in a file that no hash covers,
-        or at an address in memory. ONNX keeps that place under the key ``location`` (onnx.proto,
-        TensorProto.external_data), a string that is stored as it is, so a network without these bytes has none;
-        ONNX Runtime's own format (``ORTM``) has further ways.
+    Raises BadInput if they are not those of such a network, or may lie in part outside `weights`: in a file that no
+    hash covers, or at an address in memory. ONNX keeps that place under the key ``location`` (onnx.proto,
+    TensorProto.external_data), a string that is stored as it is, so a network without these bytes has none; ONNX
+    Runtime's own format (``ORTM``) has further ways.
     """
     require(
         b"location" not in weights and weights[4:8] != b"ORTM",
@@ -209,29 +193,18 @@ def _onnxruntime() -> Any:
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
     """Run `network` on every image.
 
+    Images whose sides are no multiples of the stride are lengthened by reflection at their lower and right borders, and
+    the result is cut back. Tiles overlap by the network's reach. Raises BadInput if the images have the wrong number of
+    channels, hold NaN, or are smaller than the network's stride. Returns (N, D, H, W) float32.
+
     Parameters
     ----------
-    network : Network
     images : (N, H, W) or (N, C, H, W) float32
         Of any size from the network's stride upwards. (N, H, W) are images of one channel. One channel is repeated for
         a network that takes more, as the thesis gives its grey images to a network for three channels.
     tile : int
         Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square. The
         result does not depend on it, but for rounding (about 1e-6).
-
-    Returns
-    -------
-    (N, D, H, W) float32
-
-    Raises
-    ------
-    BadInput
-        If the images have the wrong number of channels, hold NaN, or are smaller than the network's stride.
-
-    Notes
-    -----
-    Images whose sides are no multiples of the stride are lengthened by reflection at their lower and right borders,
-    and the result is cut back. Tiles overlap by the network's reach, see :mod:`splitknit.networks.unet`.
     """
     stack = _checked(images, network.card)
     count, channels, height, width = stack.shape

@@ -67,20 +67,14 @@ def _shipped_names() -> list[str]:
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     """Read a network's card and weights, and check that they belong together.
 
-    Parameters
-    ----------
-    name
-        Name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it.
+    Raises BadInput if either file is missing or damaged, or the weights are not those that the card describes.
+
+    `name`: name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it.
 
     Returns
     -------
     card : Card
     weights : bytes of the ONNX file
-
-    Raises
-    ------
-    BadInput
-        If either file is missing or damaged, or the weights are not those that the card describes.
     """
     weights_file, card_file, remedy = _files(name)
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)

@@ -63,62 +63,26 @@ _LARGEST_SEARCH = 48
 _PIXELS = 20_000
 
 
-@dataclass(frozen=True, slots=True)
-class _FrameFit:
-    """The frame in which a field of normals is an integrable, convex surface."""
-
-    frame: str
-    """Name in :data:`FRAMES`; ``right-up`` where nothing speaks against it."""
-    ratio: float
-    """Curl in the stated frame over curl in the best one, as sums of squares."""
-
-
-def _fit_light_frame(normals: Any, mask: Any) -> _FrameFit:
-    """Find the frame in which the lights must have been measured, by the normals that they gave.
+def _fit_light_frame(normals: Any, mask: Any) -> str:
+    """The frame of :data:`FRAMES` in which the lights must have been measured, by the normals (H, W, 3) that they gave.
 
     Lights in another frame give normals in that frame. Of the eight frames whose axes run along the image's, only the
     right one, and that turned by 180 deg, give slopes without curl; of the two, the right one is convex: its slopes
-    fall towards the outline.
+    fall towards the outline, which `mask` (H, W) must show. ``right-up`` where nothing speaks against it.
 
-    Parameters
-    ----------
-    normals : (H, W, 3)
-        As :func:`splitknit.photometric.lambertian.lambertian` finds them: x right, y up, z to the camera.
-    mask : (H, W) bool
-        The whole object, so that its outline is where it turns away.
-
-    Returns
-    -------
-    _FrameFit
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree or the mask is empty.
-
-    References
-    ----------
-    Integrability: R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
-    algorithms", IEEE Trans. PAMI 10 (1988). The remaining ambiguity of concave and convex: P. N. Belhumeur,
-    D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
-    >>> ball = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))])
-    >>> _fit_light_frame(ball * [1, -1, 1], x**2 + y**2 < 0.5).frame
-    'right-down'
+    Sources: integrability, R. T. Frankot and R. Chellappa, "A method for enforcing integrability in shape from shading
+    algorithms", IEEE Trans. PAMI 10 (1988); the remaining ambiguity of concave and convex, P. N. Belhumeur, D. J.
+    Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35 (1999).
     """
     field = np.asarray(normals, dtype=np.float32)
     require(field.ndim == 3 and field.shape[2] == 3, "normals must have the shape (H, W, 3).")
     inside = check_mask(mask, (field.shape[0], field.shape[1]))
-    turn, ratio = _fit_turn(field, inside)
+    turn = _fit_turn(field, inside)
     if turn is None:
-        return _FrameFit("right-up", ratio)
+        return "right-up"
     likeness = {name: float(np.sum(turn * np.array(matrix))) for name, matrix in FRAMES.items()}  # 2 cos(difference)
     best = max(likeness, key=lambda name: likeness[name])
-    return _FrameFit(best if likeness[best] > _SAME_TURN else "right-up", ratio)
+    return best if likeness[best] > _SAME_TURN else "right-up"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,38 +98,24 @@ class LightFit:
     residual_in_order: float
     """What would be left in that order."""
     frame: str
-    """As :attr:`_FrameFit.frame`; ``right-up`` while the residual is high or an order is clearly better."""
+    """Name in :data:`FRAMES`; ``right-up`` while the residual is high or an order is clearly better."""
 
 
 def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     """Compare photographs with the lights that they are given, in this and in every other order and frame.
 
+    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`.
+
+    Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21
+    (1997). The best order is a quadratic assignment of the photographs' inner products to the lights', searched by
+    exchanges of two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
+
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; three at least. A few hundred pixels a side are enough.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The whole object; everything by default.
+    stack : (L, H, W) float32; linear light, one image a light; three at least. A few hundred pixels a side are enough.
+    lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
+    mask : (H, W) bool, optional; the whole object; everything by default
 
-    Returns
-    -------
-    LightFit
-
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.photometric.lambertian.lambertian`.
-
-    References
-    ----------
-    Rank three: A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21 (1997). The
-    best order is a quadratic assignment of the photographs' inner products to the lights', searched by exchanges of
-    two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0
     >>> ball, inside = np.dstack([x, y, np.sqrt(np.maximum(1 - x**2 - y**2, 0.01))]), x**2 + y**2 < 0.5
@@ -187,9 +137,9 @@ def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     frame = "right-up"
     if residual < HIGH_RESIDUAL or not given:
         normals, _ = lambertian(images, vectors[under], inside)
-        turn, _ = _fit_turn(normals, inside)
+        turn = _fit_turn(normals, inside)
         if turn is not None:
-            frame = _fit_light_frame(normals, inside).frame if given else "right-up"
+            frame = _fit_light_frame(normals, inside) if given else "right-up"
             turned = _turned_order(vectors, turn)[under]
             if _residual(gram, vectors[turned])[0] < _residual(gram, vectors[under])[0] / _LESS:
                 under = turned
@@ -258,10 +208,7 @@ def _order_words(order: Sequence[int], names: Sequence[str]) -> str:
 def rig_of_frame(rig: Rig, frame: str) -> Rig:
     """The rig whose LEDs (directions, positions, aims) were measured in `frame`, with x right and y up.
 
-    Raises
-    ------
-    BadInput
-        If the frame is none of :data:`FRAMES`.
+    Raises BadInput if the frame is none of :data:`FRAMES`.
     """
     require(frame in FRAMES, f"the frame of the lights must be one of {', '.join(FRAMES)}, but it is '{frame}'.")
     (a, b), (c, d) = FRAMES[frame]
@@ -281,16 +228,15 @@ _ON_A_LIGHT = 0.2
 _SAME_TURN = 2.0 * np.cos(np.deg2rad(20.0))
 
 
-def _fit_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float64] | None, float]:
+def _fit_turn(normals: FloatArray, inside: BoolArray) -> NDArray[np.float64] | None:
     """The turn or mirroring (2, 2) of x and y that makes normals those of one convex, integrable surface.
 
-    None where the normals are such already, or those of no single convex surface; and the curl over that of the best.
-    Turned by an angle t, slopes have the curl cos t * curl - sin t * divergence: its least sum of squares is an
-    eigenvalue.
+    None where the normals are such already, or those of no single convex surface. Turned by an angle t, slopes have the
+    curl cos t * curl - sin t * divergence: its least sum of squares is an eigenvalue.
     """
     smooth = _smooth_slopes(normals, inside)
     if _coarse_part(smooth[0], smooth[1], inside) < _ONE_THING:
-        return None, 1.0  # a field of bumps: each is convex, and nothing is of the whole
+        return None  # a field of bumps: each is convex, and nothing is of the whole
     p, q, weight = (part.astype(np.float64) for part in smooth)
     dp_dx, dp_dy, dq_dx, dq_dy = (
         sign * np.gradient(part, axis=axis) for part in (p, q) for sign, axis in ((1.0, 1), (-1.0, 0))
@@ -313,12 +259,12 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> tuple[NDArray[np.float6
         fits.append((float(values[0]), abs(convex), turn))
     convex_ones = [fit for fit in fits if fit[1] > _CONVEX]
     if not convex_ones:
-        return None, 1.0
+        return None
     least, convex, turn = min(convex_ones, key=lambda fit: fit[0])
     ratio = given / max(least, 1e-12)
     opposite = float(np.trace(turn)) < -_SAME_TURN  # no curl either; only the outline distinguishes it
     worse = 1.0 if given_convex < _CONVEX and convex > _WHOLLY_CONVEX else _WORSE
-    return (turn if opposite or ratio > worse else None), ratio
+    return turn if opposite or ratio > worse else None
 
 
 def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:

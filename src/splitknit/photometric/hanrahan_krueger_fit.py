@@ -26,49 +26,35 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.photometric.equations import unit_normals
-from splitknit.settings import Checked, Limits
+from splitknit.settings import Checked, Limits, check_fields
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
-class SkinLayers:
+class SkinLayers(Checked):
     """What all pixels have in common; the defaults are from Hanrahan and Krueger's table of two layers of skin."""
 
-    refractive_index: float = 1.5
+    _group = "layers"
+    refractive_index: Annotated[float, Limits(1.05, 2.5)] = 1.5
     """Of both layers; theirs is 1.37 to 1.5, of which the largest was best on fingers of the twin."""
-    epidermis_asymmetry: float = 0.79
+    epidermis_asymmetry: Annotated[float, Limits(-0.95, 0.95)] = 0.79
     """g: mean cosine of the angle by which the epidermis scatters; near 1 is forward."""
-    dermis_asymmetry: float = 0.81
+    dermis_asymmetry: Annotated[float, Limits(-0.95, 0.95)] = 0.81
     """g' of the dermis."""
-    epidermis_scattering_per_mm: float = 50.0
+    epidermis_scattering_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 50.0
     """With absorption and thickness: where a pixel's fit starts, and what holds it where its images do not say."""
-    epidermis_absorption_per_mm: float = 3.8
+    epidermis_absorption_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 3.8
     """See scattering."""
-    epidermis_thickness_mm: float = 0.08
+    epidermis_thickness_mm: Annotated[float, Limits(1e-3, 1)] = 0.08
     """See scattering; theirs is 0.001 to 0.15 mm."""
-    dermis_scattering_per_mm: float = 21.7
+    dermis_scattering_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 21.7
     """Only its fraction of scattering and absorption counts: the dermis has no end."""
-    dermis_absorption_per_mm: float = 0.3
+    dermis_absorption_per_mm: Annotated[float, Limits(1e-3, 1e3)] = 0.3
     """See scattering."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("refractive_index", 1.05, 2.5),
-            ("epidermis_asymmetry", -0.95, 0.95),
-            ("dermis_asymmetry", -0.95, 0.95),
-            ("epidermis_scattering_per_mm", 1e-3, 1e3),
-            ("epidermis_absorption_per_mm", 1e-3, 1e3),
-            ("epidermis_thickness_mm", 1e-3, 1.0),
-            ("dermis_scattering_per_mm", 1e-3, 1e3),
-            ("dermis_absorption_per_mm", 1e-3, 1e3),
-        ):
-            value = getattr(self, name)
-            require(
-                bool(np.isfinite(value)) and low <= value <= high,
-                f"layers.{name} must lie between {low:g} and {high:g}, but it is {value}.",
-            )
-
+        check_fields(self)
         require(
             0.001 <= self.epidermis_fraction <= 0.999 and 0.01 <= self.epidermis_depth <= 100,
             "layers: scattering over scattering and absorption of the epidermis must lie between 0.001 and 0.999, and "
@@ -141,26 +127,18 @@ def reflected(  # noqa: PLR0917 - the model's own variables
 ) -> _Reflected:  # fmt: skip
     """The two-layer model and its derivatives.
 
-    Parameters
-    ----------
-    to_light : (L, n)
-        mu_i; where it is not positive the light is behind the surface, and everything is zero.
-    to_view : (n,)
-        mu_r, positive.
-    between : (L, 1) or (L, n)
-        Cosine between the directions towards light and view, outside.
-    base, share, depth : (n,)
-        Matt base in units of the images; W and optical depth of the epidermis.
-    exposure : float
-        Units of the images for a radiance factor K of one.
-    layers : SkinLayers
-
-    References
-    ----------
-    P. Hanrahan and W. Krueger, "Reflection from layered surfaces due to subsurface scattering", SIGGRAPH 1993: first
-    order solution for the backscattered radiance, Henyey and Greenstein's phase function, Fresnel's coefficients.
+    Source: P. Hanrahan and W. Krueger, "Reflection from layered surfaces due to subsurface scattering", SIGGRAPH 1993:
+    first order solution for the backscattered radiance, Henyey and Greenstein's phase function, Fresnel's coefficients.
     W. Xie, Z. Song and R. C. Chung, "Real-time three-dimensional fingerprint acquisition via a new photometric stereo
     means", Optical Engineering 52 (2013): single scattering over a matt base for fingers.
+
+    Parameters
+    ----------
+    to_light : (L, n); mu_i; where it is not positive the light is behind the surface, and everything is zero
+    to_view : (n,); mu_r, positive
+    between : (L, 1) or (L, n); cosine between the directions towards light and view, outside
+    base, share, depth : (n,); matt base in units of the images; W and optical depth of the epidermis
+    exposure : units of the images for a radiance factor K of one
     """
     index = layers.refractive_index
     lit = to_light > 0
@@ -313,7 +291,8 @@ def _solved(moments: Array, gradient: Array, damping: Array) -> Array:
     inverse: list[Array] = []
     for i in range(size):
         # rounding must not make a pivot vanish or turn it round
-        least = matrix[i, i] if i == 0 else np.maximum(matrix[i, i], 1e-6 * moments[_diagonal(i, size)] + 1e-20)
+        pivot = moments[i * size - i * (i - 1) // 2]  # (i, i) in the upper triangle
+        least = matrix[i, i] if i == 0 else np.maximum(matrix[i, i], 1e-6 * pivot + 1e-20)
         inverse.append(1.0 / least)
         for j in range(i + 1, size):
             factor = matrix[i, j] * inverse[i]
@@ -327,11 +306,6 @@ def _solved(moments: Array, gradient: Array, damping: Array) -> Array:
             total = total - matrix[i, j] * result[j]
         np.multiply(total, inverse[i], out=result[i])
     return result
-
-
-def _diagonal(i: int, size: int) -> int:
-    """Where (i, i) stands in the upper triangle."""
-    return i * size - i * (i - 1) // 2
 
 
 _STEEPEST = 0.97

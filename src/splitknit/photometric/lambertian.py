@@ -93,18 +93,20 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     """Normals and albedo of a matt surface from all images but one, for every image in its turn.
 
     Leaving out a row of a least-squares problem is a rank-one change of its normal equations. With A = L^T L, g the
-    solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, the solution without image k is
-    g_k = g - A^-1 l_k (I_k - l_k . g) / (1 - h_k): one scaled picture is added, nothing is solved again. What is kept
-    between two turns is g and the L residuals, the size of the stack and three pictures more.
+    solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, the solution without image k is g_k = g -
+    A^-1 l_k (I_k - l_k . g) / (1 - h_k): one scaled picture is added, nothing is solved again. What is kept between two
+    turns is g and the L residuals, the size of the stack and three pictures more. Raises BadInput if shapes or numbers
+    disagree, the lights are fewer than four, or the others lie in one plane when one of them is left out.
+
+    Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
+    2018: the leave-one-out sets. J. Sherman and W. Morrison, "Adjustment of an inverse matrix corresponding to a change
+    in one element of a given matrix", Annals of Mathematical Statistics 21 (1950).
 
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; four at least.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    stack : (L, H, W) float32; linear light, one image a light; four at least
+    lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
+    mask : (H, W) bool, optional; the surface; everything by default
 
     Yields
     ------
@@ -112,18 +114,6 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
         Without image k, k = 0 ... L - 1: as :func:`splitknit.photometric.lambertian` of the other images gives them,
         but for rounding.
     albedo : (H, W) float32
-
-    Raises
-    ------
-    BadInput
-        If shapes or numbers disagree, the lights are fewer than four, or the others lie in one plane when one of them
-        is left out.
-
-    References
-    ----------
-    Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF 2018: the
-    leave-one-out sets. J. Sherman and W. Morrison, "Adjustment of an inverse matrix corresponding to a change in one
-    element of a given matrix", Annals of Mathematical Statistics 21 (1950).
     """
     images = check_stack(stack, least=4)
     count, rows, columns = images.shape

@@ -28,30 +28,17 @@ def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
 
     A dot absorbs every colour; a slope that turns from one light is still lit by the others. So a pixel belongs to a
     dot where *all* images are darker than their surroundings (the closing of the image by a square of 1.5 diameters,
-    which removes dark spots up to that size) by a quarter or more, and the spot is about as large as a dot.
+    which removes dark spots up to that size) by a quarter or more, and the spot is about as large as a dot. Raises
+    BadInput if the diameter is out of range. Returns (H, W) bool.
+
+    Source: J. Serra, "Image analysis and mathematical morphology", Academic Press 1982, chapter XII (the top-hat
+    transform).
 
     Parameters
     ----------
-    light : (L, H, W)
-        Linear light, not divided by a flat photograph.
-    diameter_px : float
-        Of a dot, at least 2.
+    light : (L, H, W); linear light, not divided by a flat photograph
+    diameter_px : of a dot, at least 2
 
-    Returns
-    -------
-    (H, W) bool
-
-    Raises
-    ------
-    BadInput
-        If the diameter is out of range.
-
-    References
-    ----------
-    J. Serra, "Image analysis and mathematical morphology", Academic Press 1982, chapter XII (the top-hat transform).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> light = np.full((3, 60, 80), 0.5)
     >>> light[:, 20:28, 30:38] = 0.1
@@ -86,31 +73,17 @@ def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> Fl
 
     The means have a bell-shaped kernel (triangles along rows and columns) and are normalised by how much of it is not
     masked, first of `reach_px`, then, inside larger holes, of two and four times that and so on. Then each masked pixel
-    becomes the mean of a square around it, a few times over: a field that is linear across a hole stays so.
+    becomes the mean of a square around it, a few times over: a field that is linear across a hole stays so. Raises
+    BadInput if everything is masked. Returns (N, H, W) float32.
+
+    Source: H. Knutsson and C.-F. Westin, "Normalized and differential convolution", CVPR 1993.
 
     Parameters
     ----------
     fields : (N, H, W)
-    mask : (H, W) bool
-        What is replaced.
-    reach_px : float
-        Standard deviation of the kernel, about half the diameter of the holes.
+    mask : (H, W) bool; what is replaced
+    reach_px : standard deviation of the kernel, about half the diameter of the holes
 
-    Returns
-    -------
-    (N, H, W) float32
-
-    Raises
-    ------
-    BadInput
-        If everything is masked.
-
-    References
-    ----------
-    H. Knutsson and C.-F. Westin, "Normalized and differential convolution", CVPR 1993.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> hole = np.zeros((30, 30), bool)
     >>> hole[12:16, 12:16] = True

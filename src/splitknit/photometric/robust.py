@@ -21,7 +21,6 @@ from splitknit.settings import Checked, Limits
 # Cauchy weights). Glare and interreflection only ever add light, and shadow has been left out already: a residual below
 # the fit is mostly the fit's own tilt towards a highlight and is forgiven more.
 
-
 _CLEAN = 0.5
 """A pixel whose residuals all lie within this part of the tolerance keeps its least-squares fit."""
 _SETTLED = 1e-3
@@ -31,7 +30,6 @@ _HOPELESS = 100.0
 _FLAT = 5e-4
 """Smallest pivot, relative to the trace, of lights that determine a normal; three neighbours on the rig give 4e-3."""
 _FAINT = 1e-2
-
 
 _SHADOW = 0.03
 """A light is in shadow where its image, divided by its strength, is below this part of the brightest one's."""

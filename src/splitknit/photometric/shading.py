@@ -129,10 +129,12 @@ def term_count(lights: int, degree: int) -> int:
 def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Slopes of a surface from its images, and their standard deviation.
 
+    Raises BadInput if the images have another number of lights or another size than those of the calibration, or it
+    holds no balls.
+
     Parameters
     ----------
-    shading : Shading
-        Of the sensor that took the images.
+    shading : of the sensor that took the images
     images : (L, H, W) float32
         Linear light, divided by the flat surface's; L is the number of lights (or of the colours of one frame). A
         common factor does not matter (:func:`facing_level`).
@@ -141,19 +143,7 @@ def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, Fl
     -------
     gradient : (2, H, W) float32
         dz/dx and dz/dy, y up. Slopes beyond 1.5 times the steepest calibrated one are shortened to it.
-    deviation : (H, W) float32
-        Standard deviation of either slope.
-
-    Raises
-    ------
-    BadInput
-        If the images have another number of lights or another size than those of the calibration, or it holds no
-        balls.
-
-    Examples
-    --------
-    >>> shading = read_shading("shading.npz")  # doctest: +SKIP
-    >>> gradient, deviation = shading_slopes(shading, images / flat)  # doctest: +SKIP
+    deviation : (H, W) float32; standard deviation of either slope
     """
     lights, rows, columns = check_shading(shading, images)
     count = term_count(lights, shading.degree)
@@ -252,10 +242,7 @@ def write_shading(path: str | os.PathLike[str], shading: Shading) -> None:
 def read_shading(path: str | os.PathLike[str]) -> Shading:
     """Read a calibration that ``splitknit calibrate shading`` wrote.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, of another kind, or its arrays do not fit each other.
+    Raises BadInput if the file is missing, damaged, of another kind, or its arrays do not fit each other.
     """
     name = os.fspath(path)
     damaged = f"{name} is no calibration of 'splitknit calibrate shading', or damaged; write it again."

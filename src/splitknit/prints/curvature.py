@@ -81,26 +81,17 @@ def curvature(
 ) -> _Curvature:
     """Principal curvatures and shape index of a surface.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
+
+    Source: the thesis, section 5.5, eq. 5.3. The Weingarten matrix is the first fundamental form's inverse times the
+    second (do Carmo 1976, section 3.3).
+
     Parameters
     ----------
-    height_mm : (H, W) float32
-        Ridges and shape together; ignored outside `mask`.
+    height_mm : (H, W) float32; ridges and shape together; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Of the input on the finger plane.
-    settings : CurvatureSettings, optional
-    xy_mm : (H, W) float32, twice, optional
-        x and y of the surface points (perspective cameras).
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the pitch is not positive.
-
-    References
-    ----------
-    The thesis, section 5.5, eq. 5.3. The Weingarten matrix is the first fundamental form's inverse times the second
-    (do Carmo 1976, section 3.3).
+    pitch_mm : of the input on the finger plane
+    xy_mm : (H, W) float32, twice, optional; x and y of the surface points (perspective cameras)
     """
     settings = settings or CurvatureSettings()
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")
@@ -209,11 +200,8 @@ def _edge_normals(inside: BoolArray, edge: NDArray[np.intp], side: int, degree: 
         for b, (k, m) in enumerate(powers):
             normal[:, a, b] = moments[i + k, j + m]
     # a touch of ridge regression: what the pixels there do not determine stays small
-    return normal + 1e-4 * moments[0, 0][:, None, None] * np.eye(len(powers)) * _penalised(powers)
-
-
-def _penalised(powers: list[tuple[int, int]]) -> NDArray[np.float64]:
-    return np.array([1.0 if sum(power) > 1 else 0.0 for power in powers])
+    penalised = np.diag([float(sum(power) > 1) for power in powers])
+    return normal + 1e-4 * moments[0, 0][:, None, None] * penalised
 
 
 def _blurred(image: FloatArray, across: list[float], down: list[float]) -> FloatArray:

@@ -53,25 +53,16 @@ class Enhanced:
 
 
 def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
-    """Enhance a print.
+    """Enhance a print. Raises BadInput if the image is of another kind, or has no ridges.
+
+    Source: L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation,
+    section 2.6.
 
     Parameters
     ----------
-    image : (h, w) uint8
-        Ridges dark.
-    ppi : float
-        Pixels per inch.
-    inside : (h, w) bool, optional
-        Where the finger is, if it is known: nothing is printed beside it.
-
-    Raises
-    ------
-    BadInput
-        If the image is of another kind, or has no ridges.
-
-    References
-    ----------
-    L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
+    image : (h, w) uint8; ridges dark
+    ppi : pixels per inch
+    inside : (h, w) bool, optional; where the finger is, if it is known: nothing is printed beside it
     """
     found = ridge_field(image, ppi, inside)
     coefficients = node_amplitudes(image, found, _SIGMA_PERIODS)
@@ -113,17 +104,10 @@ def node_amplitudes(
 ) -> NDArray[np.complex64]:
     """Fit one plane wave, with a node's own direction and frequency, at every node.
 
-    Parameters
-    ----------
-    image : (h, w) uint8 or float32
-    found : RidgeField
-    sigma_periods : float
-        Standard deviation of the window in which a wave is fitted, in local ridge periods.
+    Returns (n, m) complex64: amplitude and phase at the node, in the image's unit; zero outside the field's mask.
 
-    Returns
-    -------
-    (n, m) complex64
-        Amplitude and phase at the node, in the image's unit; zero outside the field's mask.
+    `image`: (h, w) uint8 or float32. `sigma_periods`: standard deviation of the window in which a wave is fitted, in
+    local ridge periods.
     """
     step, (n, m) = found.step_px, found.mask.shape
     frequency = found.frequency_px[found.mask]
@@ -191,9 +175,8 @@ def stft_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray
     A window's spectrum is multiplied by a radial band about the local frequency and by a fan about the local direction,
     which is wide where directions disagree (cores, deltas); the overlapping windows are put together again.
 
-    References
-    ----------
-    S. Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis, sections 3 and 4.
+    Source: S. Chikkerur, A. Cartwright and V. Govindaraju 2007, Fingerprint enhancement using STFT analysis, sections 3
+    and 4.
     """
     found = ridge_field(image, ppi, inside)
     wave = _filtered(image, found, ppi / MM_PER_INCH)
@@ -291,19 +274,13 @@ def as_print(ridges: BoolArray) -> NDArray[np.uint8]:
 def thin(shape: BoolArray) -> BoolArray:
     """Thin a shape to lines one pixel wide that hang together as it does.
 
-    Parameters
-    ----------
-    shape : (h, w) bool
+    Raises BadInput if `shape` is not a boolean image.
 
-    Raises
-    ------
-    BadInput
-        If `shape` is not a boolean image.
+    `shape`: (h, w) bool.
 
-    References
-    ----------
-    T. Zhang and C. Suen 1984, A fast parallel algorithm for thinning digital patterns. Pixels are looked up by the code
-    of their eight neighbours; at the end corners of staircases are taken off, so that lines are one pixel wide.
+    Source: T. Zhang and C. Suen 1984, A fast parallel algorithm for thinning digital patterns. Pixels are looked up by
+    the code of their eight neighbours; at the end corners of staircases are taken off, so that lines are one pixel
+    wide.
     """
     array = np.asarray(shape)
     if array.ndim != 2 or array.dtype != np.bool_:

@@ -28,6 +28,7 @@ from splitknit.matching.space_features import bilinear, in_space
 from splitknit.mirrors.rolled.finger import Rolled
 from splitknit.model import FloatArray, Progress, no_progress
 from splitknit.prints.enhance import Enhanced, as_print, ridge_mask, thin
+from splitknit.prints.fingerphoto import is_fingerphoto, read_fingerphoto
 from splitknit.prints.from_file import finger_view, pressed_print, read_one_finger
 from splitknit.prints.make import (
     Print,
@@ -54,7 +55,7 @@ class PrintJob:
     """What is asked for; see ``splitknit print --help``."""
 
     path: Path
-    """Of a result, a capture or a print."""
+    """Of a result, a capture, a print or a photograph of a finger."""
     out: Path
     method: str | None = None
     """None: ``unroll`` for surfaces."""
@@ -73,12 +74,8 @@ class PrintJob:
 def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str, Any]:
     """Make a print of a capture or a result and write all its files; return the facts of ``report.json``.
 
-    A print that is a file already is brought to 500 ppi and enhanced.
-
-    Raises
-    ------
-    BadInput
-        Naming the input at fault.
+    A print that is a file already is brought to 500 ppi and enhanced; a photograph of a finger is unrolled by a mean
+    shape. Raises BadInput, naming the input at fault.
     """
     started = time.perf_counter()
     settings, path, ppi = override(PrintingSettings(), dict(job.changes)), job.path, job.ppi
@@ -113,8 +110,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "binary.png": as_print(ridges),
             "thinned.png": as_print(lines),
         }
-        _write_pictures(target, pictures, ppi, origin)
-        write_npz(target / "map.npz", _map_arrays(made.map))
+        _write_pictures(target, pictures, made.map, origin)
         facts: dict[str, Any] = {
             "method": method,
             "surface": place,
@@ -122,7 +118,12 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
             "ppi": ppi,
             "enhanced": settings.enhance,
             **({"scale": source.scale} if source.scale else {}),
-            **_sizes(made, enhanced, ppi),
+            "size": list(made.image.shape),
+            "mirrored": True,
+            "ridges": "dark",
+            "ridge_period_mm": _periods(enhanced, ppi),
+            "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
+            "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
         }
         if made.unrolled is not None:
             facts["distortion"] = made.unrolled.distortion.figures()
@@ -157,11 +158,15 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
 
 
 def _write_pictures(
-    target: Path, pictures: Mapping[str, NDArray[np.uint8]], ppi: float, origin: dict[str, JsonValue]
+    target: Path, pictures: Mapping[str, NDArray[np.uint8]], print_map: PrintMap, origin: dict[str, JsonValue]
 ) -> None:
+    """Write the pictures, and where their pixels come from (``map.npz``)."""
     texts = {"Software": f"splitknit {origin['version']}", "Comment": canonical_json(origin)}
     for name, picture in pictures.items():
-        write_print_png(target / name, picture, ppi, texts)
+        write_print_png(target / name, picture, print_map.ppi, texts)
+    arrays = {name: getattr(print_map, name) for name in ("columns", "rows", "input_from_grid", "print_of_grid")}
+    arrays |= {"ppi": np.float64(print_map.ppi), "surface": np.array(print_map.surface)}
+    write_npz(target / "map.npz", arrays)
 
 
 def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
@@ -170,6 +175,13 @@ def _how(job: PrintJob, settings: PrintingSettings) -> tuple[str, str]:
     if not path.is_file() or path.suffix.lower() == ".npz":
         method = job.method or "unroll"
         return method, checked_surface(method, job.surface, settings)
+    if is_fingerphoto(path):
+        method = job.method or "photo"
+        require(
+            (method, job.ridge_period_mm, job.input_ppi) == ("photo", None, None),
+            f"'{path}' is a photograph of a finger: its `method` is photo, its scale, if it is known, `px_per_mm`.",
+        )
+        return method, checked_surface(method, job.surface or "free", settings)
     require(
         (job.method, job.surface, job.px_per_mm, job.ridge_period_mm, job.ppi) == (None, None, None, None, PPI),
         f"'{path}' is a print already, to be made one of 500 ppi; leave out `method`, `surface`, `ppi` and scales.",
@@ -198,6 +210,8 @@ def _read(
     if method == "file":
         source, given = _of_file(job.path, job.input_ppi)
         return source, None, given
+    if method == "photo" and job.path.is_file() and is_fingerphoto(job.path):
+        return read_fingerphoto(job.path, job.px_per_mm), None, None
     if method == "rolled":
         unscaled = job.px_per_mm is None and job.ridge_period_mm is None
         require(unscaled, "a rig with mirrors has a scale; leave out `px_per_mm` and `ridge_period_mm`.")
@@ -216,17 +230,6 @@ def _parameters(method: str, settings: PrintingSettings) -> dict[str, Any]:
     if method != "rolled":
         found.pop("rolled")
     return found
-
-
-def _sizes(made: Print, enhanced: Enhanced, ppi: float) -> dict[str, Any]:
-    return {
-        "size": list(made.image.shape),
-        "mirrored": True,
-        "ridges": "dark",
-        "ridge_period_mm": _periods(enhanced, ppi),
-        "area_mm2": round(float(made.weight.sum()) * (25.4 / ppi) ** 2, 1),
-        "ridge_area_mm2": round(float(enhanced.mask.sum()) * (25.4 / ppi) ** 2, 1),
-    }
 
 
 def _periods(enhanced: Enhanced, ppi: float) -> dict[str, float]:
@@ -427,15 +430,3 @@ def _bar(width: int, low: float, high: float, title: str) -> ColourArray:
         place = int(4 + fraction * (width - 8 - length))
         cv2.putText(bar, text, (place, 37), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
     return bar
-
-
-def _map_arrays(print_map: PrintMap) -> dict[str, Any]:
-    """What ``map.npz`` holds."""
-    return {
-        "columns": print_map.columns,
-        "rows": print_map.rows,
-        "ppi": np.float64(print_map.ppi),
-        "input_from_grid": print_map.input_from_grid,
-        "print_of_grid": print_map.print_of_grid,
-        "surface": np.array(print_map.surface),
-    }

@@ -37,21 +37,11 @@ _CLEAR = 15.0
 def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
-    Parameters
-    ----------
-    path : file of any format of :data:`splitknit.io.print_formats.FORMATS`
-    input_ppi : resolution of pictures, whatever they state
+    Raises BadInput as :func:`splitknit.io.print_formats.read_prints`; if a picture does not state its resolution, with
+    the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
 
-    Raises
-    ------
-    BadInput
-        As :func:`splitknit.io.print_formats.read_prints`; if a picture does not state its resolution, with the one that
-        its ridges suggest; or if it is below 200 or above 5080 ppi.
-
-    Examples
-    --------
-    >>> read_print_file("scan.png", input_ppi=1000)[0].resolution_ppi  # doctest: +SKIP
-    1000
+    `path`: file of any format of :data:`splitknit.io.print_formats.FORMATS`. `input_ppi`: resolution of pictures,
+    whatever they state.
     """
     require(
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,
@@ -64,10 +54,7 @@ def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None
 def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | FingerView:
     """Read the only print, or the minutiae of the only finger, of a file.
 
-    Raises
-    ------
-    BadInput
-        As :func:`read_print_file`, or if the file holds several.
+    Raises BadInput as :func:`read_print_file`, or if the file holds several.
     """
     found = read_print_file(path, input_ppi)
     require(len(found) == 1, f"{path} holds {len(found)} prints; take them apart: splitknit import {path} --out DIR.")
@@ -77,10 +64,7 @@ def read_one_finger(path: Path, input_ppi: float | None = None) -> PrintFile | F
 def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
     """Read what ``splitknit print`` wrote: the print, and its minutiae if they were found.
 
-    Raises
-    ------
-    BadInput
-        If a file is damaged, or the print states no resolution.
+    Raises BadInput if a file is damaged, or the print states no resolution.
     """
     picture, record = read_print_png(folder / "print.png"), folder / "minutiae.iso"
     require(picture.resolution_ppi is not None, f"'{folder}' states no resolution; make the print again.")
@@ -90,10 +74,7 @@ def read_print_folder(folder: Path) -> tuple[PrintFile, FingerView | None]:
 def print_at_500_ppi(item: PrintFile) -> PrintFile:
     """Bring a print of known resolution to 500 ppi; one that has as many pixels as at 500 ppi stays as it is.
 
-    Raises
-    ------
-    BadInput
-        If it were larger than any print.
+    Raises BadInput if it were larger than any print.
     """
     ppi = item.resolution_ppi or PPI
     image = at_500_ppi(item.image, ppi)
@@ -127,12 +108,8 @@ def _suggestion(image: NDArray[np.uint8]) -> str:
 def pressed_print(item: PrintFile, inside: BoolArray | None = None) -> Print:
     """Print of 500 ppi from a file, where its ridges are, and the same with even contrast.
 
-    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere.
-
-    Raises
-    ------
-    BadInput
-        If it has no ridges, or is smaller than 2 mm.
+    `inside`: (H, W) bool at 500 ppi, where there may be ridges; by default everywhere. Raises BadInput if it has no
+    ridges, or is smaller than 2 mm.
     """
     image = print_at_500_ppi(item).image
     require(min(image.shape) >= _MIN_SIDE_PX, "the print must be at least 2 mm wide and high.")
@@ -153,13 +130,6 @@ def _ridge_period_px(image: NDArray[np.uint8]) -> float | None:
 
     The peak of the spectrum's mean over all directions, times the frequency to the power 2.5, which makes up for what
     pictures without ridges lose towards high frequencies.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> waves = 127 + 100 * np.sin(np.arange(300) * 2 * np.pi / 9)[None] * np.ones((300, 1))
-    >>> round(ridge_period_px(waves.astype(np.uint8)))
-    9
     """
     if min(image.shape) < 64:
         return None
@@ -214,10 +184,7 @@ def coded_finger(finger: object) -> str:
 def minutiae_of(view: FingerView) -> Minutiae:
     """Minutiae of a record, on the pixel grid of 500 ppi; qualities that are not known become 0.
 
-    Raises
-    ------
-    BadInput
-        If its image is larger than any print.
+    Raises BadInput if its image is larger than any print.
     """
     usual = pixels_per_cm(PPI)[0]
     scales = [1.0 if ppcm == usual else PPI / (ppcm * 2.54) for ppcm in view.resolution_ppcm]

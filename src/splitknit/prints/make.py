@@ -120,13 +120,7 @@ def make_print(
 
 
 def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, settings: PrintingSettings) -> Print:
-    """Make a print of a finger around its front.
-
-    Raises
-    ------
-    BadInput
-        If there are no ridges or too little skin.
-    """
+    """Make a print of a finger around its front. Raises BadInput if there are no ridges or too little skin."""
     unrolled, print_map = laid_flat(rolled, kind, ppi, settings.unroll)
     inked, weight = resample(_needed(source.ridge_mm), source.mask, source.pitch_mm, print_map)
     image = ink(inked, weight, replace(settings.ink, ppi=ppi))
@@ -136,10 +130,7 @@ def make_rolled_print(rolled: Rolled, source: Source, kind: str, ppi: float, set
 def checked_surface(method: str, surface: str | None, settings: PrintingSettings) -> str:
     """Where a print is made; refuses what does not go together.
 
-    Raises
-    ------
-    BadInput
-        If method or surface are not known, or ``unroll`` is asked for on the plane.
+    Raises BadInput if method or surface are not known, or ``unroll`` is asked for on the plane.
     """
     require(method in METHODS, f"method must be one of {', '.join(METHODS)}, but it is '{method}'.")
     require(surface is None or surface in SURFACES, f"surface must be one of {', '.join(SURFACES)}, not '{surface}'.")

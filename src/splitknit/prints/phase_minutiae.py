@@ -22,7 +22,6 @@ ENDING, BIFURCATION = 1, 2
 _CORNERS = ((1, 0), (1, 1), (0, 1), (0, 0))
 """Of a square of pixels, row and column, counter-clockwise as seen."""
 
-
 _EDGE_MM = 0.6
 """Nearer to the print's outline none is taken: every ridge ends there."""
 _SURE = 0.25
@@ -52,33 +51,19 @@ def phase_minutiae(
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
     is known up to its sign, which is made the same around each square of four pixels; where it turns by 2 pi around
-    one, a ridge more begins there.
+    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes. Returns
+    _PhaseMinutiae: by rows, then columns.
+
+    Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
+    Optics Express 15, 2007.
 
     Parameters
     ----------
-    image : (h, w) uint8
-        The print, ridges dark.
-    enhanced : Enhanced
-        Of the same print.
-    ppi : float
-        Pixels per inch.
+    image : (h, w) uint8; the print, ridges dark
+    enhanced : of the same print
+    ppi : pixels per inch
     confidence : (h, w) float32, optional
         0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter.
-
-    Returns
-    -------
-    _PhaseMinutiae
-        By rows, then columns.
-
-    Raises
-    ------
-    BadInput
-        If the print and its enhancement have different sizes.
-
-    References
-    ----------
-    K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?", Optics
-    Express 15, 2007.
     """
     require(
         image.shape == enhanced.wave.shape,

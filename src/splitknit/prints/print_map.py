@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from splitknit.errors import check_mask, require
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
+from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean, upright_from_print
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 
@@ -174,22 +174,12 @@ def plane_map(
 ) -> PrintMap:
     """Return the map of the finger plane, seen straight from above: the frame of :func:`relief_print`.
 
-    Raises
-    ------
-    BadInput
-        If pitch or resolution are not positive.
+    Raises BadInput if pitch or resolution are not positive.
     """
     _check_scale(pitch_mm, ppi)
     step = MM_PER_INCH / ppi / pitch_mm
     size = _checked_size(max(1, round(upright_size[0] / step)), max(1, round(upright_size[1] / step)))
-    upright_from_print = np.array(
-        [
-            [-step, 0.0, (upright_size[1] - 1) / 2 + step * (size[1] - 1) / 2],
-            [0.0, step, (upright_size[0] - 1) / 2 - step * (size[0] - 1) / 2],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    input_from_print = input_from_upright @ upright_from_print
+    input_from_print = input_from_upright @ upright_from_print(size, upright_size, step)
     column, row = np.meshgrid(np.arange(size[1], dtype=np.float64), np.arange(size[0], dtype=np.float64))
     columns = input_from_print[0, 0] * column + input_from_print[0, 1] * row + input_from_print[0, 2]
     rows = input_from_print[1, 0] * column + input_from_print[1, 1] * row + input_from_print[1, 2]
@@ -209,12 +199,8 @@ def unrolled_map(
 ) -> PrintMap:
     """Return the map of skin that was laid flat; the print holds all that is less steep than `slant_deg`, and a margin.
 
-    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger.
-
-    Raises
-    ------
-    BadInput
-        If the resolution is not positive.
+    Without a `slant_deg` it holds all of the skin, however it is turned: a sheet around a finger. Raises BadInput if
+    the resolution is not positive.
     """
     _check_scale(unrolled.grid.pitch_mm, ppi)
     px_per_mm = ppi / MM_PER_INCH
@@ -328,12 +314,9 @@ def resample(
 
     Parameters
     ----------
-    field : (H, W) float32
-        Ignored outside `mask`.
+    field : (H, W) float32; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Of the input.
-    print_map : PrintMap
+    pitch_mm : of the input
     sigma_px : float
         Of the Gaussian, in pixels of the print, that takes out what the print is too coarse for; used only where it is
         coarser than the input.
@@ -341,8 +324,7 @@ def resample(
     Returns
     -------
     values : (h, w) float32
-    weight : (h, w) float32
-        Fraction of the pixel that lies on the finger, 0 to 1.
+    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm

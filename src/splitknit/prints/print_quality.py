@@ -20,7 +20,6 @@ from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
 # values, whose contrast is made even. At nodes about 0.4 mm apart a plane wave is fitted: its height, its fraction of
 # all that varies around it, and its second harmonic, which shows how sharp the ridges' edges are.
 
-
 _SIGMA_PERIODS = 0.75
 """Standard deviation of the window in which a wave is fitted, in ridge periods."""
 _SMOOTH_MM = 0.6
@@ -251,30 +250,18 @@ def print_quality(
     in_um: bool = True,
     settings: PrintQualitySettings | None = None,
 ) -> PrintQuality:
-    """Measure how good a print is.
+    """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the finger.
+
+    Source: ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
+    uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
+    periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
 
     Parameters
     ----------
     values : (h, w) float32
         What is inked: the relief in um, or anything else that is high on ridges (`in_um` false: no heights then).
-    weight : (h, w) float32
-        Fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0.
-    found : RidgeField
-        Of the print.
-    ppi : float
-    in_um : bool
-    settings : PrintQualitySettings, optional
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree or nothing lies on the finger.
-
-    References
-    ----------
-    ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
-    uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
-    periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
+    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0
+    found : of the print
     """
     settings = settings or PrintQualitySettings()
     figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)

@@ -21,7 +21,6 @@ from splitknit.settings import Checked, Limits
 MM_PER_INCH = 25.4
 _PAPER = 255.0
 
-
 CONTRAST_FLOOR = 0.3
 """Contrast below this fraction of the finger's median is not raised further, so flat skin stays flat."""
 
@@ -49,33 +48,20 @@ def relief_print(
 ) -> NDArray[np.uint8]:
     """Return the relief as an upright, mirrored print: ridges dark, valleys and background white.
 
+    Raises BadInput if shapes disagree, the mask is empty, or the scale is not positive. Returns (h, w) uint8: one pixel
+    is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0 shows the right
+    edge of the upright camera image, as paper does.
+
     Parameters
     ----------
     ridge_mm : (H, W) float32
         Height of the skin relief in mm, ridges up, on the input's pixel grid; ignored outside `mask`.
-    mask : (H, W) bool
-        True on the finger.
-    px_per_mm : float
-        Scale of the input, the same along both axes.
-    input_from_upright : (3, 3) float64
-        Takes (column, row, 1) of the upright frame to the input.
+    mask : (H, W) bool; True on the finger
+    px_per_mm : scale of the input, the same along both axes
+    input_from_upright : (3, 3) float64; takes (column, row, 1) of the upright frame to the input
     upright_size : (rows, columns) of the upright frame
-    settings : PrintSettings, optional
-        Resolution and contrast.
+    settings : resolution and contrast, optional
 
-    Returns
-    -------
-    (h, w) uint8
-        One pixel is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0
-        shows the right edge of the upright camera image, as paper does.
-
-    Raises
-    ------
-    BadInput
-        If shapes disagree, the mask is empty, or the scale is not positive.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> relief = np.zeros((40, 60), np.float32)
     >>> relief_print(relief, np.ones((40, 60), bool), 500 / 25.4, np.eye(3), (40, 60)).shape
@@ -97,14 +83,14 @@ def relief_print(
 
     window_from_input = np.eye(3)
     window_from_input[:2, 2] = -columns.start, -rows.start
-    upright_from_print = _upright_from_print(size, upright_size, input_per_print)
-    window_from_print = window_from_input @ input_from_upright @ upright_from_print
+    input_from_print = input_from_upright @ upright_from_print(size, upright_size, input_per_print)
+    window_from_print = window_from_input @ input_from_print
     weight = np.clip(warp(weight, window_from_print, size), 0.0, 1.0)
     relief = warp(relief.astype(np.float32), window_from_print, size)
     return _ink(relief, weight, settings)
 
 
-def _upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
+def upright_from_print(size: tuple[int, int], upright_size: tuple[int, int], step: float) -> NDArray[np.float64]:
     """(3, 3) from (column, row, 1) of the print to the upright frame: centre on centre, left and right exchanged."""
     return np.array(
         [
@@ -166,30 +152,15 @@ def ink(values: FloatArray, weight: FloatArray, settings: PrintSettings | None =
     """Print a field that is high on ridges and low in valleys.
 
     The local mean is taken out twice (the second pass removes what a one-sided window leaves of a slope at the edge),
-    the rest is divided by its local standard deviation and pressed into grey values by a soft step.
+    the rest is divided by its local standard deviation and pressed into grey values by a soft step. Raises BadInput if
+    the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges. Returns (h, w) uint8:
+    ridges dark, valleys and background white.
 
-    Parameters
-    ----------
-    values : (h, w) float32
-        Such as the relief; any unit.
-    weight : (h, w) float32
-        Fraction of the pixel that lies on the finger, 0 to 1.
-    settings : PrintSettings, optional
+    `values`: (h, w) float32; such as the relief; any unit. `weight`: (h, w) float32; fraction of the pixel that lies on
+    the finger, 0 to 1.
 
-    Returns
-    -------
-    (h, w) uint8
-        Ridges dark, valleys and background white.
-
-    Raises
-    ------
-    BadInput
-        If the shapes disagree, nothing lies on the finger, or nothing varies: a print without ridges.
-
-    References
-    ----------
-    L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation, section 2.3
-    (mean and variance made even; here locally).
+    Source: L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation,
+    section 2.3 (mean and variance made even; here locally).
     """
     settings = settings or PrintSettings()
     if values.ndim != 2 or values.shape != weight.shape:

@@ -36,10 +36,7 @@ SIDE_MM, TIP_MM = 14.0, 0.0
 def read_rolled(path: Path, preset: str, settings: RolledSettings, progress: Progress) -> tuple[Source, Rolled]:
     """A capture folder as one finger around its front.
 
-    Raises
-    ------
-    BadInput
-        If it is no capture, has no mirrors beside the finger, or fewer than two of its views can be used.
+    Raises BadInput if it is no capture, has no mirrors beside the finger, or fewer than two of its views can be used.
     """
     from splitknit.mirrors.rolled.finger import rolled_finger
     from splitknit.mirrors.rolled.views import find_mirror_views
@@ -94,10 +91,7 @@ def _skin_points(rolled: Rolled, ridges: bool = True) -> FloatArray:
 def laid_flat(rolled: Rolled, kind: str, ppi: float, settings: UnrollSettings) -> tuple[Unrolled, PrintMap]:
     """The chart laid flat: all of the skin weighs the same, however it is turned.
 
-    Raises
-    ------
-    BadInput
-        If `kind` is a body's, or there is too little skin.
+    Raises BadInput if `kind` is a body's, or there is too little skin.
     """
     require(kind in KINDS, f"a rolled finger is laid flat {' or '.join(KINDS)}, not on the {kind}.")
     step = max(1, round(settings.grid.pitch_mm / rolled.chart.pitch_mm))

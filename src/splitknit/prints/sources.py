@@ -28,7 +28,7 @@ class Source:
     """A finger on its input's pixel grid."""
 
     kind: str
-    """``result`` or ``capture``."""
+    """``result``, ``capture`` or ``photo``."""
     mask: BoolArray
     pitch_mm: float
     input_from_upright: NDArray[np.float64]
@@ -69,17 +69,13 @@ def read_source(
 ) -> Source:
     """Read a result folder (or its ``height.npz``), or a capture folder, which is reconstructed where `surface` is set.
 
+    Raises BadInput if it is neither, is damaged, has no scale or two, or holds no photograph where one is needed.
+
     Parameters
     ----------
-    path : path
     photo : whether the photograph is needed
     surface : whether the surface is needed
     px_per_mm, ridge_period_mm : the scale, or the distance of the ridges that it follows from, where it is unknown
-
-    Raises
-    ------
-    BadInput
-        If it is neither, is damaged, has no scale or two, or holds no photograph where one is needed.
     """
     progress("reading", 0.05)
     try:

@@ -58,19 +58,14 @@ class _Distortion:
 def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> _Distortion:
     """Compare a flat map with the surface, cell by cell.
 
+    Source: The stretches are the roots of the eigenvalues of J G^-1 J^T, J the map's and G the surface's first
+    derivatives over the grid (Floater and Hormann 2005, Surface parameterization, section 2).
+
     Parameters
     ----------
-    points_mm : (n, m, 3)
-        Surface points of the nodes.
-    flat_mm : (n, m, 2)
-        Where the map lays them.
-    inside : (n, m) bool
-        Cells with four corners inside count.
-
-    References
-    ----------
-    The stretches are the roots of the eigenvalues of J G^-1 J^T, J the map's and G the surface's first derivatives over
-    the grid (Floater and Hormann 2005, Surface parameterization, section 2).
+    points_mm : (n, m, 3); surface points of the nodes
+    flat_mm : (n, m, 2); where the map lays them
+    inside : (n, m) bool; cells with four corners inside count
     """
     right, down = _differences(points_mm)
     flat_right, flat_down = _differences(flat_mm)
@@ -378,7 +373,6 @@ def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
 Array = NDArray[np.float64]
 KINDS = ("free", "arc", "tube", "cylinder")
 
-
 _SMOOTH_MM = 2.0
 """Standard deviation along the finger over which the tube's circles are smoothed."""
 
@@ -411,18 +405,9 @@ class Unrolled:
 
 
 def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolled:
-    """Lay a surface flat.
+    """Lay a surface flat. Raises BadInput if there is too little surface.
 
-    Parameters
-    ----------
-    grid : SurfaceGrid
-        From :func:`splitknit.prints.unroll_grid.surface_grid`.
-    settings : UnrollSettings, optional
-
-    Raises
-    ------
-    BadInput
-        If there is too little surface.
+    `grid`: from :func:`splitknit.prints.unroll_grid.surface_grid`.
     """
     settings = settings or UnrollSettings()
     if settings.kind == "cylinder":

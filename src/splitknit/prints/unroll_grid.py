@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 _POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 """Exponents of x and y of the local quadratic."""
 
-
 _WINDOW_MM = 0.3
 """Standard deviation of the Gaussian window of the local fits."""
 _FINEST_MM, _LONGEST_MM, _FARTHEST_MM = 1e-3, 200.0, 1e6
@@ -73,23 +72,16 @@ def surface_grid(
 ) -> SurfaceGrid:
     """Return the smooth surface on a coarse upright grid.
 
+    Raises BadInput if the mask is empty, too small for a surface, or the pitch is not positive.
+
     Parameters
     ----------
-    shape_mm : (H, W) float32
-        Height without ridges, mm; ignored outside `mask`.
+    shape_mm : (H, W) float32; height without ridges, mm; ignored outside `mask`
     mask : (H, W) bool
-    pitch_mm : float
-        Of the input on the finger plane.
-    input_from_upright : (3, 3), upright_size : (rows, columns)
-        The upright frame.
+    pitch_mm : of the input on the finger plane
+    input_from_upright : (3, 3), upright_size : (rows, columns); the upright frame
     xy_mm : (H, W) float32, twice, optional
         x and y of the surface points (perspective cameras); without them pixels lie at their pitch.
-    settings : GridSettings, optional
-
-    Raises
-    ------
-    BadInput
-        If the mask is empty, too small for a surface, or the pitch is not positive.
     """
     settings = settings or GridSettings()
     require(

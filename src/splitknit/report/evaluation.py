@@ -32,10 +32,7 @@ _FILES = ("report.html", "report.json")
 def write_evaluation(found: Evaluation, out: Path) -> dict[str, Any]:
     """Write the page, the facts and the tables of an evaluation into the folder `out`, all or nothing.
 
-    Returns
-    -------
-    dict
-        What ``report.json`` holds.
+    Returns what ``report.json`` holds.
     """
     facts = _facts_of(found)
     html = _page(facts, found.results)
@@ -66,17 +63,21 @@ def _facts_of(found: Evaluation) -> dict[str, Any]:
         "settings": plain_json(settings),
         "files": [*_FILES, *found.tables],
     }
-    if fused is not None:
-        facts["fusion"] = {
-            "method": settings.fuse,
-            "systems": list(fused.systems),
-            "dealt_by": fused.by,
-            "folds": fused.folds,
+    about = {
+        method: {
+            "method": method,
+            "systems": list(one.systems),
+            "dealt_by": one.by,
+            "folds": one.folds,
             "seed": settings.bootstrap.seed,
-            "models": len(fused.models),
-            "mean_weights": fused.mean_weights(),
-            "missing": dict(zip(fused.systems, fused.missing, strict=True)),
+            "models": len(one.models),
+            "mean_weights": one.mean_weights(),
+            "missing": dict(zip(one.systems, one.missing, strict=True)),
         }
+        for method, one in fused.items()
+    }
+    if about:
+        facts |= {"fusion": next(iter(about.values()))} if len(about) == 1 else {"fusions": about}
     return facts | {"inputs_sha256": dict(found.inputs_sha256), "timings_s": dict(found.timings_s)}
 
 

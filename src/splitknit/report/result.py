@@ -11,7 +11,7 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,7 +26,7 @@ from splitknit.imaging.polarised import picture_bytes
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.pictures import ColourArray, data_uri, upright_frame, upright_limits
 from splitknit.io.prints import provenance_texts, write_print_png
-from splitknit.io.provenance import provenance
+from splitknit.io.provenance import plain_json, provenance
 from splitknit.io.results import write_albedo, write_arrays, write_mesh, write_normals, write_picture
 from splitknit.io.tiff import write_float_tiff
 from splitknit.model import Capture, FloatArray, Reconstruction
@@ -84,15 +84,10 @@ def make_report(
 
     Parameters
     ----------
-    result : Reconstruction
-    capture : Capture, optional
-        What it was made from; only small previews of the images enter the page. None leaves them out.
-    truth : mapping, optional
-        A simulator's arrays; `result` and `others` are then compared with it, side by side.
-    others : sequence of Reconstruction
-        The same capture by other presets.
-    title : str
-        By default "3D fingerprint", or "Surface" of what is no finger.
+    capture : what it was made from; only small previews of the images enter the page. None leaves them out.
+    truth : A simulator's arrays; `result` and `others` are then compared with it, side by side
+    others : the same capture by other presets
+    title : by default "3D fingerprint", or "Surface" of what is no finger
     """
     finger, results = is_finger(result), (result, *others)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
@@ -180,23 +175,15 @@ def _facts(result: Reconstruction, capture: Capture | None, comparisons: Sequenc
     }
 
 
-def _plain(value: Any) -> Any:  # noqa: PLR0911
-    """Return `value` as lists, dictionaries, strings and finite numbers; what is not finite becomes ``None``."""
+def _plain(value: Any) -> Any:
+    """As :func:`splitknit.io.provenance.plain_json`; what is not finite is None, and large arrays are described."""
     if isinstance(value, np.ndarray):
         return _plain(value.tolist()) if value.size <= 256 else f"array {value.shape} {value.dtype}"
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
-    if hasattr(value, "__dataclass_fields__") and not isinstance(value, type):
-        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
-    return str(value)
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else plain_json(value)
 
 
 def _summary(result: Reconstruction) -> list[tuple[str, str]]:
@@ -387,20 +374,13 @@ def write_results(
 ) -> dict[str, Any]:
     """Write all files of a reconstruction into `folder` and return the facts of ``report.json``.
 
+    Raises BadInput if the folder holds files of others or cannot be written.
+
     Parameters
     ----------
-    result : Reconstruction
-    capture : Capture, optional
-        What it was made from: the report shows its photographs; None leaves them out.
-    folder : path
-        Appears complete or not at all; an earlier result in it is replaced.
-    truth : mapping, optional
-        A simulator's arrays, compared in the report.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds files of others or cannot be written.
+    capture : what it was made from: the report shows its photographs; None leaves them out
+    folder : appears complete or not at all; an earlier result in it is replaced
+    truth : A simulator's arrays, compared in the report
     """
     with atomic_folder(folder) as target:
         return write_files(result, capture, target, truth)

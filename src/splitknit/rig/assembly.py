@@ -150,7 +150,8 @@ def write_step(path: Path, part: RigPart) -> None:
     """Write one part, in the rig's frame."""
     from build123d import export_step  # large, and only parts need it
 
-    export_step(_labelled(part), str(path), timestamp=_TIMESTAMP)
+    part.solid.label = part.kind.name  # without a colour, as colours are written in an order that changes
+    export_step(part.solid, str(path), timestamp=_TIMESTAMP)
     _renumber(path)
 
 
@@ -158,9 +159,9 @@ def write_assembly(path: Path, parts: Sequence[RigPart], *, below: bool = False)
     """Write parts in their places; `below` turns the whole rig over, camera lowest."""
     from build123d import Compound, Rot, export_step  # large, and only parts need it
 
-    placed = [_labelled(part) for part in parts]
-    if below:
-        placed = [_relabelled(Rot(180, 0, 0) * shape, shape) for shape in placed]
+    placed = [Rot(180, 0, 0) * part.solid if below else part.solid for part in parts]
+    for shape, part in zip(placed, parts, strict=True):
+        shape.label = part.kind.name
     assembly = Compound(label="rig", children=placed)
     export_step(assembly, str(path), timestamp=_TIMESTAMP)
     _renumber(path)
@@ -177,17 +178,6 @@ def _renumber(path: Path) -> None:
     text = path.read_bytes()
     use = re.compile(rb"(= NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(',.*?;)", re.DOTALL)
     path.write_bytes(use.sub(numbered, text))
-
-
-def _labelled(part: RigPart) -> Any:
-    """The solid under its name; without a colour, as colours are written in an order that changes."""
-    part.solid.label = part.kind.name
-    return part.solid
-
-
-def _relabelled(shape: Any, source: Any) -> Any:
-    shape.label = source.label
-    return shape
 
 
 def half_of(part: RigPart) -> Any:

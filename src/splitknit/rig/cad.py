@@ -19,7 +19,7 @@ from splitknit.io.mesh import stl_chunks
 from splitknit.io.provenance import file_hash, json_text, provenance
 from splitknit.io.rig import read_rig
 from splitknit.io.targets import check_target
-from splitknit.model import Progress, Rig, default_rig, no_progress
+from splitknit.model import Progress, default_rig, no_progress
 from splitknit.rig.assembly import (
     FILM_KINDS,
     STACK,
@@ -59,7 +59,8 @@ def cad_to_folder(
     setting is out of range, or build123d is not installed.
     """
     check_target(out, "parts.json", "an earlier set of parts")
-    rig, hashes = _rig(rig_file)
+    rig = default_rig() if rig_file is None else read_rig(rig_file)
+    hashes = {} if rig_file is None else {rig_file.name: file_hash(rig_file)}
     settings = override(PartSettings(), changes or {})
     try:
         rig = with_films(rig, films)
@@ -104,13 +105,6 @@ def cad_to_folder(
         (target / "parts.json").write_text(document, encoding="utf-8")
     progress("done", 1.0)
     return {**facts, "out": str(out)}
-
-
-def _rig(file: Path | None) -> tuple[Rig, dict[str, str]]:
-    if file is None:
-        return default_rig(), {}
-    rig = read_rig(file)
-    return rig, {file.name: file_hash(file)}
 
 
 # Line drawings of the parts, each from above and from below, of the exploded rig, and of a cut through it.

@@ -102,11 +102,11 @@ def grid(
     return tuple(dict.fromkeys(RigCandidate(*values) for values in itertools.product(*axes)))
 
 
-def _camera_of(candidate: RigCandidate, build: BuildSettings, view: str | None = None) -> Camera:
+def _camera_of(candidate: RigCandidate, build: BuildSettings) -> Camera:
     """The candidate's camera: the field of `build`, seen from the candidate's height."""
     rows, columns = (max(8, round(side * candidate.px_per_mm)) for side in FIELD_MM)
     matrix = None
-    if (view or build.view) == "perspective":
+    if build.view == "perspective":
         focal = candidate.px_per_mm * candidate.height_mm
         matrix = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]], dtype=np.float64)
     return Camera(
@@ -118,13 +118,10 @@ def _camera_of(candidate: RigCandidate, build: BuildSettings, view: str | None =
     )
 
 
-def candidate_rig(
-    candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float], view: str | None = None
-) -> Rig:
+def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float]) -> Rig:
     """The candidate as a rig.
 
-    `intensities`: of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs. `view`: of the
-    camera, where it differs from `build.view`.
+    `intensities`: of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs.
     """
     tilt = np.deg2rad(candidate.beam_deg)
     leds = []
@@ -142,7 +139,7 @@ def candidate_rig(
                     aim=(-float(np.sin(tilt)) * x, -float(np.sin(tilt)) * y, -float(np.cos(tilt))),
                 )
             )
-    return Rig(_camera_of(candidate, build, view), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
+    return Rig(_camera_of(candidate, build), tuple(leds), {"source": "rig optimise", "candidate": candidate.name})
 
 
 # How brightly a rig exposes.
@@ -215,11 +212,6 @@ class PlannedExposure:
     gain: float
     level: float
     """Fraction of full scale of the brightest skin: the target where the shutter and the gain allow it."""
-
-    @property
-    def saturates(self) -> bool:
-        """Whether the brightest skin is beyond full scale."""
-        return self.level > 1.0
 
 
 def intensity_w_sr(power_w: float, lamp: _Lamp, lobe_exponent: float) -> float:
@@ -432,7 +424,7 @@ def _exposed(band: str, plan: PlannedExposure | None) -> Finding:
     words = f"the {band} band is exposed for {how} to {100 * plan.level:.0f} % of full scale."
     if plan.level < MIN_LEVEL:
         words = f"the {band} band is too dark: {how} give {100 * plan.level:.2g} % of full scale; use more power."
-    elif plan.saturates:
+    elif plan.level > 1.0:
         words = f"the {band} band is too bright: {how} give {100 * plan.level:.0f} % of full scale; use less power."
     return Finding(f"exposure_{band}", MIN_LEVEL <= plan.level <= 1.0, plan.level, words)
 

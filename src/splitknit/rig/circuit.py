@@ -110,8 +110,6 @@ MIN_HEADROOM_V = 0.5
 """Voltage that a current sink's transistor must keep to be one."""
 FORCED_GAIN = 20.0
 """A switching transistor gets this fraction of its collector current in the base, far more than its gain requires."""
-
-
 _MAX_HEAT = 0.6
 """Fraction of its rating that a part may turn into heat when its LED stays on for ever."""
 _MIN_CURRENT = 0.7
@@ -168,10 +166,6 @@ class Stage:
     """Largest dissipation."""
     shorted_a: float
     """Of the LED, at most, with a transistor that is shorted from collector to emitter."""
-
-    def ohm(self, role: str) -> float:
-        """Value of a resistor; 0 where the stage has none in that place."""
-        return next((r.ohm for r in self.resistors if r.role == role), 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -200,8 +200,8 @@ def _overhang(
     is held on one side only counts twice, too, which is on the safe side. One degree of lean is forgiven, for facets.
     """
     corners = np.asarray(triangles, dtype=np.float64)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    down = -_unit_normals(triangles)[:, 2]
+    normals, areas = _normals_and_areas(corners)
+    down = -normals[:, 2]
     bed = float(corners[..., 2].min())
     on_bed = corners[..., 2].max(axis=1) < bed + 0.01
     steep = (down > np.sin(np.deg2rad(limit_deg + 1.0))) & ~on_bed
@@ -215,12 +215,12 @@ def _overhang(
     return _Overhang(area, area / float(areas.sum()), best, height)
 
 
-def _unit_normals(triangles: Triangles) -> NDArray[np.float64]:
-    """(N, 3) unit normals of triangles; zero where a triangle has no area."""
-    corners = np.asarray(triangles, dtype=np.float64)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
+def _normals_and_areas(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit normals (N, 3) of triangles, zero where one has no area, and their areas (N,)."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(across, axis=1)
+    normals = np.divide(across, lengths[:, None], out=np.zeros_like(across), where=lengths[:, None] > 0)
+    return np.asarray(normals), np.asarray(lengths / 2)
 
 
 def _layers_over(heights: NDArray[np.float64], layer_mm: float) -> list[int]:
@@ -284,6 +284,8 @@ def _slice_mask(
 #
 # They look at the triangles that the STL file holds, not at the solid they came from.
 
+_SAMPLES = 4000
+"""Points on the surface at which walls are measured, beside one for each triangle."""
 _REACH_MM = 8.0
 """Walls thicker than this are not looked at."""
 
@@ -329,15 +331,15 @@ def _check_soundness(triangles: Triangles) -> _Soundness:
     )
 
 
-def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> tuple[float, NDArray[np.float64], int]:
+def _thinnest_wall(triangles: Triangles) -> tuple[float, NDArray[np.float64], int]:
     """Thinnest wall up to 8 mm, its place (3,), and from how many points on the surface it was sought.
 
     Points are drawn by area, at least one a triangle. Only faces that look away from each other within 25 deg count:
     towards a sharp edge every body becomes thin.
     """
     corners = np.asarray(triangles, dtype=np.float64)
-    normals = _unit_normals(triangles)
-    points, faces = _surface_points(corners, samples, seed)
+    normals, areas = _normals_and_areas(corners)
+    points, faces = _surface_points(corners, areas)
     inwards = -normals[faces]
     distance, hit = _first_hits(corners, points + 1e-4 * inwards, inwards, _REACH_MM)
     met = (hit >= 0) & (np.einsum("ij,ij->i", normals[faces], normals[np.maximum(hit, 0)]) < -np.cos(np.deg2rad(25)))
@@ -349,12 +351,11 @@ def _thinnest_wall(triangles: Triangles, samples: int = 4000, seed: int = 0) -> 
 
 
 def _surface_points(
-    corners: NDArray[np.float64], samples: int, seed: int
+    corners: NDArray[np.float64], areas: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    rng = np.random.default_rng(seed)
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    rng = np.random.default_rng(0)
     sound = np.flatnonzero(areas > 1e-6)
-    drawn = rng.choice(len(corners), size=samples, p=areas / areas.sum())
+    drawn = rng.choice(len(corners), size=_SAMPLES, p=areas / areas.sum())
     faces = np.concatenate([sound, drawn])
     weights = rng.dirichlet((1.0, 1.0, 1.0), size=len(faces))
     weights[: len(sound)] = 1.0 / 3.0

@@ -197,13 +197,16 @@ def _frame_part(dimensions: RigDimensions) -> Shape:
     # cuts what stands out of frame and wall
     inside = _cylinder(dimensions.bore_mm + joint.wall_mm / 2, low + 0.1, high)
     bosses = [_common(boss, inside) for boss in bosses]
-    body = _fused(body, [*lugs, *bosses, *_camera_posts(dimensions)])
+    top, board = low + sizes.JOINT_PLATE_MM, dimensions.board_z_mm
+    posts = [_cylinder(sizes.CAMERA_POST_MM / 2, top - 0.5, board, x, y) for x, y in _camera_holes()]
+    body = _fused(body, [*lugs, *bosses, *posts])
     holes = [_cylinder(dimensions.lens_hole_mm, low - 1.0, dimensions.board_z_mm + 1.0)]
     for hole in dimensions.holes:
         holes.append(_rod(hole.radius_mm, hole.at(hole.level_mm(low) - 8.0), hole.at(hole.shoulder_mm + 0.5)))
         holes += _funnel(hole, dimensions)
         holes.append(_rod(hole.pocket_radius_mm, hole.at(hole.shoulder_mm), hole.at(hole.back_mm + 6.0)))
-    holes += [*_camera_screws(dimensions), _first_led_mark(dimensions), *_film_screws(dimensions)]
+    holes += [_cylinder(sizes.CAMERA_POST_HOLE_MM / 2, low + 1.2, board + 1.0, x, y) for x, y in _camera_holes()]
+    holes += [_first_led_mark(dimensions), *_film_screws(dimensions)]
     holes += _head_holes(dimensions, low, SCREWS_B_DEG)
     holes += _insert_holes(dimensions, high, sizes.JOINT_INSERT_DEPTH_MM, SCREWS_A_DEG)
     return _cut(body, holes)
@@ -214,18 +217,6 @@ def _camera_holes() -> list[tuple[float, float]]:
     x = sizes.CAMERA_HOLE_X_MM / 2
     rows = (-sizes.CAMERA_LENS_TO_HOLES_MM, sizes.CAMERA_HOLE_Y_MM - sizes.CAMERA_LENS_TO_HOLES_MM)
     return [(side * x, row) for side in (-1, 1) for row in rows]
-
-
-def _camera_posts(dimensions: RigDimensions) -> list[Shape]:
-    low = dimensions.frame_z_mm + sizes.JOINT_PLATE_MM - 0.5
-    radius = sizes.CAMERA_POST_MM / 2
-    return [_cylinder(radius, low, dimensions.board_z_mm, x, y) for x, y in _camera_holes()]
-
-
-def _camera_screws(dimensions: RigDimensions) -> list[Shape]:
-    low = dimensions.frame_z_mm + 1.2
-    radius = sizes.CAMERA_POST_HOLE_MM / 2
-    return [_cylinder(radius, low, dimensions.board_z_mm + 1.0, x, y) for x, y in _camera_holes()]
 
 
 def _boss(hole: LedHole, dimensions: RigDimensions) -> Shape:

@@ -1,8 +1,9 @@
 """Light on eye and skin: what the LEDs give at the drawn distances against the limits of IEC 62471:2006.
 
-A calculation from data sheets, no measurement and no certificate. It takes the worst that can happen without an
-optical instrument: an eye in the middle of the finger plane that looks into the LEDs, all of which are on, on their
-axes, at the largest current of all tolerances. Formulas and assumptions: ``docs/guide/rig-safety.md``.
+A calculation from data sheets, no measurement and no certificate. It takes the worst that can happen without an optical
+instrument: an eye in the middle of the finger plane that looks into the LEDs for 30,000 s, beyond which no limit of the
+exempt group falls (6.1.1); all LEDs are on, on their axes, at the largest current of all tolerances. Formulas and
+assumptions: ``docs/guide/rig-safety.md``.
 """
 
 from __future__ import annotations
@@ -19,8 +20,6 @@ from splitknit.rig.circuit import LedPart, Stage
 
 _Array = NDArray[np.float64]
 
-EXEMPT_S = 30_000.0
-"""Exposure time that no limit of the exempt group goes beyond (IEC 62471, 6.1.1)."""
 EYE_MM = 200.0
 """Where lamps that light no rooms are judged (6.1); nearer where the drawing is nearer."""
 _SKIN_S = 10.0
@@ -127,23 +126,15 @@ def _radiant_intensity(part: LedPart, band: str) -> float:
 
 
 def _hazards(
-    band: str,
-    part: LedPart,
-    current_a: float,
-    distance_mm: float,
-    *,
-    together: int = 1,
-    duty: float = 1.0,
-    exposure_s: float = EXEMPT_S,
+    band: str, part: LedPart, current_a: float, distance_mm: float, *, together: int = 1, duty: float = 1.0
 ) -> tuple[_Hazard, ...]:
-    """Return the retina's hazards of LEDs of one band, each with its limit (IEC 62471:2006, 4.2.2, 4.3.3 to 4.3.6,
-    table 6.1).
+    """Return the retina's hazards of LEDs of one band, each with its limit of the exempt group (IEC 62471:2006, 4.2.2,
+    4.3.3 to 4.3.6, table 6.1).
 
-    `together`: LEDs so near each other that they are seen within 0.1 rad; `duty`: fraction of the time that each is on;
-    heat of the retina is taken as though it were always on, for a single flash may be long enough; `exposure_s`: how
-    long somebody looks, at least 10 s; 30,000 s gives the limits of the exempt group.
+    `together`: LEDs so near each other that they are seen within 0.1 rad; `duty`: fraction of the time that each is
+    on; heat of the retina is taken as though it were always on, for a single flash may be long enough.
     """
-    require(exposure_s >= 10 and distance_mm > 0, "an exposure needs 10 s or more and a distance.")
+    require(distance_mm > 0, "an exposure needs a distance.")
     irradiance = _irradiance(band, part, current_a, distance_mm)
     alpha = min(part.source_mm / distance_mm, _ALPHA_MAX)
     thermal_alpha = max(alpha, _SMALL)
@@ -152,14 +143,10 @@ def _hazards(
         return (_Hazard(band, "retina, heat, nothing seen", "4.3.6", burn, 6000.0 / thermal_alpha, "W/m2/sr"),)
     blue_irradiance = duty * irradiance * float(_SPECTRA[band] @ _blue_weight(_NM))
     if alpha < _SMALL:
-        limit = 100.0 / exposure_s if exposure_s < 100 else 1.0
-        blue = _Hazard(band, "retina, blue light, small source", "4.3.4", blue_irradiance * together, limit, "W/m2")
-    else:
-        # the longer somebody looks, the wider the eye spreads the light
-        field = min(_SMALL * max(exposure_s / 100.0, 1.0) ** 0.5, _ALPHA_MAX)
-        seen = together if field >= _ALPHA_MAX else 1
-        radiance = blue_irradiance * seen / _solid_angle(max(field, alpha))
-        blue = _Hazard(band, "retina, blue light", "4.3.3", radiance, max(1e6 / exposure_s, 100.0), "W/m2/sr")
+        blue = _Hazard(band, "retina, blue light, small source", "4.3.4", blue_irradiance * together, 1.0, "W/m2")
+    else:  # in so long a time the moving eye spreads the light over the largest angle that counts
+        radiance = blue_irradiance * together / _solid_angle(_ALPHA_MAX)
+        blue = _Hazard(band, "retina, blue light", "4.3.3", radiance, 100.0, "W/m2/sr")
     # 50000 / (alpha t^0.25) at 10 s, its longest time: 28000 / alpha of table 6.1
     return blue, _Hazard(band, "retina, heat", "4.3.5", burn, 28000.0 / thermal_alpha, "W/m2/sr")
 
@@ -169,15 +156,14 @@ def rig_hazards(
     stages: Mapping[str, Stage],
     *,
     duty: float = 1.0,
-    exposure_s: float = EXEMPT_S,
     shorted: bool = False,
     passed: float = 1.0,
 ) -> tuple[_Hazard, ...]:
     """Return all hazards of a rig whose LEDs are on together, with the largest currents of `stages`, by band.
 
-    `duty`: fraction of the time that each LED is on; `exposure_s`: see :func:`_hazards`; `shorted`: with the current
-    that flows if a transistor is shorted, instead of the largest of all tolerances; `passed`: fraction of the white
-    LEDs' light that passes what is before them, such as film; NIR passes it all.
+    `duty`: fraction of the time that each LED is on; `shorted`: with the current that flows if a transistor is shorted,
+    instead of the largest of all tolerances; `passed`: fraction of the white LEDs' light that passes what is before
+    them, such as film; NIR passes it all.
     """
     found: list[_Hazard] = []
     infrared = skin = 0.0
@@ -190,12 +176,11 @@ def rig_hazards(
         nearest = min(float(distances.min()), EYE_MM)
         towards = places / distances[:, None]
         together = int((towards @ towards.T > np.cos(_ALPHA_MAX)).sum(axis=1).max())
-        found += _hazards(band, stage.led, current, nearest, together=together, duty=duty, exposure_s=exposure_s)
+        found += _hazards(band, stage.led, current, nearest, together=together, duty=duty)
         everywhere = len(places) * duty * _irradiance(band, stage.led, current, nearest)
         infrared += everywhere * float(_SPECTRA[band][_NM >= 780].sum())
         skin += everywhere
-    limit = max(18000.0 * exposure_s**-0.75, 100.0)
-    found.append(_Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, limit, "W/m2"))
+    found.append(_Hazard("all", "cornea and lens, infrared", "4.3.7", infrared, 100.0, "W/m2"))
     found.append(_Hazard("all", "skin, heat, 10 s", "4.3.8", skin, 20000.0 * _SKIN_S**-0.75, "W/m2"))
     return tuple(found)
 

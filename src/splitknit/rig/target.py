@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from splitknit.errors import require
 
@@ -16,108 +16,6 @@ A4_MM = (210.0, 297.0)
 PRODUCER = b"/Producer (splitknit)"
 _CIRCLE = 4.0 / 3.0 * (math.sqrt(2.0) - 1.0)
 """Length of the handles with which four cubic curves make a circle (to 2.7e-4 of its radius)."""
-
-
-@dataclass(slots=True)
-class _Page:
-    """A page in the making; all lengths are mm, the origin is its lower left corner, x right, y up."""
-
-    size_mm: tuple[float, float] = A4_MM
-    title: str = ""
-    _marks: list[str] = field(default_factory=list)
-    _shapes: dict[str, tuple[str, tuple[float, float, float, float]]] = field(default_factory=dict)
-
-    def shape(self, name: str, drawing: str, box_mm: tuple[float, float, float, float]) -> None:
-        """Keep a drawing (of :func:`_rectangles` or :func:`_circle`) within a box under a name, to be placed."""
-        require(name.isalpha() and name.isascii(), f"a shape's name must be ASCII letters, but it is '{name}'.")
-        self._shapes[name] = drawing, box_mm
-
-    def place(self, name: str, x_mm: float, y_mm: float) -> None:
-        """Draw a shape with its origin at a place."""
-        require(name in self._shapes, f"there is no shape '{name}' on the page.")
-        self._marks.append(f"q 1 0 0 1 {_number(x_mm)} {_number(y_mm)} cm /{name} Do Q")
-
-    def line(self, points_mm: Sequence[tuple[float, float]], width_mm: float = 0.1, grey: float = 0.0) -> None:
-        """Draw a line through points."""
-        require(len(points_mm) >= 2, "a line needs two points at least.")
-        (x, y), *rest = points_mm
-        path = " ".join([f"{_number(x)} {_number(y)} m", *(f"{_number(u)} {_number(v)} l" for u, v in rest)])
-        self._marks.append(f"{_number(width_mm)} w {_number(grey)} G {path} S")
-
-    def outline(self, drawing: str, x_mm: float, y_mm: float, width_mm: float = 0.1, grey: float = 0.0) -> None:
-        """Draw the outline of :func:`_rectangles` or :func:`_circle` about a place."""
-        self._marks.append(
-            f"q 1 0 0 1 {_number(x_mm)} {_number(y_mm)} cm {_number(width_mm)} w {_number(grey)} G {drawing} S Q"
-        )
-
-    def text(self, words: str, x_mm: float, y_mm: float, size_mm: float = 2.8) -> None:
-        """Write a line of ASCII in Helvetica, which every reader has."""
-        require(words.isascii() and words.isprintable(), "text on a page must be printable ASCII.")
-        escaped = words.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
-        self._marks.append(f"BT /F {_number(size_mm)} Tf {_number(x_mm)} {_number(y_mm)} Td ({escaped}) Tj ET")
-
-    def to_bytes(self) -> bytes:
-        """Return the file; equal pages give equal bytes."""
-        scale = _number(POINTS_PER_MM)
-        content = "\n".join([f"{scale} 0 0 {scale} 0 0 cm", *self._marks])
-        names = list(self._shapes)
-        first = 6  # 1 catalogue, 2 pages, 3 page, 4 content, 5 font, then the shapes, then the title
-        shapes = " ".join(f"/{name} {first + k} 0 R" for k, name in enumerate(names))
-        width, height = (_number(side * POINTS_PER_MM) for side in self.size_mm)
-        objects = [
-            "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
-            "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-            f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width} {height}] /Contents 4 0 R "
-            f"/Resources << /Font << /F 5 0 R >> /XObject << {shapes} >> >> >>",
-            _stream("", content),
-            "<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
-        ]
-        for name in names:
-            drawing, box = self._shapes[name]
-            sides = " ".join(_number(side) for side in box)
-            objects.append(_stream(f"/Type /XObject /Subtype /Form /BBox [{sides}] ", f"0 g {drawing} f"))
-        objects.append(f"<< /Title ({self.title}) {PRODUCER.decode()} >>")
-        return _file(objects)
-
-
-def _rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
-    """Paths of rectangles: lower left x and y, width, height of each, in mm."""
-    return " ".join(f"{_number(x)} {_number(y)} {_number(w)} {_number(h)} re" for x, y, w, h in corners)
-
-
-def _circle(radius_mm: float) -> str:
-    """Path of a circle about the origin."""
-    r, h = radius_mm, radius_mm * _CIRCLE
-    curves = [(r, h, h, r, 0, r), (-h, r, -r, h, -r, 0), (-r, -h, -h, -r, 0, -r), (h, -r, r, -h, r, 0)]
-    return " ".join([f"{_number(r)} 0 m", *(" ".join(map(_number, curve)) + " c" for curve in curves), "h"])
-
-
-def _number(value: float) -> str:
-    """A length as PDF writes it: no exponent, 0.1 um and no trailing zeros."""
-    text = f"{value:.4f}".rstrip("0").rstrip(".")
-    return "0" if text in ("-0", "") else text
-
-
-def _stream(entries: str, content: str) -> str:
-    return f"<< {entries}/Length {len(content)} >>\nstream\n{content}\nendstream"
-
-
-def _file(objects: Sequence[str]) -> bytes:
-    """Objects with the table of their places; the catalogue is the first, the title the last."""
-    data = b"%PDF-1.6\n%\xe2\xe3\xcf\xd3\n"
-    places = []
-    for k, item in enumerate(objects, start=1):
-        places.append(len(data))
-        data += f"{k} 0 obj\n{item}\nendobj\n".encode("ascii")
-    table = "".join(f"{place:010d} 00000 n \n" for place in places)
-    count = len(objects) + 1
-    tail = (
-        f"xref\n0 {count}\n0000000000 65535 f \n{table}trailer\n<< /Size {count} /Root 1 0 R /Info {count - 1} 0 R >>\n"
-        f"startxref\n{len(data)}\n%%EOF\n"
-    )
-    return data + tail.encode("ascii")
-
-
 RULER_MM = 100.0
 _RULER_BELOW_MM = 10.0
 """From its line to the boards: strokes and numbers."""
@@ -207,12 +105,82 @@ class TargetSettings:
 def target_pdf(settings: TargetSettings | None = None) -> bytes:
     """Return the target as a PDF file; equal settings give equal bytes. BadInput if the parts do not fit."""
     settings = settings or TargetSettings()
-    page = _Page(title="splitknit calibration target")
-    _words(page, settings)
-    _ruler(page, settings)
-    _boards(page, settings)
-    _disc(page, settings)
-    return page.to_bytes()
+    scale = _number(POINTS_PER_MM)
+    marks = [*_words(settings), *_ruler(settings), *_boards(settings), *_disc(settings)]
+    width, height = (_number(side * POINTS_PER_MM) for side in A4_MM)
+    radius, (board_width, board_height) = DOT_MM / 2, settings.board_mm
+    box = _number(radius + 0.1)
+    objects = [
+        "<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
+        "<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
+        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width} {height}] /Contents 4 0 R "
+        "/Resources << /Font << /F 5 0 R >> /XObject << /Board 6 0 R /Dot 7 0 R >> >> >>",
+        _stream("", "\n".join([f"{scale} 0 0 {scale} 0 0 cm", *marks])),
+        "<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica >>",
+        _shape(_rectangles(_squares(settings)), f"0 0 {_number(board_width)} {_number(board_height)}"),
+        _shape(_circle(radius), f"-{box} -{box} {box} {box}"),
+        f"<< /Title (splitknit calibration target) {PRODUCER.decode()} >>",
+    ]
+    data, places = b"%PDF-1.6\n%\xe2\xe3\xcf\xd3\n", []
+    for k, item in enumerate(objects, start=1):
+        places.append(len(data))
+        data += f"{k} 0 obj\n{item}\nendobj\n".encode("ascii")
+    table = "".join(f"{place:010d} 00000 n \n" for place in places)
+    count = len(objects) + 1
+    tail = (
+        f"xref\n0 {count}\n0000000000 65535 f \n{table}trailer\n<< /Size {count} /Root 1 0 R /Info {count - 1} 0 R >>\n"
+        f"startxref\n{len(data)}\n%%EOF\n"
+    )
+    return data + tail.encode("ascii")
+
+
+# What stands on the sheet, as PDF's operators; lengths in mm, the origin is the lower left corner, x right, y up.
+
+
+def _stream(entries: str, content: str) -> str:
+    return f"<< {entries}/Length {len(content)} >>\nstream\n{content}\nendstream"
+
+
+def _shape(drawing: str, box: str) -> str:
+    """A drawing that is placed many times."""
+    return _stream(f"/Type /XObject /Subtype /Form /BBox [{box}] ", f"0 g {drawing} f")
+
+
+def _placed(name: str, x: float, y: float) -> str:
+    return f"q 1 0 0 1 {_number(x)} {_number(y)} cm /{name} Do Q"
+
+
+def _line(start: tuple[float, float], end: tuple[float, float], width: float) -> str:
+    (x, y), (u, v) = start, end
+    return f"{_number(width)} w 0 G {_number(x)} {_number(y)} m {_number(u)} {_number(v)} l S"
+
+
+def _cut_line(drawing: str, x: float, y: float) -> str:
+    """The outline of a drawing about a place, along which it is cut out."""
+    return f"q 1 0 0 1 {_number(x)} {_number(y)} cm 0.05 w 0.6 G {drawing} S Q"
+
+
+def _text(words: str, x: float, y: float, size: float = 2.8) -> str:
+    """A line in Helvetica, which every reader has."""
+    return f"BT /F {_number(size)} Tf {_number(x)} {_number(y)} Td ({words}) Tj ET"
+
+
+def _rectangles(corners: Sequence[tuple[float, float, float, float]]) -> str:
+    """Paths of rectangles: lower left x and y, width, height of each."""
+    return " ".join(f"{_number(x)} {_number(y)} {_number(w)} {_number(h)} re" for x, y, w, h in corners)
+
+
+def _circle(radius: float) -> str:
+    """Path of a circle about the origin."""
+    r, h = radius, radius * _CIRCLE
+    curves = [(r, h, h, r, 0, r), (-h, r, -r, h, -r, 0), (-r, -h, -h, -r, 0, -r), (h, -r, r, -h, r, 0)]
+    return " ".join([f"{_number(r)} 0 m", *(" ".join(map(_number, curve)) + " c" for curve in curves), "h"])
+
+
+def _number(value: float) -> str:
+    """A length as PDF writes it: no exponent, 0.1 um and no trailing zeros."""
+    text = f"{value:.4f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
 
 
 def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
@@ -223,59 +191,52 @@ def dots_mm(settings: TargetSettings) -> list[tuple[float, float]]:
     return [(x, y) for y in steps for x in steps if math.hypot(x, y) <= reach]
 
 
-def _words(page: _Page, settings: TargetSettings) -> None:
+def _words(settings: TargetSettings) -> list[str]:
     x, y = _PAGE_MARGIN_MM, A4_MM[1] - _PAGE_MARGIN_MM - 4
     board = (
         f"checkerboards of {settings.columns} x {settings.rows} inner corners, squares {settings.square_mm:g} mm "
-        f"(--board {settings.columns}x{settings.rows} --square-mm {settings.square_mm:g})"
+        f"\\(--board {settings.columns}x{settings.rows} --square-mm {settings.square_mm:g}\\)"
     )
     disc = f"disc with dots of {DOT_MM:g} mm every {settings.spacing_mm:g} mm"
-    page.text(f"splitknit: {board}; {disc}.", x, y)
-    page.text(
+    check = (
         f"Print at 100 % on matt paper. The ruler must measure {RULER_MM:g} mm: if not, multiply --square-mm and "
-        f"--dot-mm by what it measures / {RULER_MM:g}.",
-        x,
-        y - 5,
+        f"--dot-mm by what it measures / {RULER_MM:g}."
     )
+    return [_text(f"splitknit: {board}; {disc}.", x, y), _text(check, x, y - 5)]
 
 
-def _ruler(page: _Page, settings: TargetSettings) -> None:
+def _ruler(settings: TargetSettings) -> list[str]:
     x, y = (A4_MM[0] - RULER_MM) / 2, settings.ruler_y_mm
-    page.line([(x, y), (x + RULER_MM, y)], 0.2)
+    marks = [_line((x, y), (x + RULER_MM, y), 0.2)]
     for k in range(11):
         at = x + RULER_MM * k / 10
-        page.line([(at, y - (3 if k % 10 == 0 else 1.5)), (at, y)], 0.1)
         number = f"{RULER_MM * k / 10:g}"
-        page.text(number + (" mm" if k == 10 else ""), at - 0.75 * len(number), y - 6, 2.5)
+        marks.append(_line((at, y - (3 if k % 10 == 0 else 1.5)), (at, y), 0.1))
+        marks.append(_text(number + (" mm" if k == 10 else ""), at - 0.75 * len(number), y - 6, 2.5))
+    return marks
 
 
-def _boards(page: _Page, settings: TargetSettings) -> None:
-    side = settings.square_mm
-    width, height = settings.board_mm
-    squares = [
-        (j * side, height - (i + 1) * side, side, side)
-        for i in range(settings.rows + 1)
-        for j in range(settings.columns + 1)
-        if (i + j) % 2 == 0
-    ]
-    page.shape("Board", _rectangles(squares), (0, 0, width, height))
-    across, down = settings.copies
-    card_width, card_height = settings.card_mm
-    top = settings.ruler_y_mm - _RULER_BELOW_MM
+def _squares(settings: TargetSettings) -> list[tuple[float, float, float, float]]:
+    """The black squares of a board."""
+    side, (_, height) = settings.square_mm, settings.board_mm
+    places = [(i, j) for i in range(settings.rows + 1) for j in range(settings.columns + 1) if (i + j) % 2 == 0]
+    return [(j * side, height - (i + 1) * side, side, side) for i, j in places]
+
+
+def _boards(settings: TargetSettings) -> list[str]:
+    marks = []
+    (across, down), (width, height) = settings.copies, settings.card_mm
+    free, top = A4_MM[0] - across * width, settings.ruler_y_mm - _RULER_BELOW_MM
     for row in range(down):
         for column in range(across):
-            free = A4_MM[0] - across * card_width
-            x = free * (column + 1) / (across + 1) + column * card_width
-            y = top - (row + 1) * card_height - 3 * row
-            page.outline(_rectangles([(0, 0, card_width, card_height)]), x, y, 0.05, 0.6)
-            page.place("Board", x + _CARD_MARGIN_MM, y + _CARD_MARGIN_MM)
+            x = free * (column + 1) / (across + 1) + column * width
+            y = top - (row + 1) * height - 3 * row
+            marks.append(_cut_line(_rectangles([(0, 0, width, height)]), x, y))
+            marks.append(_placed("Board", x + _CARD_MARGIN_MM, y + _CARD_MARGIN_MM))
+    return marks
 
 
-def _disc(page: _Page, settings: TargetSettings) -> None:
+def _disc(settings: TargetSettings) -> list[str]:
     x, y = settings.disc_centre_mm
-    radius = DOT_MM / 2
-    box = radius + 0.1
-    page.shape("Dot", _circle(radius), (-box, -box, box, box))
-    page.outline(_circle(_DISC_RADIUS_MM), x, y, 0.05, 0.6)
-    for across, up in dots_mm(settings):
-        page.place("Dot", x + across, y + up)
+    dots = [_placed("Dot", x + across, y + up) for across, up in dots_mm(settings)]
+    return [_cut_line(_circle(_DISC_RADIUS_MM), x, y), *dots]

@@ -21,12 +21,8 @@ def open_below(root: Path, name: str) -> BinaryIO:
     """Open the plain file `name` (relative, parts apart by ``/``) below `root` for reading.
 
     Each part is opened from the one before it and none may be a symbolic link, so that what is checked is what is
-    opened.
-
-    Raises
-    ------
-    BadInput
-        If the name leaves the folder, a part of it is a link, or it is not a plain file that can be read.
+    opened. Raises BadInput if the name leaves the folder, a part of it is a link, or it is not a plain file that can be
+    read.
     """
     parts = name.split("/")
     plain = all(part not in ("", ".", "..") and not set(part) & set("\\\0:") for part in parts)
@@ -112,13 +108,7 @@ class Catalogue:
     """Keys of the results that were named: none where a folder of many was."""
 
     def entry(self, key: str) -> CatalogueEntry:
-        """Return one entry.
-
-        Raises
-        ------
-        BadInput
-            If there is none of that key.
-        """
+        """Return one entry. Raises BadInput if there is none of that key."""
         known = key.isascii() and key.isdigit() and len(key) < 7 and int(key) < len(self.entries)
         require(known, f"there is no result number {key[:20]!a}.")
         return self.entries[int(key)]
@@ -127,15 +117,12 @@ class Catalogue:
 def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalogue:
     """Find the results that `paths` name, or the photographs.
 
+    Raises BadInput if a path is neither, or the capture is none of theirs.
+
     Parameters
     ----------
     paths : a result, a folder of results, two results, a capture, a folder of photographs, or nothing
     capture : folder of the photographs of the results, or a folder of such folders laid out as the results are
-
-    Raises
-    ------
-    BadInput
-        If a path is neither, or the capture is none of theirs.
     """
     require(len(paths) <= 2, "name one result, a folder of results, two results, or photographs.")
     if not paths:

@@ -21,13 +21,7 @@ if TYPE_CHECKING:
 
 @lru_cache(maxsize=8)
 def print_of(folder: Path) -> PrintFile:
-    """Read a result's ``print.png``.
-
-    Raises
-    ------
-    BadInput
-        If there is none, it is a link, or it cannot be read.
-    """
+    """Read a result's ``print.png``. Raises BadInput if there is none, it is a link, or it cannot be read."""
     open_below(folder, "print.png").close()
     return read_print_png(folder / "print.png")
 
@@ -75,10 +69,7 @@ class Marks:
 def marks_of(folder: Path, surface: ResultSurface) -> Marks:
     """Return the minutiae of a result's print: those of its ``minutiae.iso``, or those found in it now.
 
-    Raises
-    ------
-    BadInput
-        If there is no print, its record cannot be read, or nothing here can find minutiae.
+    Raises BadInput if there is no print, its record cannot be read, or nothing here can find minutiae.
     """
     file = print_of(folder)
     rows, columns = file.image.shape

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.matching.minutiae3d import one_to_one
 from splitknit.matching.ridge import ridge_match
 from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_band
 from splitknit.matching.template import make_template
@@ -87,12 +88,8 @@ def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntr
 
     Of the same photographs it is turned as the upright frames are, and raised by the mean difference of the heights:
     one camera measures no distance. Else the ridges give the turn and the shift across the camera's axis; from there
-    the six numbers of a rigid motion are fitted to heights and relief.
-
-    Raises
-    ------
-    BadInput
-        If a result lacks what a ridge template needs, or only one has a scale.
+    the six numbers of a rigid motion are fitted to heights and relief. Raises BadInput if a result lacks what a ridge
+    template needs, or only one has a scale.
     """
     require(a.scale_known == b.scale_known, "one is in mm and one in pixels; give both a scale (--px-per-mm).")
     photographs = first.report.get("inputs_sha256")
@@ -115,17 +112,12 @@ def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntr
 def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tuple[NDArray[np.uint8], dict[str, float]]:
     """How much higher the second finger is than the first, along the camera's axis; in pixels without a scale.
 
+    Raises BadInput if they do not overlap.
+
     Returns
     -------
-    picture : (h, w) uint8
-        Over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``.
-    figures : dict
-        ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``.
-
-    Raises
-    ------
-    BadInput
-        If they do not overlap.
+    picture : (h, w) uint8; over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``
+    figures : dict; ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``
     """
     height, width = (min(side, _PICTURE_PX) for side in a.size)
     rows, columns = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip((height, width), a.size, strict=True))
@@ -158,16 +150,9 @@ def matched_marks(a: Marks, b: Marks, alignment: Alignment) -> list[tuple[int, i
     gaps = np.linalg.norm(a.place_mm[:, None, :2] - moved[None, :, :2], axis=2)
     here, there = (np.arctan2(step[:, 1], step[:, 0]) for step in (a.tail_mm - a.place_mm, tails - moved))
     turns = (here[:, None] - there[None, :] + np.pi) % (2 * np.pi) - np.pi
-    fits = (gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD)
-    pairs, used_a, used_b = [], set(), set()
-    rows, columns = np.nonzero(fits)
-    for k in np.argsort(gaps[rows, columns], kind="stable"):
-        i, j = int(rows[k]), int(columns[k])
-        if i not in used_a and j not in used_b:
-            pairs.append((i, j))
-            used_a.add(i)
-            used_b.add(j)
-    return pairs
+    rows, columns = np.nonzero((gaps <= _NEAR_MM) & (np.abs(turns) <= _TURNED_RAD))
+    kept = one_to_one(rows, columns, gaps[rows, columns])
+    return list(zip(rows[kept].tolist(), columns[kept].tolist(), strict=True))
 
 
 def _raised(found: Alignment, a: ResultSurface, b: ResultSurface) -> Alignment:

@@ -59,10 +59,7 @@ class _PhotoFolder:
 def photographs_of(folder: Path) -> _PhotoFolder:
     """Return the photographs of a capture, or of any folder that holds some, band by band.
 
-    Raises
-    ------
-    BadInput
-        If ``capture.json`` or its rig cannot be read, or there are no photographs.
+    Raises BadInput if ``capture.json`` or its rig cannot be read, or there are no photographs.
     """
     where = shlex.quote(str(folder))
     out = shlex.quote(f"{folder.name}-result")
@@ -134,10 +131,8 @@ def _unit(vector: Any) -> tuple[float, float, float] | None:
 def photo_jpeg(entry: CatalogueEntry, number: int, width: int) -> bytes:
     """Return a photograph as JPEG, at most `width` pixels wide.
 
-    Raises
-    ------
-    BadInput
-        If there is no such photograph, it cannot be read, or it is not the one that the result was made from.
+    Raises BadInput if there is no such photograph, it cannot be read, or it is not the one that the result was made
+    from.
     """
     if entry.capture is None:
         raise BadInput("the photographs are not at hand; name their folder with --capture.")

@@ -98,12 +98,8 @@ _DATABASE = b"SQLite format 3\0"
 def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Path | None = None) -> Service:
     """Return a service for a result, two results, a folder of results, photographs, a gallery, or an empty page.
 
-    Results that are named are read at once: damage is reported before a page opens.
-
-    Raises
-    ------
-    BadInput
-        If there is nothing to show, or it cannot be read.
+    Results that are named are read at once: damage is reported before a page opens. Raises BadInput if there is nothing
+    to show, or it cannot be read.
     """
     if paths and _is_database(paths[0]):
         from splitknit.gallery.key import key_of  # a result needs none of it
@@ -127,13 +123,7 @@ def _is_database(path: Path) -> bool:
 
 
 def start(service: Service | LiveService, port: int) -> _ViewerServer:
-    """Listen on 127.0.0.1; port 0 is any free one.
-
-    Raises
-    ------
-    BadInput
-        If the port is in use or may not be used.
-    """
+    """Listen on 127.0.0.1; port 0 is any free one. Raises BadInput if the port is in use or may not be used."""
     try:
         return _ViewerServer(service, secrets.token_urlsafe(24), port)  # 192 random bits
     except OSError as error:
@@ -146,18 +136,14 @@ def start(service: Service | LiveService, port: int) -> _ViewerServer:
 def show(save: Callable[[Path], object], block: bool | None = None) -> str:
     """Show what `save` writes into a folder; return the page's address.
 
+    Raises BadInput if what was written cannot be shown.
+
     Parameters
     ----------
-    save : callable
-        Is given a temporary folder, which only this user may read and which goes when the page ends.
+    save : is given a temporary folder, which only this user may read and which goes when the page ends
     block : bool, optional
         Whether to answer until Ctrl-C, or in a thread, as long as this program runs. By default as matplotlib does it:
         a program waits, an interactive session goes on.
-
-    Raises
-    ------
-    BadInput
-        If what was written cannot be shown.
     """
     waits = not (hasattr(sys, "ps1") or sys.flags.interactive) if block is None else block
     with contextlib.ExitStack() as stack:

@@ -71,17 +71,9 @@ class Service:
         self._differed = lru_cache(maxsize=4)(self._differ)
 
     def answer(self, path: str, query: Query) -> Reply:
-        """Answer a request.
+        """Answer a request. Raises BadInput if there is nothing there, or what is there cannot be used.
 
-        Parameters
-        ----------
-        path : below the token, as sent; no address needs an escape, so none is undone
-        query : name to value
-
-        Raises
-        ------
-        BadInput
-            If there is nothing there, or what is there cannot be used.
+        `path`: below the token, as sent; no address needs an escape, so none is undone. `query`: name to value.
         """
         if path in static_files():
             return static_file(path)

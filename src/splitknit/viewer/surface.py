@@ -138,13 +138,7 @@ class ResultSurface:
         return [(int(row), int(column)) for row, column in np.argwhere(blocks.any(axis=(1, 3)))]
 
     def tile(self, stride: int, row: int, column: int) -> bytes:
-        """Return one tile.
-
-        Raises
-        ------
-        BadInput
-            If there is no such stride or tile.
-        """
+        """Return one tile. Raises BadInput if there is no such stride or tile."""
         require(stride in self.strides, f"there is no level of stride {stride}.")
         height, width = self.mask.shape
         high, wide = math.ceil(height / stride), math.ceil(width / stride)
@@ -172,10 +166,7 @@ class ResultSurface:
 def read_surface(folder: Path) -> ResultSurface:
     """Read the heights of a result folder; where their scale is unknown, all lengths are in pixels.
 
-    Raises
-    ------
-    BadInput
-        If ``height.npz`` is missing or damaged, or an array is missing or of another kind than a result's.
+    Raises BadInput if ``height.npz`` is missing or damaged, or an array is missing or of another kind than a result's.
     """
     arrays = fields_of(folder, ("height_mm", "ridge_mm"), _RAYS, unscaled=True)
     again = f"{folder / 'height.npz'} is not a result's: reconstruct the capture again"
@@ -275,18 +266,13 @@ def pick(
 ) -> tuple[float, float, float] | None:
     """Return the first point of the surface on a ray, or None where the ray misses it.
 
+    Raises BadInput if the ray is no ray.
+
     Parameters
     ----------
-    surface : ResultSurface
     origin_mm : (3,)
     direction : (3,), of any length
-    exaggeration : float
-        Factor of the relief in the picture that was pointed at; the point returned is on the true surface.
-
-    Raises
-    ------
-    BadInput
-        If the ray is no ray.
+    exaggeration : factor of the relief in the picture that was pointed at; the point returned is on the true surface
     """
     ray = np.concatenate([origin_mm, direction])
     length = float(np.linalg.norm(direction))
@@ -320,10 +306,7 @@ def section(
 ) -> Section:
     """Cut the surface between two points given by x and y; `read` gives the values of another one in its frame.
 
-    Raises
-    ------
-    BadInput
-        If the points are not finite, far away, equal, or neither lies on the surface.
+    Raises BadInput if the points are not finite, far away, equal, or neither lies on the surface.
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
     sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= surface.longest_mm

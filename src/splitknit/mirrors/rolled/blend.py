@@ -14,8 +14,6 @@ from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
 Array = NDArray[np.float64]
-
-
 STEEPEST_DEG = 72.0
 """Slant, as a view sees it, from which it counts for nothing."""
 

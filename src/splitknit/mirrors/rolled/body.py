@@ -61,18 +61,14 @@ def body_between_mirrors(
 ) -> _BodyBetweenMirrors:
     """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front.
 
+    Raises BadInput if no mirror shows enough, or the views do not fit one finger.
+
     Parameters
     ----------
     views : of the front and of the mirrors beside the finger
     rig : its camera, and its mirrors where they nominally are
     tip_direction_deg : of the capture
-    settings : MirrorShapeSettings
     slopes_on : measures the skin's slopes, given a first shape: they show how the finger is rolled
-
-    Raises
-    ------
-    BadInput
-        If no mirror shows enough, or the views do not fit one finger.
     """
     chosen = settings or MirrorShapeSettings()
     camera, built = rig.camera, {mirror.name: mirror for mirror in rig.mirrors}

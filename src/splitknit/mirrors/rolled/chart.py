@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import read_at
 from splitknit.mirrors.rolled.reflection import Plane, reflect_points, reflect_vectors
 from splitknit.model import Camera, FloatArray
 
@@ -91,10 +92,6 @@ class Chart:
         rows = (self.length_mm[0] - length_mm) / self.pitch_mm
         return columns.astype(np.float32), rows.astype(np.float32)
 
-    def coarser(self, factor: int) -> Chart:
-        """Every so many rays: the same corner, a larger pitch."""
-        return Chart(self.centre_mm, self.axes, self.angle_rad[::factor], self.length_mm[::factor], self.cap_mm)
-
 
 def surface_normals(points_mm: Array) -> Array:
     """(n, m, 3) unit normals, outwards, of points (n, m, 3) on a chart; zero where they are not known."""
@@ -108,17 +105,10 @@ def read(
     field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, empty: float = float("nan")
 ) -> FloatArray:
     """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
-    how = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
-    x, y = (np.ascontiguousarray(part, dtype=np.float32).reshape(-1, 1) for part in (columns, rows))
-    flat = np.empty(columns.size, dtype=np.float32)
-    for start in range(0, flat.size, 30_000):
-        part = slice(start, start + 30_000)
-        flat[part] = cv2.remap(field, x[part], y[part], how, borderMode=cv2.BORDER_CONSTANT, borderValue=empty)[:, 0]
-    return flat.reshape(columns.shape)
+    return read_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
 
 
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
-
 
 BEYOND_MM = 16.0
 """The camera's rays are followed from this far above the finger's axis."""
@@ -159,9 +149,7 @@ class Sight:
 def heights(sight: Sight, chart: Chart, radius_mm: Any, x_mm: Array, y_mm: Array) -> FloatArray:
     """(h, w) height, in the view's frame, of the surface over pixels at x (w,) and y (h,); NaN beside it.
 
-    Parameters
-    ----------
-    radius_mm : (n, m) surface on the chart
+    `radius_mm`: (n, m) surface on the chart.
     """
     surface = np.asarray(radius_mm, dtype=np.float32)
     middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])

@@ -18,12 +18,8 @@ from splitknit.model import BoolArray, Capture, FloatArray
 
 _POWER = 8.0
 """Views weigh with this power of what their slant leaves: high hands over fast, low mixes over a wide zone."""
-
-
 _DEVIATION_FLOOR_UM = 4.0
 """Added to the relief's standard deviation, so that no view is trusted without limit."""
-
-
 Array = NDArray[np.float64]
 
 
@@ -61,18 +57,10 @@ def rolled_finger(
 ) -> Rolled:
     """One finger from its front and its mirrors.
 
-    Parameters
-    ----------
-    capture : with the white band; the camera's rays are parallel
-    views : the front and one mirror beside the finger at least, where each shows the finger and how the mirrors lie,
-        and the smooth finger
-    settings : of the views' relief
-    rolled : RolledSettings
-
-    Raises
-    ------
-    BadInput
-        If the front or every mirror beside the finger is missing, or they do not show the same part of the finger.
+    `capture`: with the white band; the camera's rays are parallel; `views`: the front and one mirror beside the finger
+    at least, where each shows the finger and how the mirrors lie, and the smooth finger; `settings`: of the views'
+    relief. Raises BadInput if the front or every mirror beside the finger is missing, or they do not show the same part
+    of the finger.
     """
     chosen = rolled or RolledSettings()
     report = progress or (lambda stage, fraction: None)
@@ -148,11 +136,8 @@ def _view_weight(
 ) -> FloatArray:
     """(n, m) weight of a view on the chart, zero where it shows nothing.
 
-    Parameters
-    ----------
-    cosine : (n, m) of the slant as the view sees it
-    known : (n, m) where it shows the finger
-    deviation_mm : (n, m) of its relief, along the skin's normal
+    `cosine`: (n, m) of the slant as the view sees it; `known`: (n, m) where it shows the finger; `deviation_mm`: (n, m)
+    of its relief, along the skin's normal.
     """
     least = np.cos(np.deg2rad(STEEPEST_DEG))
     facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER

@@ -82,7 +82,6 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 # Which of an LED's images reach the skin: shadows that a finger throws on itself, and the outlines of mirrors.
 
-
 GRAZING = 0.04
 """Cosine of incidence up to which a light fades in: the ridges of skin catch it here and there."""
 EDGE_MM = 0.4
@@ -92,10 +91,7 @@ EDGE_MM = 0.4
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
     """Fraction (...) in [0, 1] of a light that the skin is not turned away from.
 
-    Parameters
-    ----------
-    points_mm, normals : (..., 3) of the skin; a finger is convex, so that it is its only obstacle
-    led : alone
+    `points_mm`, `normals`: (..., 3) of the skin; a finger is convex, so that it is its only obstacle; `led`: alone.
     """
     if led.position_mm is None:
         towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)

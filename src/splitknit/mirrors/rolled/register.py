@@ -81,16 +81,9 @@ class _Correction:
 def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
     """How a view's ridges move on the chart when the surface or the mirror does.
 
-    Parameters
-    ----------
-    points : (K, 3) on the surface
-    rays : (K, 3) directions along which the surface moves
-    steps : (K, 3) by one column and by one row of the chart, along the surface
-
-    Returns
-    -------
-    by_radius : (K, 2) columns and rows for each mm of the surface
-    by_pose : (K, 2, 3) for the mirror's turns (rad) and shift (mm); zero for the front
+    `points`: (K, 3) on the surface; `rays`: (K, 3) directions along which the surface moves; `steps`: (K, 3) by one
+    column and by one row of the chart, along the surface. Returns `by_radius`, (K, 2) columns and rows for each mm of
+    the surface; `by_pose`, (K, 2, 3) for the mirror's turns (rad) and shift (mm); zero for the front.
     """
     here = _pixels(sight, points)
     across, down = (_pixels(sight, points + 0.5 * s) - _pixels(sight, points - 0.5 * s) for s in steps)
@@ -132,16 +125,8 @@ def align(
 
     Gauss-Newton on the difference of the ridge bands, each of unit local contrast. Unknown are the knots of a smooth
     correction of the surface, which all views share, and the mirrors' poses, with priors on both. Ridges must lie
-    within a quarter of a period to begin with: see :func:`search`.
-
-    Parameters
-    ----------
-    chart, radius_mm : the surface (n, m)
-    front, mirrors : the views; the mirrors' are brought onto the front's
-    pose_free : whether mirrors may move
-
-    References
-    ----------
+    within a quarter of a period to begin with: see :func:`search`. `chart`, `radius_mm`: the surface (n, m); `front`,
+    `mirrors`: the views; the mirrors' are brought onto the front's; `pose_free`: whether mirrors may move. Source:
     Lucas and Kanade 1981, An iterative image registration technique; Baker and Matthews 2004, eq. 10.
     """
     every, knots = _knots(chart)
@@ -282,7 +267,6 @@ def _priors(knots: tuple[int, int], deviation_mm: Array, pose_free: bool, mirror
 # The first guess of surface and pose: a handful of numbers for which all ridges of two views meet at once. Single
 # squares of ridges look the same a period on; the whole overlap does not.
 
-
 _SEARCHED = 6000
 """So many pixels show which of many guesses is best."""
 APART_MM = 0.15
@@ -291,8 +275,6 @@ OUTER = 0.9
 """Of the bulge's standard deviation: by how much more the surface bulges for each 20 deg towards the side."""
 LIKE_PLACES, MOVE_MM = 20.0, 0.05
 """A move counts as so many measured ones, each with this standard deviation."""
-
-
 _DOUBT = 0.01
 """Correlation that a number must gain to be believed one standard deviation from where the outlines have it."""
 MIN_CORRELATION = 0.2
@@ -342,11 +324,7 @@ def search(
 ) -> _ViewMatch:
     """Find how the surface bulges and where the mirror lies.
 
-    Parameters
-    ----------
-    chart, radius_mm : surface (n, m)
-    front, mirror : the two views
-    settings : RidgeSearchSettings, optional
+    `chart`, `radius_mm`: surface (n, m); `front`, `mirror`: the two views.
     """
     chosen = settings or RidgeSearchSettings()
     nothing = _ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged
+from splitknit.finger.locate import BEYOND_CREASE_MM, FingerSettings, enlarged_mask
 from splitknit.finger.mask import finger_mask
 from splitknit.finger.orientation import find_upright
 from splitknit.finger.phalange import find_crease
@@ -32,8 +32,11 @@ NO_MIRRORS = (
 )
 
 
-def _check_mirrors(capture: Capture) -> None:
-    """Refuse what has no mirrors, or a camera whose rays spread. Raises BadInput in these cases."""
+def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
+    """Views of the finger in one picture, and mirrors where the views' outlines have them.
+
+    Raises BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
+    """
     names = [mirror.name for mirror in capture.rig.mirrors]
     require(any(name in SIDES for name in names), NO_MIRRORS)
     require("white" in capture.bands, "the capture has no band 'white', in which ridges are seen.")
@@ -43,17 +46,6 @@ def _check_mirrors(capture: Capture) -> None:
         f"a rolled finger needs parallel rays, but the rig's camera is {model}; use a telecentric lens, or print with "
         "--method unroll.",
     )
-
-
-def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
-    """Views of the finger in one picture, and mirrors where the views' outlines have them.
-
-    Raises
-    ------
-    BadInput
-        If there are no mirrors beside the finger, or fewer than two views can be used.
-    """
-    _check_mirrors(capture)
     camera = capture.rig.camera
     binning = view_binning(camera.px_per_mm)
     mean, grey = linear_survey(capture.bands["white"], capture.encoding, binning)
@@ -73,13 +65,13 @@ def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: Mirror
         mirror,
         lambda shape: skin_slopes(capture, grey, views, shape),
     )
-    front = enlarged(views.front, capture.shape, binning)
+    front = enlarged_mask(views.front, capture.shape, binning)
     if settings.cut_at_crease:
         front = _above_crease(front, views.front, mean, capture, binning)
     found = [MirrorView("front", front)]
     for name, glass in mirrors.items():
         plane = between.planes.get(name, MirrorPlane.nominal(glass))
-        mask = enlarged(views.mirrors[name], capture.shape, binning) if name in between.planes else None
+        mask = enlarged_mask(views.mirrors[name], capture.shape, binning) if name in between.planes else None
         found.append(MirrorView(name, mask, glass_in(glass, plane.normal, plane.offset_mm), name in between.cut))
     unseen = [name for name in SIDES if name in mirrors and name not in seen]
     return MirrorViews(tuple(found), between.body, _notes(between.cut, between.useless, unseen))

@@ -15,7 +15,13 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 
 from splitknit.imaging.band import Window, has_colour, linear_channels
-from splitknit.imaging.geometry import bounding_box, gradients_from_normals, height_gradients, normals_from_gradients
+from splitknit.imaging.geometry import (
+    bounding_box,
+    enlarged,
+    gradients_from_normals,
+    height_gradients,
+    normals_from_gradients,
+)
 from splitknit.imaging.view import view_of
 from splitknit.integration.shapelets import REFERENCE_PX_PER_MM, ShapeletSettings, shapelets
 from splitknit.mirrors.body import Body
@@ -34,8 +40,6 @@ from splitknit.skin.light import Lighting, fine_lighting, slant_of, trust_of
 
 ROLL_OF_SHEAR, MAX_ROLL_RAD = -3.1, 0.3
 """Radians of roll to the right for each unit of a body's shear; and the maximum that is accepted."""
-
-
 Array = NDArray[np.float64]
 
 LIT, MIN_LIT, FADE_MM = 0.5, 3, 0.2
@@ -166,7 +170,8 @@ def _ridges(  # noqa: PLR0917
     """Relief along the line of sight, its standard deviation, trust, and how they were found."""
     light = fine_lighting(images.rig, low, low_height, factor, grid)
     lit = _lit(light, grid)
-    light = replace(light, trust=np.maximum(light.trust * _enlarged(inner, factor, grid.shape), np.float32(1e-3)))
+    within = np.stack([enlarged(one, factor, grid.shape) for one in inner])
+    light = replace(light, trust=np.maximum(light.trust * within, np.float32(1e-3)))
     networks = shipped_networks(settings.metric) if can_learn(images, grid.pitch_mm) else None
     if capture.material == "skin" and networks is not None:
         g = _held_normals(images.stack / light.entering, light, smooth, grid, prior)
@@ -192,16 +197,6 @@ def _lit(light: Lighting, grid: Grid) -> FloatArray:
     enough = ((light.trust > LIT).sum(axis=0) >= MIN_LIT).astype(np.float32)
     wide = cv2.GaussianBlur(enough, (0, 0), FADE_MM / grid.pitch_mm)
     return np.asarray(np.clip(2.0 * wide - 1.0, 0.0, 1.0), dtype=np.float32)
-
-
-def _enlarged(fields: FloatArray, factor: int, shape: tuple[int, int]) -> FloatArray:
-    """Fields (L, h, w) of the coarse grid on the fine one."""
-    result = np.empty((len(fields), *shape), dtype=np.float32)
-    for room, one in zip(result, fields, strict=True):
-        large = cv2.resize(one, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR)
-        missing = [(0, n - m) for n, m in zip(shape, large.shape, strict=True)]
-        room[...] = np.pad(np.asarray(large), missing, mode="edge")
-    return result
 
 
 def _blocks(mask: BoolArray, binning: int) -> BoolArray:
