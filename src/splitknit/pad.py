@@ -239,7 +239,7 @@ def judge(found: Mapping[str, float], model: Model | None = None) -> Presentatio
 
     Examples
     --------
-    >>> judge(dict(zip(shipped_model()["names"], shipped_model()["mean"])).live
+    >>> judge(dict(zip(shipped_model()["names"], shipped_model()["mean"], strict=True))).live
     True
     """
     model = model or shipped_model()

@@ -26,6 +26,8 @@ GROUPS = {
 GROUPS["all"] = tuple(name for names in GROUPS.values() for name in names)
 GROUPS["optics"] = (*GROUPS["colour"], "spread_red", "spread_green", "spread_nir")  # blood and scattering change both
 FOLDS = 10
+POINTS = (0.006, 0.01, 0.03)
+"""BPCER at which is measured."""
 MODEL = Path(__file__).parents[2] / "src" / "splitknit" / "pad_model.json"
 Row = dict
 
@@ -113,7 +115,7 @@ def rates(rows: list[Row], groups: dict = GROUPS) -> list[dict]:
         live, own = leave_out(rows, species, groups)
         silent = sum(row["name"] == species and "failed" in row for row in rows)
         entry = {"species": species, "live": len(live), "tried": len(own) + silent, "silent": silent}
-        for bpcer in (0.006, 0.01):
+        for bpcer in POINTS:
             limit = threshold_at(live, bpcer)
             entry[str(bpcer)] = (int((own >= limit).sum()), int((live < limit).sum()))
         found.append(entry)
@@ -128,13 +130,12 @@ def words(hits: int, tried: int) -> str:
 def table(rows: list[Row]) -> list[str]:
     """Rows of the page's table, and what stands below it."""
     found = rates(rows)
-    lines = [
-        f"| {one['species']} | {words(one['0.006'][0], one['tried'])} "
-        f"| {words(one['0.01'][0], one['tried'])} | {one['silent']} |"
-        for one in found
-    ]
+    lines = []
+    for one in found:
+        cells = [words(one[str(point)][0], one["tried"]) for point in POINTS]
+        lines.append(f"| {' | '.join([one['species'], *cells, str(one['silent'])])} |")
     live = [one for one in found if one["tried"]]
-    for point in ("0.006", "0.01"):
+    for point in map(str, POINTS):
         worst = max(one[point][1] for one in live)
         total = words(sum(one[point][0] for one in found), sum(one["tried"] for one in found))
         lines.append(f"BPCER {point}: {words(worst, live[0]['live'])} live rejected at most; all species {total}")
