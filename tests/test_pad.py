@@ -11,7 +11,7 @@ import pytest
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
-from splitknit.pad import distances, features, is_judged, judge, photographs, shipped_model, with_probability
+from splitknit.pad import distances, is_judged, judge, pad_features, pad_images, shipped_model, with_probability
 from splitknit.pipeline import reconstruct
 from splitknit.simulator.attacks import simulate_attack
 from splitknit.simulator.twin import twin_settings
@@ -45,7 +45,7 @@ def test_no_distance_counts_in_favour_and_parts_may_be_absent():
 
 def test_a_photograph_has_no_relief_that_turns_with_the_light(photograph):
     capture, result = photograph
-    found = features(photographs(capture), result)
+    found = pad_features(pad_images(capture), result)
     assert found["spread_fixed"] > USUAL["spread_fixed"] and found["spread_blue"] < USUAL["spread_blue"] - 1
     assert "colour_nir" in found and "polarised_share" not in found
     assert not judge(found).live
@@ -53,17 +53,17 @@ def test_a_photograph_has_no_relief_that_turns_with_the_light(photograph):
         capture,
         bands={"white": replace(capture.bands["white"], pixels=capture.bands["white"].pixels[..., 1:2], ambient=None)},
     )
-    grey = features(photographs(bare), result)
+    grey = pad_features(pad_images(bare), result)
     assert "colour_red" not in grey and not judge(grey).live
     with pytest.raises(BadInput, match="known scale"):
-        features(photographs(capture), replace(result, scale_known=False))
+        pad_features(pad_images(capture), replace(result, scale_known=False))
 
 
 def test_a_report_states_the_probability_where_the_model_applies(photograph):
     capture, result = photograph
     assert not is_judged(capture)  # coarser than what the model was fitted to
     assert "live_probability" not in with_probability(result, None).facts
-    assert with_probability(result, photographs(capture)).facts["live_probability"] < 0.5
+    assert with_probability(result, pad_images(capture)).facts["live_probability"] < 0.5
 
 
 def test_the_verb_and_refusal_at_enrolment(photograph, tmp_path, capsys):

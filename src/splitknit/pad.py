@@ -29,7 +29,7 @@ _COLOURS = ("red", "green", "blue")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Photographs:
+class PadImages:
     """What of a capture's images is measured, at `PX_PER_MM` or as coarse as the capture is."""
 
     binning: float
@@ -46,7 +46,7 @@ def is_judged(capture: Capture) -> bool:
     return fine and capture.material == "skin" and "nir" in capture.bands
 
 
-def photographs(capture: Capture) -> Photographs:
+def pad_images(capture: Capture) -> PadImages:
     """Bring a capture's images to the features' pixels."""
     binning = max(round(8 * capture.rig.camera.px_per_mm / PX_PER_MM) / 8, 1.0)
     white, nir, crossed = (capture.bands.get(name) for name in ("white", "nir", "white_crossed"))
@@ -61,10 +61,10 @@ def photographs(capture: Capture) -> Photographs:
     polarised = [linear_channels(one, capture.encoding, colours, None, binning).mean(axis=1) for one in series]
     exposed = any(bool((band.exposure != 1.0).any()) for band in capture.bands.values())
     lit = {name: np.maximum(one, 1e-6 * float(one.max()) + 1e-12) for name, one in light.items()}
-    return Photographs(binning, lit, vectors, exposed, polarised)
+    return PadImages(binning, lit, vectors, exposed, polarised)
 
 
-def features(seen: Photographs, result: Reconstruction) -> dict[str, float]:
+def pad_features(seen: PadImages, result: Reconstruction) -> dict[str, float]:
     """What differs between skin and copies, by name; what the capture has no part for is left out.
 
     ``relief_*`` of the result, ``shape_*`` (1/mm), ``colour_*`` (ratios of diffuse light), ``spread_*`` (contrast of
@@ -153,7 +153,7 @@ def _vectors(capture: Capture, band: Band) -> NDArray[np.float64]:
     return np.array([sum(vector_at_origin(leds[k]) for k in group) for group in band.lights])
 
 
-def _of_colour(seen: Photographs, inside: BoolArray) -> dict[str, float]:
+def _of_colour(seen: PadImages, inside: BoolArray) -> dict[str, float]:
     """Medians over the lights leave reflections out."""
     level = {name: np.log(np.median(one[:, inside], axis=0)) for name, one in seen.light.items()}
     if "green" not in level:
@@ -235,7 +235,7 @@ class Presentation:
 
 
 def judge(found: Mapping[str, float], model: Model | None = None) -> Presentation:
-    """Probability that :func:`features` are those of live skin, by the shipped model or by another one.
+    """Probability that :func:`pad_features` are those of live skin, by the shipped model or by another one.
 
     Examples
     --------
@@ -250,10 +250,10 @@ def judge(found: Mapping[str, float], model: Model | None = None) -> Presentatio
     return Presentation(probability, probability >= model["threshold"], model["threshold"], suspicion)
 
 
-def with_probability(result: Reconstruction, seen: Photographs | None) -> Reconstruction:
+def with_probability(result: Reconstruction, seen: PadImages | None) -> Reconstruction:
     """Add the probability of live skin to a result's facts, where there is one."""
     try:
-        found = {} if seen is None else {"live_probability": round(judge(features(seen, result)).probability, 4)}
+        found = {} if seen is None else {"live_probability": round(judge(pad_features(seen, result)).probability, 4)}
     except BadInput:  # too little of it
         found = {}
     return replace(result, facts={**result.facts, **found})

@@ -8,7 +8,7 @@ import pytest
 
 from script_folder import VALIDATION, scripts_of
 from splitknit.model import Band, Camera, Capture, Led, Rig
-from splitknit.pad import features, judge, photographs
+from splitknit.pad import judge, pad_features, pad_images
 from splitknit.pipeline import reconstruct
 
 pytestmark = pytest.mark.external
@@ -34,5 +34,5 @@ def test_an_opaque_gel_is_no_skin(data_dir, part, material):
     band = Band("white", stack, tuple((k,) for k in range(6)), np.ones(6), np.zeros(6))
     camera = Camera(1 / 0.0034035 / 8, stack.shape[1:3])
     capture = Capture(Rig(camera, leds), {"white": band}, material=material, mask=np.ones(stack.shape[1:3], dtype=bool))
-    found = judge(features(photographs(capture), reconstruct(capture, "metric")))
+    found = judge(pad_features(pad_images(capture), reconstruct(capture, "metric")))
     assert not found.live and found.probability < 0.01

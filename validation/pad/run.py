@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 import splitknit
-from splitknit.pad import features, photographs
+from splitknit.pad import pad_features, pad_images
 from splitknit.simulator.attacks import SPECIES, simulate_attack
 from splitknit.simulator.twin import twin_settings
 
@@ -43,7 +43,7 @@ def measure(name: str, seed: int, out: Path, scale: float = SCALE) -> None:
     capture, _ = simulate_attack(seed, name, settings)
     facts: dict[str, object] = {"name": name, "seed": seed, "state": state}
     try:
-        facts["features"] = features(photographs(capture), splitknit.reconstruct(capture, "metric"))
+        facts["features"] = pad_features(pad_images(capture), splitknit.reconstruct(capture, "metric"))
     except splitknit.BadInput as error:
         facts["failed"] = str(error)
     path.write_text(json.dumps(facts))

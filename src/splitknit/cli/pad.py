@@ -50,14 +50,14 @@ def _presented(path: Path, preset: str, progress: Any) -> dict[str, Any]:
     """Facts about what a capture folder shows."""
     from splitknit.errors import naming, require
     from splitknit.io.capture import read_capture
-    from splitknit.pad import BASIS, features, judge, photographs
+    from splitknit.pad import BASIS, judge, pad_features, pad_images
     from splitknit.pipeline import reconstruct  # verbs import what they need
 
     require((path / "capture.json").is_file(), f"'{path}' is no capture folder (capture.json), which attacks show in.")
     capture = read_capture(path)
 
     def judged() -> dict[str, Any]:
-        found = features(photographs(capture), reconstruct(capture, preset, progress=progress))
+        found = pad_features(pad_images(capture), reconstruct(capture, preset, progress=progress))
         return {"capture": str(path), **asdict(judge(found)), "features": found, "basis": BASIS}
 
     return naming(path, judged)

@@ -87,7 +87,7 @@ def _reconstruct_to_folder(
     from splitknit.io.capture import read_capture, with_rig
     from splitknit.io.targets import check_target
     from splitknit.networks.unet import use_device
-    from splitknit.pad import is_judged, photographs, with_probability
+    from splitknit.pad import is_judged, pad_images, with_probability
     from splitknit.photometric.frames import rig_of_frame
     from splitknit.pipeline import reconstruct, with_scale
     from splitknit.presets import preset_settings
@@ -118,7 +118,7 @@ def _reconstruct_to_folder(
             capture, note = naming(source, partial(with_scale, capture, options.px_per_mm, options.ridge_period))
             notes = [note] if note else []
         read_s = time.perf_counter() - started
-        seen = photographs(capture) if is_judged(capture) else None
+        seen = pad_images(capture) if is_judged(capture) else None
         shown, held = _shown_of(capture), [capture]
         del capture  # so that its images go once they are read: 0.3 GB less at a full frame's peak
         try:
