@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from peers import library
 from splitknit.finger.orientation import find_upright
 from splitknit.matching.features import lbp_features
-from splitknit.matching.minutiae import enhance_print, extract, minutiae_match, nfiq2
+from splitknit.matching.minutiae import extract, minutiae_match, nfiq2
 from splitknit.matching.minutiae_record import pack_minutiae
 from splitknit.matching.ridge import Prepared, ridge_match
 from splitknit.matching.ridge_band import print_band, ridge_band
 from splitknit.matching.template import Template, make_template, pack, unpack
 from splitknit.matching.thesis import FingerImages, ThesisSettings, finger_features, finger_images, thesis_match
 from splitknit.model import default_rig
+from splitknit.prints.pressed import pressed_ridges
 from splitknit.prints.ridges import relief_print
 from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.surface import SimulatedSurface
@@ -129,7 +130,7 @@ def minutiae(prints: list[NDArray[np.uint8]], rounds: int) -> None:
     print(f"Minutiae: {found[0].count} and {found[1].count}; packed {len(pack_minutiae(found[0]))} bytes")
     contenders = {
         "minutiae of a relief print": lambda: extract(prints[0]),
-        "enhancement of a pressed print": lambda: enhance_print(prints[0]),
+        "enhancement of a pressed print": lambda: pressed_ridges(prints[0]),
         "NFIQ 2 of a print": lambda: nfiq2(prints[0]),
         "comparison of minutiae, both directions": lambda: minutiae_match(*found),
     }

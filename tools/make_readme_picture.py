@@ -37,7 +37,7 @@ def photograph(capture: Capture, result: Reconstruction, frame: PictureFrame) ->
     colour, weight = to_frame(light, everywhere, frame)
     brightest = np.percentile(colour[weight > 0.5], 99.5)
     shown = np.clip(colour / brightest, 0.0, 1.0) ** (1 / 2.2)
-    return on_paper(np.round(255 * shown), weight, (0, 0, 0))
+    return np.round(255 * shown * weight[..., None]).astype(np.uint8)
 
 
 def relief(result: Reconstruction, frame: PictureFrame) -> Picture:

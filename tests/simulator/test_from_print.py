@@ -35,7 +35,7 @@ def test_a_round_tip_falls_towards_the_nail_and_nothing_lies_beyond_the_ink() ->
     [
         (np.zeros((9, 9), dtype=bool), {}, "empty"),
         (np.ones((9, 9), dtype=bool), {"aspect": 0.0}, "aspect"),
-        (np.ones((9, 9), dtype=bool), {"turn_deg": 10.0}, "turn_deg"),
+        (np.ones((9, 9), dtype=bool), {"turn_deg": 10.0}, "A roll must turn by 60 to 300 deg"),
     ],
 )
 def test_no_ink_and_odd_numbers_are_refused(ink, options, words) -> None:

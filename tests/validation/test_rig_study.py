@@ -83,7 +83,7 @@ def _result(height, surface, mask, **changes):
 
 
 def test_the_finger_lies_in_the_same_place_under_every_camera(thesis, seen):
-    other = candidate_rig(replace(RIG, px_per_mm=9.3), BuildSettings(), {"white": 1.0}, "orthographic").camera
+    other = candidate_rig(replace(RIG, px_per_mm=9.3), BuildSettings(view="orthographic"), {"white": 1.0}).camera
     edges = []
     for one in (seen[0], thesis._view_of(SEED, other)):
         x, y = thesis._places(one)

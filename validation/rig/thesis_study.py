@@ -221,7 +221,9 @@ def _rigs(candidate: RigCandidate, study: ThesisStudy) -> tuple[Rig, Rig]:
     else:
         intensities = led_intensities(candidate, build, study.bands)
     rig = candidate_rig(candidate, build, intensities)
-    return rig, rig if study.method == "metric" else candidate_rig(candidate, build, intensities, "orthographic")
+    if study.method == "metric":
+        return rig, rig
+    return rig, candidate_rig(candidate, replace(build, view="orthographic"), intensities)
 
 
 def _compare_surfaces(
