@@ -245,7 +245,7 @@ def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Prog
 
 
 def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
-    """Find the tips in photographs and go on as with a table; picture and table are written even if LEDs are refused."""
+    """Find the tips, go on as with a table; picture and table of them are written even if LEDs are refused."""
     folder, nail = job.images, job.settings.nail
     assert folder is not None
     require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")

@@ -187,7 +187,7 @@ class _NailModel:
 
 
 def _places(tips: Sequence[Tip], camera: Camera, nail_px: Points) -> tuple[NDArray[np.intp], Points]:
-    """Place of the nail in each row (N,), and the places' mean pixels (P, 2); moved over 1 mm between bands, it is two."""
+    """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between bands, it is two."""
     middles: dict[tuple[int, str], Points] = {}
     for tip in tips:
         rows = [one.nail == tip.nail and one.band == tip.band for one in tips]

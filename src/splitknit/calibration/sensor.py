@@ -67,7 +67,7 @@ def fit_response(
     Raises BadInput if the exposures are too few or too similar, the values do not grow with them, no response explains
     them, or the response is neither linear nor sRGB.
 
-    values : (J, N) of N unchanging places (means of small even patches) at J exposures, parts of full scale; NaN clipped
+    values : (J, N) of N unchanging places (means of small even patches) at J exposures, of full scale; NaN clipped
     exposure_s : (J,) exposure times (times gain), any unit
     limit_percent : values are linear if they depart from a line by no more, in per cent of full scale
     name : of the series, for messages

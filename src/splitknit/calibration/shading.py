@@ -379,7 +379,7 @@ class _Model:
         return np.asarray((place[:, None] * terms).reshape(-1, len(columns)).T)
 
     def prior(self, normal: Array, count: int) -> Array:
-        """Precision of the weights beforehand, from the normal matrix of all balls: variation over the field is small."""
+        """Precision of the weights beforehand, from the normal matrix of all balls: little varies over the field."""
         size = len(normal) // self.place
         strength = np.array([0.0, _LINEAR, _LINEAR, *[1.0] * 7])[: self.place] * _PRIOR / count
         return np.asarray(np.kron(np.diag(strength), np.ones((size, size))) * normal)
@@ -410,7 +410,7 @@ def _sampled(data: _Data, ball: Array, model: _Model | None) -> tuple[FloatArray
 
 
 def _joint(data: _Data, given: Array) -> tuple[Array, BoolArray, _Model]:
-    """Centres (N, 3: press, column, row), which balls are whole, and the polynomial, fitted together by Gauss-Newton."""
+    """Centres (N, 3: press, column, row), which balls are whole, and the polynomial, all fitted by Gauss-Newton."""
     balls, used, misfit = given.copy(), np.ones(len(given), dtype=bool), 0.0
     free = data.plane or len(balls) > 3  # else the outline holds the centre
     place = 10 if data.varies(balls) else 1

@@ -118,7 +118,7 @@ def _read_folder(folder: Path, encoding: str | None, hashes: dict[str, str]) -> 
 
 
 def read_centres(path: Path) -> Array:
-    """Centres of balls (N, 2), or with radii (N, 3), in pixels: lines ``column row [radius]``; BadInput names the line."""
+    """Centres of balls (N, 2), with radii (N, 3), in pixels: lines ``column row [radius]``; BadInput names the line."""
     rows: list[list[float]] = []
     for number, line in enumerate(read_bytes(path, 1_000_000).decode("utf-8", "replace").splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()

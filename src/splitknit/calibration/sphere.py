@@ -71,7 +71,7 @@ def find_ball(stack: Any) -> Ball:
 
 
 def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Points]:
-    """Circle through the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses a short one."""
+    """Circle by the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses short ones."""
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outline = max(outlines, key=len)[:, 0].astype(np.float64)
     require(len(outline) >= 20, small)
