@@ -295,7 +295,7 @@ def _order(item: tuple[LedName, Any]) -> tuple[int, int]:
 
 
 def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
-    """Check that each band has seven LEDs, each at two nail positions (or the only one), and pixels in the image."""
+    """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels in the image."""
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):

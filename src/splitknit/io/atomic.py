@@ -116,9 +116,7 @@ def private_modes() -> tuple[int, int]:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a private folder and its missing parents, if it is not there. Raises OSError as
-    :meth:`pathlib.Path.mkdir`.
-    """
+    """Create a private folder and its missing parents where missing; OSError as :meth:`pathlib.Path.mkdir`."""
     mode = private_modes()[1]
     for path in [*(path for path in reversed(folder.parents) if not path.exists()), folder]:
         path.mkdir(mode, exist_ok=True)
@@ -175,9 +173,7 @@ def _in_place(target: Path) -> Iterator[Path]:
 
 
 def _discard(folder: Path) -> None:
-    """Remove a temporary folder, its mark last, unless an exchange was cut short and what was to be replaced lies in
-    it.
-    """
+    """Remove a temporary folder, its mark last, unless what an exchange, cut short, was to replace lies in it."""
     new, old = folder / "new", folder / "old"
     if os.path.lexists(new) and os.path.lexists(old):
         return

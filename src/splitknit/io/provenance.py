@@ -61,9 +61,7 @@ def json_text(value: Any) -> str:
 
 
 def known_json(value: Any, nulls: Container[str] = ()) -> Any:
-    """Return `value` as :func:`plain_json` does, without dataclass fields that are None by default and still are (but
-    for `nulls`).
-    """
+    """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for those of `nulls`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         given = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
         return {

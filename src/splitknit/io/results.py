@@ -205,9 +205,7 @@ def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatA
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write ``phalange.ply``: the surface in mm, tip up; one vertex for each pixel of the mask, in the order of the
-    rows.
-    """
+    """Write ``phalange.ply``: the surface in mm, tip up; one vertex for each pixel of the mask, row by row."""
     box = bounding_box(result.mask)
     valid = result.mask[box] & np.isfinite(result.height_mm[box])
     _, triangles, faces = triangulate(valid)

@@ -102,7 +102,7 @@ class Estimate:
         return Estimate(replace(self.body, **{kind: getattr(self.body, kind) + by}), self.poses)
 
     def stepped(self, step: Array, parameters: _Parameters) -> Estimate:
-        """After a correction: of splines' coefficients, then of `parameters`; one beyond a limit is shortened as a
+        """After a correction, of the splines' coefficients, then of `parameters`; beyond a limit it is shortened as a
         whole, as lean and shift of a mirror belong together.
         """
         count = self.body.coefficients.size
@@ -383,7 +383,7 @@ def fit_body(
 
 def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None) -> Fit:
     """With mirrors beyond the tip: what they show of the sections' form, the others fit with that form again. They see
-    only the largest sections and those beside the tip, and do not constrain the lines along the finger.
+    the largest sections only, and those beside the tip hide the rest: they do not constrain lines along the finger.
     """
     poses = dict(start.poses)
     beside = {name: mirror for name, mirror in outlines.mirrors.items() if not mirror.from_tip}

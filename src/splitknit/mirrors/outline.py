@@ -160,8 +160,8 @@ def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
 
 
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger on the finger plane, towards its tip within about 75 deg of `hint` (2,); its outline
-    across.
+    """Direction (2,) of the finger on the finger plane, towards its tip within about 75 deg of `hint` (2,), and its
+    outline across it.
     """
     axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)
