@@ -64,17 +64,14 @@ class _Views:
 
 
 def fit_lens(board_mm: Any, corner_sets: Sequence[Any], image_size: tuple[int, int]) -> _LensFit:
-    """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the corners `board_mm` (N, 2);
-    each term only where the views determine it.
+    """Fit matrix and distortion to `corner_sets`, V arrays (N, 2) of columns and rows of the corners `board_mm` (N, 2).
 
-    Square pixels and no distortion come first. Then the terms k1, k2, (p1, p2), k3 are added in turn, each kept only if
-    its value differs from zero by more than `_SIGNIFICANCE` of the standard deviations that the fit itself gives; then
-    the ratio of the focal lengths likewise. The principal point is held at the image's middle where it is undetermined.
-    The standard deviation of the focal length is checked by fits with other focal lengths, held: where the Jacobian
-    promises more than those show, theirs is taken. Raises BadInput if the views determine no camera.
-
-    Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000; terms of the distortion as in
-    OpenCV's ``calibrateCameraExtended``, whose standard deviations come from the Jacobian at the solution.
+    Square pixels and no distortion come first. Then k1, k2, (p1, p2), k3, and at last the ratio of the focal lengths,
+    are added in turn, each kept only if it differs from zero by more than `_SIGNIFICANCE` of the fit's own standard
+    deviations. An undetermined principal point is held at the image's middle. The standard deviation of the focal
+    length is checked by fits with other focal lengths, held; the larger one is taken. Raises BadInput if the views
+    determine no camera. Source: Z. Zhang, "A flexible new technique for camera calibration", IEEE TPAMI 22(11), 2000;
+    terms of the distortion and standard deviations (from the Jacobian) as in OpenCV's ``calibrateCameraExtended``.
     """
     board = np.asarray(board_mm, dtype=np.float64)
     flat = np.column_stack([board, np.zeros(len(board))]).astype(np.float32)
@@ -163,10 +160,7 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
 
 
 def _aspect_deviation(value: float, held: _LensFit, free: _LensFit, views: _Views) -> float:
-    """Standard deviation of fx / fy, which OpenCV does not give: found from how much worse the fit is without it.
-
-    The sum of squares falls by the variance of one coordinate times (value / deviation)^2.
-    """
+    """Standard deviation of fx / fy; a fit with it lowers the sum of squares by variance * (value / deviation)^2."""
     coordinates = 2 * len(views.corners) * len(views.boards[0])
     fall = coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12)
     return abs(value) / float(np.sqrt(fall))

@@ -207,9 +207,8 @@ _LOOKED_AT = 6
 
 
 def _image_files(folder: Path, pattern: str | None = None) -> list[Path]:
-    """Images in `folder`, in the order that people count, only those whose name fits the glob `pattern` if given.
-
-    A pattern such as ``board_*/white_0.png`` takes images of capture folders inside `folder`.
+    """Images in `folder`, in the order that people count, only those whose name fits the glob `pattern` if given. A
+    pattern such as ``board_*/white_0.png`` takes images of capture folders inside `folder`.
     """
     require(folder.is_dir(), f"'{folder}' is not a folder; name the folder of checkerboard photographs.")
     levels = "/".join("*" * (1 if pattern is None else 1 + pattern.count("/")))
@@ -252,8 +251,8 @@ def _board_photos(
     expected: _Expected | None,
     progress: Callable[[float], None],
 ) -> tuple[tuple[int, int], dict[str, Points], tuple[str, ...], dict[str, str]]:
-    """Find the board in every photograph: their size, corners by name, files in which no board of the size is in full
-    view, and hashes. Where too few show it, BadInput names the size of the board that they do show.
+    """The photographs' size, corners by name, files without a board of the size in full view, and hashes. Where too few
+    show it, BadInput names the size that they do show.
     """
     corners: dict[str, Points] = {}
     hashes: dict[str, str] = {}

@@ -94,10 +94,8 @@ def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
 
 
 def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = None) -> Array:
-    """(N,) brightness at `pixels` (N, 2) of an ideal white card under a near LED, lens included: the flat field.
-
-    In the units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi. `card`: on the finger plane
-    by default.
+    """(N,) brightness at `pixels` (N, 2) of an ideal white card under a near LED, lens included: the flat field. In
+    units of the rig: an LED of intensity one at 100 mm gives a facing card 1 / pi. `card`: on the finger plane if None.
     """
     plane = card or CardPlane()
     points = plane.points(camera, pixels)

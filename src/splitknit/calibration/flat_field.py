@@ -41,9 +41,7 @@ class _CardFit:
 
 
 def _fit_order(model: CardModel, start: Answer, order: Order, logarithm: Array, scale: float) -> _CardFit:
-    """Fit `order` to ln (L, N) of the images; `scale`: relative residual beyond which a place counts less (Cauchy's
-    weights).
-    """
+    """Fit `order` to ln (L, N) of the images; `scale`: residual beyond which a place counts less (Cauchy's weights)."""
     vector = model.project(model.vector(start, order), order)
     weight = np.ones(logarithm.shape[1])
     for _ in range(_STAGES):
@@ -127,11 +125,9 @@ def _half_angles(camera: Camera, led: Led, pixels: Array, card: CardPlane) -> Ar
 
 
 def _card_gloss(model: CardModel, half_angles_deg: Array, fit: _CardFit, rest: Array) -> tuple[float, float]:
-    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error.
-
-    Least squares of the residuals (L, N), NaN where dust was found, on the spot and on all slopes of the model: what
-    beams and aims could explain as well is not counted. The greatest of a narrow and a wide spot, in its errors, is
-    returned.
+    """Brightness of the spot at the mirror's angle relative to the card's own, and its standard error. Least squares of
+    the residuals (L, N), NaN where dust is, on a narrow and a wide spot and on all slopes of the model; the greater
+    spot, in its errors, is returned.
     """
     answer, order = fit.answer, fit.order
     used = np.isfinite(rest)
@@ -225,14 +221,12 @@ def fit_flat_field(
 
     `light` (L, N) is linear, at `pixels` (N, 2; column, row), under LED k alone, the lens's fall-off in it; `card` lies
     on the finger plane by default. The camera's `shading` and the LEDs' intensities, exponents and aims are replaced.
-
     Models of :data:`splitknit.calibration.card_model.LADDER` are fitted one after the other, each from the one before,
     and the simplest is taken that explains the images about as well as the richest. Two weak priors (exponents 5 +- 20,
     slopes by the aims 0 +- 4, each worth one cell of thousands) settle what the images leave open: the aim of a beam
-    that is wide. Raises BadInput if an LED did not light, the card does not fill the field or is not uniform.
-
-    A tilt of the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against
-    the base is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
+    that is wide. Raises BadInput if an LED did not light, the card does not fill the field or is not uniform. A tilt of
+    the card is indistinguishable from aims and brightnesses: it must be known (as the camera's tilt against the base
+    is) or small. An unknown degree makes LEDs up to 0.7 % brighter or darker, and surfaces lean by one degree.
     """
     places, images = np.asarray(pixels, dtype=np.float64), np.asarray(light, dtype=np.float64)
     require(float(np.median(images)) > 0, "the images of the card are black; check the LEDs and the black level.")

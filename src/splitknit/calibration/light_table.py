@@ -4,9 +4,7 @@ One row a photograph: which LED was lit (`band`, and `led`, 0 to 6 within it), w
 any whole number), the nail's pixel and that of its shadow's tip (x along the columns, y down the rows, as image
 viewers show them).
 
-References
-----------
-The thesis, section 4.3.2 and figure 5.1.
+Source: the thesis, section 4.3.2 and figure 5.1.
 """
 
 from __future__ import annotations

@@ -5,9 +5,8 @@ side of the nail; the LED is there, at the height of the circle. Its direction i
 centre of the circle on the finger plane. Every position of the nail gives one direction; the thesis takes the mean of
 two. How far apart they are is the only sign of a bad table, and it is reported for each LED.
 
-References
-----------
-The thesis, section 4.3.2, with step 5 corrected: the ray runs through the nail and the tip, not through the centre.
+Source: the thesis, section 4.3.2, with step 5 corrected: the ray runs through the nail and the tip, not through the
+centre.
 """
 
 from __future__ import annotations
@@ -79,19 +78,15 @@ def _circle_positions(nails_mm: Points, tips_mm: Points, circle: Circle) -> Poin
 
 
 def _nail_height_mm(nails_mm: Points, tips_mm: Points, positions_mm: Points) -> float:
-    """Height of the nail from the lengths of its shadows, the median over the rows.
-
-    By similar triangles the shadow is to the LED's distance (seen from above) as the nail's height to the rest.
-    """
+    """The nail's height, by similar triangles from the lengths of its shadows; the median over the rows."""
     shadow = np.linalg.norm(tips_mm - nails_mm, axis=1)
     ratio = shadow / np.maximum(np.linalg.norm(positions_mm[:, :2] - nails_mm, axis=1), 1e-9)
     return float(np.median(positions_mm[:, 2] * ratio / (1.0 + ratio)))
 
 
 def nail_points(camera: Camera, nail_px: Points, height_mm: float, seen: str = "tip") -> Points:
-    """Where the nail stands on the finger plane, (N, 2), given the pixel of its tip or of its base.
-
-    A perspective camera sees the tip of a nail of `height_mm` further out than where the nail stands.
+    """Where the nail stands on the finger plane, (N, 2), given the pixel of its tip or of its base. A perspective
+    camera sees the tip of a nail of `height_mm` further out than where the nail stands.
     """
     points = plane_points(camera, nail_px)
     if camera.model == "perspective" and seen == "tip":

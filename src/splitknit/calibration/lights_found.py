@@ -132,10 +132,8 @@ def find_leds(
     *,
     how: LightsAsked,
 ) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
-    """Find and judge every LED of a table; BadInput if it is incomplete or impossible. The LEDs, facts for ``--json``,
-    and why they are refused, None where they are not.
-
-    The joint fit leaves LEDs out whose tips are copies; they keep the construction's place.
+    """Find and judge every LED of a table: LEDs, facts for ``--json``, and why they are refused (None: they are not).
+    LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
     name, method, keep = how.name, how.method, how.keep
     _check_tips(tips, camera.image_size, name)
@@ -297,9 +295,7 @@ def _order(item: tuple[LedName, Any]) -> tuple[int, int]:
 
 
 def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
-    """Check that every band that occurs has all seven LEDs, each at two nail positions at least (one, where the nail
-    stood in one place only), and that all pixels lie in the image.
-    """
+    """Check that each band has all seven LEDs, each at two nail positions (or the only one), pixels in the image."""
     rows, columns = image_size
     for tip in tips:
         for what, (x, y) in (("nail", tip.nail_px), ("shadow's tip", tip.tip_px)):
@@ -329,10 +325,7 @@ def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "t
 
 
 def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> set[tuple[str, int]]:
-    """Return the LEDs, band and number, whose shadow tips repeat although the nail moved: copying errors.
-
-    A tip always moves further than its nail, so that no true pair of tips can come under the limit.
-    """
+    """LEDs, band and number, whose shadow tips repeat although the nail moved: copying errors."""
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
     found = set()
     for i, first in enumerate(tips):
@@ -374,10 +367,8 @@ def _judge(
     strays: Set[tuple[str, int]],
     limit_deg: float,
 ) -> tuple[_JudgedLed, ...]:
-    """Give every LED (band, number, disagreement in degrees or None) its verdict.
-
-    ``copied`` goes before ``off the circle``, that before ``disagrees``; ``unchecked`` is an LED that one position of
-    the nail shows.
+    """Give every LED (band, number, disagreement in degrees or None) its verdict: ``copied`` goes before ``off the
+    circle``, that before ``disagrees``; ``unchecked`` is an LED that one position of the nail shows.
     """
     judged = []
     for band, led, apart in found:

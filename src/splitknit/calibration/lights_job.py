@@ -73,10 +73,8 @@ class _RigInputs:
 
 
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
-    """Find the LEDs, and write the rig file where one is named.
-
-    Raises BadInput naming the option or file at fault, and Refused, whose facts hold what was found, if that is not
-    good enough.
+    """Find the LEDs, and write the rig file where one is named. Raises BadInput naming the option or file at fault, and
+    Refused, whose facts hold what was found, if that is not good enough.
     """
     source = _checked_source(job)
     if source == "sphere":
@@ -247,10 +245,7 @@ def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Prog
 
 
 def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
-    """Find nail and shadow tips in photographs, write the picture and the table of them, and go on as with a table.
-
-    Picture and table are written also where the LEDs are refused after that, for they show why.
-    """
+    """Find the tips, go on as with a table; picture and table of them are written even if LEDs are refused."""
     folder, nail = job.images, job.settings.nail
     assert folder is not None
     require(nail.nail_seen == "tip", "the nail's tip is found in photographs; leave `nail_seen` base away.")
@@ -296,10 +291,8 @@ def _of_tips(
 
 
 def _of_sphere(job: LightsJob) -> CalibratedLights:
-    """Find the direction of the light of every image in a folder.
-
-    Without ``--rig`` or ``--px-per-cm`` no scale is known, and none is needed: the directions go into a rig without
-    one. With ``--led-height-cm`` LEDs are placed at that height, as a near light must be.
+    """Find the light's direction of every image in a folder; no scale is needed. With ``--led-height-cm`` LEDs are
+    placed at that height, as a near light must be.
     """
     assert job.images is not None
     photographs = _photographs(job.images)

@@ -16,10 +16,8 @@ measured height of the circle sets the scale; where the nail's height is known, 
 
 Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are named.
 
-References
-----------
-The thesis, 4.3.2, for the set-up. D. Geman and S. Geman's redescending weights in the form of S. Geman and
-D. E. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the ISI 52(4), 1987.
+Source: the thesis, 4.3.2, for the set-up. D. Geman and S. Geman's redescending weights in the form of S. Geman and D.
+E. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the ISI 52(4), 1987.
 """
 
 from __future__ import annotations
@@ -189,10 +187,7 @@ class _NailModel:
 
 
 def _places(tips: Sequence[Tip], camera: Camera, nail_px: Points) -> tuple[NDArray[np.intp], Points]:
-    """Which place of the nail each row belongs to (N,), and the places' mean pixels (P, 2).
-
-    A nail number is one place, but where it stood elsewhere under the other band, more than a millimetre, it is two.
-    """
+    """Place of the nail in each row (N,), and the mean pixels (P, 2); moved over 1 mm between bands, it is two."""
     middles: dict[tuple[int, str], Points] = {}
     for tip in tips:
         rows = [one.nail == tip.nail and one.band == tip.band for one in tips]
@@ -240,9 +235,8 @@ class JointFit:
 
 
 def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: NailSettings | None = None) -> JointFit:
-    """Find every LED from all rows together, in their order.
-
-    Raises BadInput if there is one nail position only, a row shows no shadow, or a nail stands outside the circle.
+    """Find every LED from all rows together, in their order. Raises BadInput if there is one nail position only, a row
+    shows no shadow, or a nail stands outside the circle.
     """
     model = _NailModel(tips, camera, circle, settings or NailSettings())
     require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
@@ -354,11 +348,8 @@ def _covariance(model: _NailModel, x: Points, weights: Points) -> Points:
 
 
 def _radius_95(covariance: NDArray[np.float64]) -> float:
-    """Radius about the estimate within which the truth lies with 95 % probability, of a normal error's covariance (D,
-    D).
-
-    The squared length of the error is a sum of squared normal numbers of unequal variance. Its quantile is that of a
-    scaled chi-squared number of the same mean and variance (Satterthwaite 1946, Patnaik 1949), right within 4 %.
+    """Radius that holds the truth with 95 % probability, of a normal error's covariance (D, D): the scaled chi-squared
+    number of the same mean and variance (Satterthwaite 1946, Patnaik 1949), right within 4 %.
     """
     values = np.clip(np.linalg.eigvalsh(covariance), 0.0, None)
     total = float(values.sum())

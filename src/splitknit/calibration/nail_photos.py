@@ -40,10 +40,8 @@ def tips_of_photos(
     table: Path | None = None,
     progress: Progress = no_progress,
 ) -> tuple[list[Tip], dict[str, str], list[str]]:
-    """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them.
-
-    Returns the tips in the order of the LEDs and the nail's places, SHA-256 of the photographs by name, and the names
-    of those in which the shadow leaves the picture.
+    """Find nail and shadow tips in the photographs of a folder; write the picture and the table of them. Returns the
+    tips in the order of LEDs and places, SHA-256s by name, and the files whose shadow leaves the picture.
     """
     check_picture(show, folder)
     check_file(table, "a table of tips", lambda data: data.startswith(write_tips([]).encode("ascii")))
@@ -108,9 +106,8 @@ def _nail_files(folder: Path) -> Files:
 def read_stack(
     paths: Sequence[Path], size: tuple[int, int], encoding: str, *, upright: bool = False
 ) -> tuple[FloatArray, dict[Path, str]]:
-    """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off.
-
-    `upright` ones are turned as their EXIF data say. Returns the SHA-256 of all that was read, too.
+    """Read images as grey linear light (L, H, W), full scale 1, the ambient image beside them taken off. `upright` ones
+    are turned as their EXIF data say. Returns the SHA-256 of all that was read, too.
     """
     hashes: dict[Path, str] = {}
     images = []

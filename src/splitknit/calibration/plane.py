@@ -217,21 +217,15 @@ def depth_of_field(
     is F = u v / (u + v), and the lens's opening A = F / N. A point at the distance s becomes a disc of the diameter b =
     A v |1/u - 1/s|. With b = c, one pixel of the image, 1/near = 1/u + c / (A v) and 1/far = 1/u - c / (A v).
 
-    Parameters
-    ----------
     focal_px : focal length of the camera matrix
     pixel_um : side of one pixel of the *image* on the sensor (the sensor's pixel times the binning)
     f_number : N
     focus_mm : u, distance of the plane in focus from the camera's centre: its height over the finger plane
     finger_depth_mm : depth of the finger that the camera sees
 
-    References
-    ----------
-    S. F. Ray, "Applied Photographic Optics", 3rd edition, 2002, chapter 22 (depth of field); M. Born and E. Wolf,
-    "Principles of Optics", 7th edition, 8.5.2 (Airy's disc, 2.44 times wavelength times working f-number).
+    Source: S. F. Ray, "Applied Photographic Optics", 3rd edition, 2002, chapter 22 (depth of field); M. Born and E.
+    Wolf, "Principles of Optics", 7th edition, 8.5.2 (Airy's disc, 2.44 times wavelength times working f-number).
 
-    Examples
-    --------
     >>> field = depth_of_field(10598.0, 1.12, 2.0, 140.0)
     >>> round(field.focal_length_mm, 2), round(field.depth_mm, 2), field.fits
     (10.94, 0.68, False)

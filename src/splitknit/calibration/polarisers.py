@@ -318,9 +318,8 @@ def _flux(band: Band, k: int, encoding: str, spot: Spot, electrons: float) -> Ar
 
 
 def _of_ball(films: Films, degrees: Array, light: Array) -> tuple[Films, dict[str, Any]]:
-    """The films with their leak, and by Malus's law with extinction and angles where the analyser stood at three.
-
-    `light` (L, J, 2) are highlights at the angles `degrees` (J,), of which the first two are 0 and 90, and deviations.
+    """The films with leak; extinction and angles by Malus's law where the analyser stood at three angles. `light` (L,
+    J, 2): highlights at the angles `degrees` (J,), the first two 0 and 90, and their deviations.
     """
     both = light[:, 0, 0] + light[:, 1, 0]
     leak = light[:, 1, 0] / both

@@ -1,8 +1,7 @@
 """Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a later card.
 
-Flat field: :mod:`splitknit.calibration.flat_field`. The camera's response: :mod:`splitknit.calibration.sensor`. Its
-noise: :mod:`splitknit.calibration.sensor`. Drift in photographs of anything matt:
-:mod:`splitknit.finger.led_drift`.
+Flat field: :mod:`splitknit.calibration.flat_field`. The camera's response and noise:
+:mod:`splitknit.calibration.sensor`. Drift in photographs of anything matt: :mod:`splitknit.finger.led_drift`.
 """
 
 from __future__ import annotations
@@ -64,8 +63,7 @@ def fit_radiometry(
     black_level: float | None = None,
     settings: RadiometrySettings | None = None,
 ) -> RadiometricCalibration:
-    """Calibrate the light of a rig, whose camera and LEDs' places are calibrated, from a white card under each of its
-    LEDs.
+    """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card under each of its LEDs.
 
     An ambient image a band takes ambient light and black level off; `card` lies on the finger plane by default;
     `black_level`: stored value of no light, for images where the capture does not state it. Raises BadInput, naming
@@ -209,9 +207,8 @@ class _CardCheck:
 def check_card(
     capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
 ) -> _CardCheck:
-    """Compare a card with the calibration that a rig carries; arguments as of :func:`fit_radiometry`.
-
-    Raises BadInput if the rig carries no such calibration, or the capture cannot be used.
+    """Compare a card with the calibration that a rig carries; arguments as of :func:`fit_radiometry`. Raises BadInput
+    if the rig carries no such calibration, or the capture cannot be used.
     """
     chosen = settings or RadiometrySettings()
     levels, plane, given = _stored(rig)

@@ -94,10 +94,7 @@ def calibrate_to_file(
 
 
 def _base_tilt_deg(rig: Rig) -> tuple[float, float]:
-    """Turn of the base about x and y as ``splitknit calibrate camera`` left it in the rig, where it is certain.
-
-    A tilt that is less than twice its deviation is none: the noise that it would bring in is larger than itself.
-    """
+    """Turn of the base about x and y as ``splitknit calibrate camera`` left it; zero below twice its deviation."""
     found: Any = rig.provenance
     for name in ("camera", "residuals", "plane"):
         found = found.get(name) if isinstance(found, Mapping) else None
@@ -133,10 +130,7 @@ def check_folder(
 
 
 def _residual_picture(found: RadiometricCalibration) -> ColourArray:
-    """Residuals of every LED side by side, a band a row: blue 2 % darker than the model, orange 2 % brighter.
-
-    Cells that were left out as dust are black.
-    """
+    """Residuals of every LED, a band a row: blue 2 % darker than the model, orange 2 % brighter, black left out."""
     flat, shape = found.flat_field, found.images.shape
     bands = [led.band for led in flat.leds]
     rows = []

@@ -64,24 +64,17 @@ def fit_response(
 ) -> Response:
     """Judge the response of a camera.
 
-    Parameters
-    ----------
-    values : (J, N) stored values as parts of full scale
-        N places of a scene that does not change, J exposures: means over small even patches. NaN where clipped.
+    Raises BadInput if the exposures are too few or too similar, the values do not grow with them, no response explains
+    them, or the response is neither linear nor sRGB.
+
+    values : (J, N) of N unchanging places (means of small even patches) at J exposures, of full scale; NaN clipped
     exposure_s : (J,) exposure times (times gain), any unit
     limit_percent : values are linear if they depart from a line by no more, in per cent of full scale
     name : of the series, for messages
 
-    Raises BadInput if the exposures are too few or too similar, the values do not grow with them, no response explains
-    them, or the response is neither linear nor sRGB.
-
-    References
-    ----------
-    T. Mitsunaga and S. K. Nayar, "Radiometric self calibration", CVPR 1999, eq. 9. P. Debevec and J. Malik,
+    Source: T. Mitsunaga and S. K. Nayar, "Radiometric self calibration", CVPR 1999, eq. 9; P. Debevec and J. Malik,
     "Recovering high dynamic range radiance maps from photographs", SIGGRAPH 1997, section 2.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> light, times = np.linspace(0.01, 0.1, 200), np.array([1.0, 2.0, 4.0, 8.0])
     >>> fit_response(0.02 + times[:, None] * light, times).encoding
@@ -240,9 +233,8 @@ class Dark:
 
 
 def dark_frames(frames: Sequence[PixelArray], *, name: str = "dark") -> Dark:
-    """Measure frames (H, W, C), integers of one size and depth, that were taken with the lens covered.
-
-    Raises BadInput, with `name`, if there is none, they differ in size, or light fell on them.
+    """Measure frames (H, W, C), integers of one size and depth, that were taken with the lens covered. Raises BadInput,
+    with `name`, if there is none, they differ in size, or light fell on them.
     """
     require(
         all(frame.shape == frames[0].shape and frame.dtype == frames[0].dtype for frame in frames),
@@ -328,8 +320,8 @@ class NoiseModel:
 
 
 def noise_samples(frame: PixelArray, channel: int, black_level: float = 0.0, side: int = 24) -> tuple[Array, Array]:
-    """Mean and variance (n,) of squares of `side` pixels of one channel of a photograph (H, W, C), black level and all
-    in parts of full scale: fine noise over whatever is smooth.
+    """Mean and variance (n,) of squares of `side` pixels in one channel of a photograph (H, W, C), parts of full scale:
+    fine noise over whatever is smooth.
     """
     full = float(np.iinfo(frame.dtype).max)
     values = np.ascontiguousarray(frame[..., channel], dtype=np.float32) / np.float32(full)
@@ -347,11 +339,8 @@ def noise_samples(frame: PixelArray, channel: int, black_level: float = 0.0, sid
 
 
 def noise_model(light: Any, variance: Any, bins: int = 12) -> NoiseModel | None:
-    """Line through variances over light (n,), by medians of bins; None where the light hardly varies or the slope is
-    none.
-
-    Of :func:`noise_samples`, of several photographs together: the photon transfer method of EMVA 1288 (2021), section
-    6.
+    """Line through variances over light (n,) of :func:`noise_samples`, by medians of bins; None without variation or
+    slope. Source: the photon transfer method of EMVA 1288 (2021), section 6.
     """
     x, y = np.asarray(light, dtype=np.float64), np.asarray(variance, dtype=np.float64)
     if len(x) < 4 * bins:

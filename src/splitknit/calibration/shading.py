@@ -6,11 +6,9 @@ a polynomial from intensities to slopes, whose coefficients vary smoothly over t
 leaves out. How rich it is, and how much it may vary, balls that are left out decide. The balls' centres are found with
 it, all at once, since a centre that is off is a constant slope. The plane between the balls holds the slope of zero.
 
-References
-----------
-M. K. Johnson, F. Cole, A. Raj and E. H. Adelson, "Microgeometry capture using an elastomeric sensor", SIGGRAPH 2011.
-C. E. Rasmussen and C. K. I. Williams, "Gaussian processes for machine learning", MIT Press 2006, section 2.1: Bayesian
-linear regression, whose prior is what holds the variation over the field.
+Source: M. K. Johnson, F. Cole, A. Raj and E. H. Adelson, "Microgeometry capture using an elastomeric sensor", SIGGRAPH
+2011. C. E. Rasmussen and C. K. I. Williams, "Gaussian processes for machine learning", MIT Press 2006, section 2.1:
+Bayesian linear regression, whose prior is what holds the variation over the field.
 """
 
 from __future__ import annotations
@@ -102,27 +100,15 @@ def calibrate_shading(
 ) -> ShadingFit:
     """Calibrate a sensor's shading on balls.
 
-    Parameters
-    ----------
+    Raises BadInput if no balls are found, the images differ in size, or the numbers are none.
+
     balls : images (L, H, W) of balls, linear light; several where one ball was pressed in many places
-    flat : (L, h, w) images of the sensor pressed on nothing, on the grid of
-        :func:`splitknit.imaging.band.coarse_flat`; None: of a ball lying free, without; where `spacing_mm` is given, of
-        balls between which the gel lies flat: its light is then taken from there
+    flat : (L, h, w) of the sensor pressed on nothing, as :func:`splitknit.imaging.band.coarse_flat`; None: of a ball
+        lying free, without; with `spacing_mm`, the gel's light between the balls
     radius_mm : of the balls
     spacing_mm : distance of neighbouring balls in a lattice, which gives the scale; else the outlines' radius does
     centres : for each of `balls` (N, 2) or (N, 3), columns and rows in pixels and radii; found where None
 
-    Returns
-    -------
-    ShadingFit
-
-    Raises
-    ------
-    BadInput
-        If no balls are found, the images differ in size, or the numbers are none.
-
-    Examples
-    --------
     >>> fit = calibrate_shading([balls], flat, radius_mm=0.2475, spacing_mm=1.0)  # doctest: +SKIP
     >>> write_shading("shading.npz", fit.shading)  # doctest: +SKIP
     """
@@ -235,12 +221,8 @@ def _notes(data: _Data, outlines: Array, spacing_mm: float | None) -> tuple[str,
 
 
 def find_balls(images: FloatArray, free: bool = False) -> Array:
-    """Outlines (N, 3) of balls: column, row, radius in pixels; what the image's border cuts is left out.
-
-    Parameters
-    ----------
-    images : (L, H, W) over the flat ones
-    free : one ball against a dark background, instead of many in a plane
+    """Outlines (N, 3) of balls in `images` (L, H, W) over the flat ones: column, row, radius in pixels; balls cut by
+    the border are left out. `free`: one ball against a dark background, instead of many in a plane.
     """
     if free:
         ball = find_ball(images)
@@ -287,13 +269,7 @@ def _given(centres: Array, size: tuple[int, ...]) -> Array:
 
 
 def lattice_spacing(points: Array) -> float:
-    """Distance in pixels of neighbouring points (N, 2) of any lattice, by least squares over all of them.
-
-    Raises
-    ------
-    BadInput
-        If fewer than three points lie in a lattice.
-    """
+    """Distance in pixels of neighbours in a lattice of points (N, 2), by least squares; BadInput below three points."""
     require(len(points) >= 3, f"a lattice needs three balls at least, but {len(points)} were found.")
     apart = points[:, None] - points[None]
     distance = np.hypot(apart[..., 0], apart[..., 1]) + np.where(np.eye(len(points)) > 0, np.inf, 0.0)
@@ -403,8 +379,7 @@ class _Model:
         return np.asarray((place[:, None] * terms).reshape(-1, len(columns)).T)
 
     def prior(self, normal: Array, count: int) -> Array:
-        """Precision of the weights before a ball is seen, from the normal matrix of so many balls: what varies over the
-        field is expected to be small against what is measured there."""
+        """Precision of the weights beforehand, from the normal matrix of all balls: little varies over the field."""
         size = len(normal) // self.place
         strength = np.array([0.0, _LINEAR, _LINEAR, *[1.0] * 7])[: self.place] * _PRIOR / count
         return np.asarray(np.kron(np.diag(strength), np.ones((size, size))) * normal)
@@ -423,8 +398,7 @@ def _damped(normal: Any) -> Array:
 
 
 def _sampled(data: _Data, ball: Array, model: _Model | None) -> tuple[FloatArray, Array, Array, Array, float]:
-    """Intensities (L, n), columns, rows and slopes (n, 2) of a ball without what lies off a model (dust, scratches),
-    and the median error of the slopes; everything without a model."""
+    """Intensities (L, n), columns, rows and slopes (n, 2) of a ball, less what lies off a model; median slope error."""
     values, columns, rows = data.within(ball, data.fitted)
     slopes = data.slopes(ball, columns, rows)
     if model is None or len(columns) == 0:
@@ -436,10 +410,7 @@ def _sampled(data: _Data, ball: Array, model: _Model | None) -> tuple[FloatArray
 
 
 def _joint(data: _Data, given: Array) -> tuple[Array, BoolArray, _Model]:
-    """Centres (N, 3: press, column, row), which balls are whole, and the polynomial that was fitted with the centres.
-
-    Gauss-Newton on weights and centres together: of the centres' two unknowns each, the normal equations are reduced.
-    """
+    """Centres (N, 3: press, column, row), which balls are whole, and the polynomial, all fitted by Gauss-Newton."""
     balls, used, misfit = given.copy(), np.ones(len(given), dtype=bool), 0.0
     free = data.plane or len(balls) > 3  # else the outline holds the centre
     place = 10 if data.varies(balls) else 1
@@ -534,10 +505,7 @@ def _left_out(model: _Model, units: Sequence[_Unit], data: _Data) -> tuple[_Mode
 
 
 def _cap_error(data: _Data, ball: Array, model: _Model) -> tuple[Array, float]:
-    """Of a ball's cap (n, 3): column, row, error of the height in radii once its place is fitted; and the gain.
-
-    The height is that of a polynomial whose gradient is nearest to the slopes' errors: what an integration keeps.
-    """
+    """Of a ball's cap (n, 3): column, row, error in radii of the height (of a polynomial) once placed; and the gain."""
     values, columns, rows = data.within(ball, CAP)
     error = model.rows(data, values, columns, rows) @ model.weights - data.slopes(ball, columns, rows)
     x, y = (columns - ball[1]) / data.radius_px, (ball[2] - rows) / data.radius_px
@@ -586,8 +554,7 @@ def _chosen(
 def _errors_left_out(
     data: _Data, balls: Array, units: Sequence[_Unit], without: Sequence[_Model]
 ) -> tuple[Array, float]:
-    """Of slopes of single pixels of units that were left out: (B, 3) slope, mean error along it, rms error; and the rms
-    error in the caps."""
+    """Slopes of pixels of units left out: (B, 3) slope, mean error, rms error; and the rms error in the caps."""
     parts = []
     for unit, model in zip(units, without, strict=True):
         ball = balls[unit.ball]
@@ -610,11 +577,9 @@ def _errors_left_out(
 
 
 def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]) -> tuple[_Model, Array, float]:
-    """Covariance of the weights, and the standard deviation that it gives slopes of the balls.
-
-    White's sandwich, by units: robust to errors that are alike all over a ball. Where balls cover a part of the field,
-    nothing varies with the place in the model, since that would be extrapolated: the linear variation that they show,
-    from their middle on, is then uncertainty, and the model gets terms for it whose weights are zero.
+    """Covariance of the weights, and the standard deviation that it gives slopes of the balls. White's sandwich, by
+    units: robust to errors alike all over a ball. Where balls cover a part of the field, the model does not vary with
+    the place; the linear variation they show counts as uncertainty, in terms of weight zero.
     """
     equations = [unit.equations(data, model) for unit in units]
     normal = model.plane(data, len(units)) + np.sum([terms.T @ terms for terms, _ in equations], axis=0)
@@ -644,12 +609,8 @@ def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]
 def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) -> Array:
     """(L, 15) as :func:`fall_off_terms`, of the gel between pressed balls, where no photograph of the flat gel is.
 
-    A least-absolute fit, within two radii of the field of balls: dust, dents and other balls stay out of it.
-
-    Parameters
-    ----------
-    stacks : images (L, H, W)
-    outlines : of each (N, 3) balls: column, row, radius in pixels
+    A least-absolute fit, within two radii of the field of balls: dust, dents and other balls stay out of it. `stacks`:
+    images (L, H, W); `outlines`: of each, balls (N, 3): column, row, radius in pixels.
     """
     size = stacks[0].shape[1:]
     terms, light = [], []
@@ -686,10 +647,9 @@ def fall_off_terms(flat: FloatArray) -> Array:
 
 
 def _physics(data: _Data, units: Sequence[_Unit], pitch_mm: float) -> tuple[Array, Array]:
-    """Of each light direction (3), nearness and ambient fraction (L, 5), and the rms residual (L,) of its images.
-
-    Lambert's law with attached shadow, one near point light, ambient light: of an image over the flat one
-    s (a + (1 - a) max(0, n . d) / d_z at the middle of the field), d the unit vector from the place to the light.
+    """Each light's direction (3), nearness and ambient fraction (L, 5), and the rms residual (L,) of its images.
+    Lambert's law with attached shadow, one near point light and ambient light: an image over the flat one is s (a + (1
+    - a) max(0, n . d) / d_z at the middle of the field), d the unit vector to the light.
     """
     values = np.concatenate([unit.values for unit in units], axis=1)
     columns, rows = (np.concatenate([getattr(unit, name) for unit in units]) for name in ("columns", "rows"))

@@ -36,13 +36,7 @@ class ShadingJob:
 
 
 def shading_to_file(job: ShadingJob, progress: Progress = no_progress) -> ShadingFit:
-    """Calibrate, and write the file.
-
-    Raises
-    ------
-    BadInput
-        Naming the option or file at fault.
-    """
+    """Calibrate, and write the file. Raises BadInput naming the option or file at fault."""
     require(len(job.images) > 0 or job.flat is not None, "name photographs of balls (`images`), or of a card (`flat`).")
     check_file(job.out, "a calibration of shading", lambda data: b"height_mm_per_slope.npy" in data)
     require(not job.images or job.ball_radius is not None, "photographs of balls need their radius, `ball_radius` MM.")
@@ -101,8 +95,7 @@ def _encoding(folder: Path | None, given: str | None) -> str:
 
 
 def _read_folder(folder: Path, encoding: str | None, hashes: dict[str, str]) -> tuple[FloatArray, Array | None]:
-    """Linear light (L, H, W) of a folder's photographs, or of the three colours of its only one; and the outline of
-    the ball where a mask beside them shows it."""
+    """Linear light (L, H, W) of a folder's photographs or of its only one's colours; the ball's outline by a mask."""
     files, masks = _photographs(folder)
     how = _encoding(folder, encoding)
     images: list[FloatArray] = []
@@ -125,13 +118,7 @@ def _read_folder(folder: Path, encoding: str | None, hashes: dict[str, str]) -> 
 
 
 def read_centres(path: Path) -> Array:
-    """Centres of balls (N, 2), or with their radii (N, 3), in pixels: a line ``column row [radius]`` each.
-
-    Raises
-    ------
-    BadInput
-        Naming the line at fault.
-    """
+    """Centres of balls (N, 2), with radii (N, 3), in pixels: lines ``column row [radius]``; BadInput names the line."""
     rows: list[list[float]] = []
     for number, line in enumerate(read_bytes(path, 1_000_000).decode("utf-8", "replace").splitlines(), 1):
         words = line.partition("#")[0].replace(",", " ").split()

@@ -74,10 +74,9 @@ def _hull_distance(places: Points, other: Points, radius: float, other_radius: f
 def _fit_shape(
     darkness: FloatArray, usable: BoolArray, start: _Shape, px_per_mm: float, common: tuple[float, float] | None = None
 ) -> _Shape:
-    """Fit the shape to the darkness (H, W) about its outer part, by least squares.
-
-    `darkness`: fraction of the light that is missing, about zero outside the shadow; `usable`: (H, W), false on the
-    nail; `start`: near the truth; `common`: radius of the tip's shadow and of the penumbra, where they are known.
+    """Fit the shape to the darkness (H, W) about its outer part, by least squares. `darkness`: missing fraction of the
+    light; `usable`: (H, W), false on the nail; `start`: near the truth; `common`: radius of the tip's shadow and of the
+    penumbra, where known.
     """
     shape = start
     for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
@@ -172,8 +171,8 @@ class NailView:
 
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
-    """Find the tips of the nail and of its shadows in `stack` (L, H, W), L >= 3, linear light: the nail in one place,
-    another LED lit in each image.
+    """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear light: an LED an image, the nail in one
+    place.
 
     `px_per_mm` is that of the finger plane. Raises BadInput if there is no nail, or an image without its shadow
     (named).
@@ -320,11 +319,9 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 def _nail_tip(stack: FloatArray, nail: BoolArray, px_per_mm: float) -> NDArray[np.float64]:
     """Find the image (2,) of a cone's tip in `stack` (L, H, W) of linear light.
 
-    The straight lines on a cone from its tip to its base are each lit equally along their whole length, and all their
-    images pass through that of the tip, whatever camera looks on. So brightness changes across them only: its gradient
-    g at the pixel p obeys g . (p - tip) = 0 (as R. Parthasarathy, Nature Methods 9, 2012, has it turned by 90 deg).
-    Least squares over all pixels of the cone and all images, weighted anew by how well each obeys. Brightness is taken
-    against the mean over the LEDs, which stand evenly around.
+    Lines from a cone's tip to its base are lit equally along their length, and their images pass through the tip's: the
+    gradient g of brightness at p obeys g . (p - tip) = 0 (turned by 90 deg: R. Parthasarathy, Nature Methods 9, 2012).
+    Robust least squares over all pixels and images; brightness is taken against the mean over the LEDs.
     """
     sigma = max(0.08 * px_per_mm, 0.7)
     margin = round(3.0 * sigma) + 1

@@ -37,9 +37,7 @@ class Ball:
 
 
 def ball_of_mask(mask: Any) -> Ball:
-    """Return the ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if it is
-    none.
-    """
+    """Ball whose image is the true part of `mask` (H, W): a circle through its border; BadInput if it is none."""
     array = np.asarray(mask)
     require(array.ndim == 2, f"the ball's mask must have the shape (H, W), but it has {array.shape}.")
     inside = check_mask(array, (array.shape[0], array.shape[1]), name="the ball's mask")
@@ -73,9 +71,7 @@ def find_ball(stack: Any) -> Ball:
 
 
 def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Points]:
-    """The circle through the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses a short
-    one.
-    """
+    """Circle by the longest outline of a mask, and how far its pixels (N,) lie off; `small` refuses short ones."""
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     outline = max(outlines, key=len)[:, 0].astype(np.float64)
     require(len(outline) >= 20, small)

@@ -92,11 +92,10 @@ def find_board(pixels: Any, board: Board, search_px: int = _SEARCH_PX) -> Points
 
     Returns (columns * rows, 2) column and row of each corner in the order of `board.points_mm`, or None where no board
     of just this size is in full view (c x r and r x c are the same board). The board is sought with the image's longer
-    side reduced to `search_px`; corners are refined in the full image.
-
-    A. Duda, U. Frese, "Accurate detection and localization of checkerboard corners for calibration", BMVC 2018
-    (``findChessboardCornersSB``); W. Foerstner, E. Guelch, "A fast operator for detection and precise location of
-    distinct points, corners and centres of circular features", 1987 (``cornerSubPix``).
+    side reduced to `search_px`; corners are refined in the full image. Source: A. Duda, U. Frese, "Accurate detection
+    and localization of checkerboard corners for calibration", BMVC 2018 (``findChessboardCornersSB``); W. Foerstner, E.
+    Guelch, "A fast operator for detection and precise location of distinct points, corners and centres of circular
+    features", 1987 (``cornerSubPix``).
     """
     image = _grey(pixels)
     for small, factor in _reduced(image, search_px):
@@ -227,11 +226,9 @@ _MAX_MISS = 0.25
 
 
 def _find_dots(pixels: Any) -> Points:
-    """Centres (N, 2), column and row, of black round dots on a bright ground, in no order.
-
-    Dots are what stays darker than half-way between ground and ink, round, whole (not cut by the picture's edge) and of
-    one size. A centre is the dot's centre of darkness: under a tilt not quite the picture of the dot's middle, but the
-    difference, radius^2 * sin(tilt) / height, is 7e-5 mm at 1 deg and 140 mm.
+    """Centres (N, 2), column and row, of black round dots on a bright ground, in no order. Dots are darker than
+    half-way between ground and ink, round, whole and of one size. A centre is that of darkness; a tilt moves it from
+    the middle's image by radius^2 * sin(tilt) / height, 7e-5 mm at 1 deg and 140 mm.
     """
     image = _grey(pixels)
     side = min(image.shape)
@@ -261,12 +258,9 @@ def _find_dots(pixels: Any) -> Points:
 
 
 def _number_dots(centres: Any) -> tuple[NDArray[np.int64], Points]:
-    """Assign dots to the places of a square grid: (M, 2) whole steps, zero at a dot near the middle, and (M, 2)
-    centres.
-
-    A grid grows from a dot near the middle: each known dot expects its four neighbours one step away, with the steps as
-    they are there, so that perspective and distortion do not accumulate. Several dots and steps are tried; the grid
-    that takes in most dots is it.
+    """Places of dots in a square grid: (M, 2) whole steps, zero at a dot near the middle, and (M, 2) centres. A grid
+    grows from a dot near the middle: each expects four neighbours one local step away, so that perspective and
+    distortion do not add up. Of several starts and steps the one with most dots is taken.
     """
     dots = np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     _require_grid(len(dots) >= 6, len(dots))
@@ -309,9 +303,8 @@ def _grown_dots(dots: Points, first: int, step: Points) -> dict[tuple[int, int],
 
 
 def find_disc(pixels: Any, spacing_mm: float) -> tuple[Points, Points]:
-    """Dots of the calibration disc: (M, 2) places on it in mm, and (M, 2) columns and rows in the image.
-
-    Raises BadInput if `spacing_mm` cannot be, or no grid of dots is in view.
+    """Dots of the calibration disc: (M, 2) places on it in mm, and (M, 2) columns and rows in the image. Raises
+    BadInput if `spacing_mm` cannot be, or no grid of dots is in view.
     """
     require(0.1 <= spacing_mm <= 1000, f"the dots' spacing must be from 0.1 to 1000 mm, but it is {spacing_mm:g}.")
     numbers, places = _number_dots(_find_dots(pixels))

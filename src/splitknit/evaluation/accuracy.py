@@ -217,12 +217,8 @@ def _placed(values: NDArray[Any], box: tuple[slice, slice], shape: tuple[int, ..
 
 
 def read_truth(capture: Capture) -> dict[str, Any]:
-    """Read the simulator's truth of a capture, and only what is compared.
-
-    Raises
-    ------
-    BadInput
-        If the capture names none, or it is damaged or of another size than the images.
+    """Read what is compared of the simulator's truth of a capture. Raises BadInput if the capture names none, or it is
+    damaged or of another size than the images.
     """
     require(capture.truth is not None, "the capture has no truth to compare with; only simulated ones have.")
     assert capture.truth is not None

@@ -33,13 +33,10 @@ class Cmc:
 def cmc(scores: Scores) -> Cmc | None:
     """Cumulative match characteristic, closed set; None where the scores are not those of probes with galleries.
 
-    Side b of a comparison is the gallery, one for each session b (the fingers seen there); side a is the
-    probe: a finger in session a. Of several scores of a probe with a finger the best counts. The rank of a probe
-    is one and the number of *other* fingers with the same score or a higher one, so that ties count against us.
-
-    References
-    ----------
-    ISO/IEC 19795-1:2021, closed-set identification rank.
+    Side b of a comparison is the gallery, one for each session b (the fingers seen there); side a is the probe: a
+    finger in session a. Of several scores of a probe with a finger the best counts. The rank of a probe is one and the
+    number of *other* fingers with the same score or a higher one, so that ties count against us. Source: ISO/IEC
+    19795-1:2021, closed-set identification rank.
     """
     if scores.finger is None:
         return None

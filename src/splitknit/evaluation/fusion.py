@@ -72,36 +72,17 @@ class Fused:
 def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, name: str | None = None) -> Fused:
     """Make one system of several that scored the same pairs.
 
-    Parameters
-    ----------
-    systems : two or more Scores
-        Of the same pairs (in any order, if their ids distinguish them), with subjects or at least fingers.
-    settings : FusionSettings, optional
-    name : str, optional
-        Of the result.
+    `systems`: two or more, of the same pairs (in any order, if their ids distinguish them), with subjects or at least
+    fingers; `name`: of the result. Of scores that are there `linear` gives the weighted mean, normalised, and `llr` the
+    sum of log-likelihood ratios; `trained` gives log-odds, a missing score counting as the mean and its being missing
+    as a feature. Where all are missing, so is the fused one. Raises BadInput if the systems scored other pairs, nobody
+    is named, there are fewer than three subjects (fingers), or a training part lacks a class.
 
-    Returns
-    -------
-    Fused
-        `linear`: the weighted mean of the normalised scores that are there. `trained`: log-odds; a missing score counts
-        as the mean, and its being missing as a feature of its own. `llr`: the sum of the log-likelihood ratios that are
-        there. Where all are missing, so is the fused one.
+    Source: A. Ross and A. Jain, "Information fusion in biometrics", Pattern Recognition Letters 24, 2003; A. Ross, K.
+    Nandakumar and A. Jain, "Handbook of Multibiometrics", Springer 2006, chapter 4; R. Snelick et al., IEEE TPAMI 27,
+    2005; A. Jain, K. Nandakumar and A. Ross, Pattern Recognition 38, 2005 (normalisation); K. Nandakumar et al., IEEE
+    TPAMI 30, 2008 (likelihood ratios).
 
-    Raises
-    ------
-    BadInput
-        If the systems scored other pairs, nobody is named, there are fewer than three subjects (fingers), or a training
-        part lacks a class.
-
-    References
-    ----------
-    A. Ross and A. Jain, "Information fusion in biometrics", Pattern Recognition Letters 24, 2003; A. Ross,
-    K. Nandakumar and A. Jain, "Handbook of Multibiometrics", Springer 2006, chapter 4; R. Snelick et al., IEEE TPAMI
-    27, 2005; A. Jain, K. Nandakumar and A. Ross, Pattern Recognition 38, 2005 (normalisation); K. Nandakumar et al.,
-    IEEE TPAMI 30, 2008 (likelihood ratios).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> from splitknit.evaluation.protocol import comparisons, scores_of_comparisons
     >>> finger, session = np.tile(np.arange(12), 2), np.repeat([1, 2], 12)
@@ -129,8 +110,8 @@ def fuse(systems: Sequence[Scores], settings: FusionSettings | None = None, *, n
 
 
 def _deal(ids: Ids, folds: int, seed: int) -> NDArray[np.int64]:
-    """Fold of each name (names,): as even as can be, in an order that the seed decides. Raises BadInput if fewer than
-    three names occur: with two folds apart for testing, nothing is left to learn from.
+    """Fold of each name (names,), as even as can be, dealt by the seed. Raises BadInput below three names: with two
+    folds apart for testing, nothing is left to learn from.
     """
     used = np.unique(ids.codes)
     require(used.size >= 3, f"a fusion needs three subjects (or fingers) at least, but there are {used.size}.")
@@ -145,10 +126,9 @@ def _cross_fit(
     fold: NDArray[np.int64],
     fit: Callable[[Table, NDArray[np.bool_]], _Model],
 ) -> tuple[dict[tuple[int, int], _Model], Table]:
-    """Score every comparison by a model that saw nobody of either side's fold.
-
-    `table`: (N, S) scores; `genuine`: (N,); `fold`: (N, 2) of both sides; `fit`: makes a model from scores and labels.
-    Returns models by pair of folds, and (N,) scores.
+    """Score every comparison by a model that saw nobody of either side's fold. `table`: (N, S) scores; `genuine`: (N,);
+    `fold`: (N, 2) of both sides; `fit`: makes a model of scores and labels. Returns models by pair of folds, and (N,)
+    scores.
     """
     low, high = fold.min(axis=1), fold.max(axis=1)
     models: dict[tuple[int, int], _Model] = {}
@@ -269,9 +249,7 @@ class _RatioModel:
         return np.ones(self.offset.shape)
 
     def __call__(self, scores: Table) -> Table:
-        """(N,) from scores (N, S), beyond the training part as at its ends; a missing score adds nothing, NaN where all
-        are missing.
-        """
+        """(N,) from scores (N, S), held at the training part's ends; missing ones add nothing, NaN if all are."""
         bins = np.arange(self.ratio.shape[1])
         places = (scores - self.offset) / self.scale - 0.5
         found = np.stack(
@@ -289,17 +267,9 @@ def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _RatioModel:
     """Estimate the densities of each system's genuine and impostor scores (N, S), NaN where there is none.
 
     By Gaussian kernels of Silverman's width; one observation spread over the whole range is added to each class, so
-    that no ratio is infinite.
-
-    Raises
-    ------
-    BadInput
-        If a system lacks a class, or its scores do not vary.
-
-    References
-    ----------
-    K. Nandakumar, Y. Chen, S. Dass and A. Jain, "Likelihood ratio-based biometric score fusion", IEEE TPAMI 30, 2008,
-    eq. 5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
+    that no ratio is infinite. Raises BadInput if a system lacks a class, or its scores do not vary. Source: K.
+    Nandakumar, Y. Chen, S. Dass and A. Jain, "Likelihood ratio-based biometric score fusion", IEEE TPAMI 30, 2008, eq.
+    5; B. Silverman, "Density Estimation", 1986, eq. 3.31.
     """
     _spread(scores)
     low, high = np.nanmin(scores, axis=0), np.nanmax(scores, axis=0)
@@ -323,27 +293,13 @@ def fit_ratios(scores: Table, genuine: NDArray[np.bool_]) -> _RatioModel:
 
 
 def fit_linear(scores: Table, weights: Table | None = None, normalisation: str = "z") -> _LinearModel:
-    """Normalise by what is known of a training part.
+    """Normalise `scores` (N, S) of S systems, NaN where there is none, by what is known of a training part.
 
-    Parameters
-    ----------
-    scores : (N, S) float64
-        Of S systems, NaN where there is none.
-    weights : (S,), optional
-        Equal without; only their ratio matters.
-    normalisation : ``z`` or ``minmax``
-        z: mean 0 and standard deviation 1 of the training part; minmax: its least score 0, its largest 1.
-
-    Raises
-    ------
-    BadInput
-        If a system's scores do not vary, or weights are negative or of another number.
-
-    References
-    ----------
-    A. Ross and A. Jain, "Information fusion in biometrics", Pattern Recognition Letters 24, 2003 (sum rule); R. Snelick
-    et al., "Large-scale evaluation of multimodal biometric authentication using state-of-the-art systems", IEEE TPAMI
-    27, 2005 (min-max and z-score).
+    `weights`: (S,), equal without; only their ratio matters. `normalisation`: ``z`` (mean 0 and standard deviation 1 of
+    the training part) or ``minmax`` (its least score 0, its largest 1). Raises BadInput if a system's scores do not
+    vary, or weights are negative or of another number. Source: A. Ross and A. Jain, "Information fusion in biometrics",
+    Pattern Recognition Letters 24, 2003 (sum rule); R. Snelick et al., "Large-scale evaluation of multimodal biometric
+    authentication using state-of-the-art systems", IEEE TPAMI 27, 2005 (min-max and z-score).
     """
     require(normalisation in NORMALISATIONS, f"scores are normalised by 'z' or 'minmax', not by '{normalisation}'.")
     systems = scores.shape[1]
@@ -358,26 +314,11 @@ def fit_linear(scores: Table, weights: Table | None = None, normalisation: str =
 
 
 def fit_logistic(scores: Table, genuine: NDArray[np.bool_], penalty: float = 1e-3) -> _LogisticModel:
-    """Fit a logistic regression of the label on standardised scores, by Newton's method.
+    """Fit a logistic regression of the label `genuine` (N,) on standardised scores, by Newton's method.
 
-    Both classes weigh the same, however many comparisons they have. A missing score counts as the mean, and that it
-    is missing is a feature of its own.
-
-    Parameters
-    ----------
-    scores : (N, S) float64
-        Of S systems, NaN where there is none.
-    genuine : (N,) bool
-    penalty : float
-        On half the sum of the squared weights (not on the intercept), where the mean loss of both classes is 1.
-
-    Raises
-    ------
-    BadInput
-        If a class has no score, or a system's scores do not vary.
-
-    References
-    ----------
+    `scores`: (N, S) of S systems; a missing one, NaN, counts as the mean and, being missing, as a feature of its own.
+    Both classes weigh the same. `penalty`: on half the sum of the squared weights (not on the intercept), where the
+    mean loss of both classes is 1. Raises BadInput if a class has no score, or a system's scores do not vary. Source:
     A. Ross, K. Nandakumar and A. Jain, "Handbook of Multibiometrics", Springer 2006, chapter 4 (classifier-based
     fusion); C. Bishop, "Pattern Recognition and Machine Learning", 2006, (4.92) to (4.100) (Newton steps).
     """

@@ -44,14 +44,8 @@ class GalleryScores:
 
 
 def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = no_progress) -> GalleryScores:
-    """Compare all sessions of a gallery with each other.
-
-    People of an encrypted gallery are numbered (P001 is who was enrolled first), so that no name leaves it.
-
-    Raises
-    ------
-    BadInput
-        If the gallery cannot be read, or holds fewer than two sessions or fingers.
+    """Compare all sessions of a gallery with each other; people of an encrypted one are numbered by enrolment (P001
+    ...). Raises BadInput if the gallery cannot be read, or holds fewer than two sessions or fingers.
     """
     with Gallery.open(path, key) as opened:
         opened.require_comparable(opened.settings_sha256)
@@ -86,11 +80,9 @@ def gallery_scores(path: Path, *, key: Key | None = None, progress: Progress = n
 def _similarities(
     payloads: Sequence[bytes], pairs: Comparisons, progress: Progress
 ) -> tuple[NDArray[np.float64], str | None]:
-    """(N,) similarity of each pair, NaN where a side is a failure to acquire, and what is to be noted.
-
-    What a side keeps for many comparisons is large where it is turned (7 MB) and small where it is not (2 MB): pairs go
-    in blocks of sides that are not turned, one turned side after the other. Which side is turned follows from both
-    (:func:`splitknit.matching.ridge.ridge_match`), so that the order changes nothing.
+    """(N,) similarity of each pair, NaN where a side is a failure to acquire, and what is to be noted. Kept sides are
+    large where turned (7 MB), else small (2 MB): pairs go in blocks of the latter, one turned side after the other.
+    Both sides decide which is turned (:func:`splitknit.matching.ridge.ridge_match`): order changes nothing.
     """
     if any(holds_minutiae(payload) for payload in payloads):
         sides = [unpack_minutiae(payload) for payload in payloads]

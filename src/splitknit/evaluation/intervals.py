@@ -100,10 +100,7 @@ FEW = 5
 
 
 def _bounds(scores: Scores, method: str, targets: Sequence[float]) -> dict[str, tuple[float, float]]:
-    """How low and how high each rate of :class:`_Layout` may lie for that reason.
-
-    Both are the rate itself where enough fingers (``method``) were rejected and enough accepted.
-    """
+    """Bounds of each rate of :class:`_Layout`; the rate itself if enough fingers were rejected and accepted."""
     genuine, impostor = scores.genuine, np.sort(scores.impostor)
     ordered, drawn = np.sort(genuine), _drawn(scores, method)
     countings: tuple[tuple[Counting, str], ...] = (("all", ""), ("made", "_made"))
@@ -191,26 +188,11 @@ DEFAULTS = BootstrapSettings()
 def bootstrap(
     scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS, progress: Progress | None = None
 ) -> Intervals:
-    """Confidence intervals of all rates.
+    """Percentile intervals of all rates; `method`, what is drawn with replacement: ``plain``, ``finger``, ``subject``.
 
-    Parameters
-    ----------
-    scores : Scores
-    method : ``plain``, ``finger`` or ``subject``
-        What is drawn with replacement; see :mod:`splitknit.evaluation.intervals`.
-    settings : BootstrapSettings
-    progress : called with the fraction done
-
-    Returns
-    -------
-    Intervals
-        Percentile intervals, widened so as to hold the value itself, and where it rests on less than five fingers
-        (subjects, comparisons): see :mod:`splitknit.evaluation.intervals`.
-
-    Raises
-    ------
-    BadInput
-        If the ids are missing that `method` needs, or there are fewer than three to draw from.
+    Intervals hold the value itself, and are wider where it rests on less than five fingers (subjects, comparisons): see
+    :mod:`splitknit.evaluation.intervals`. `progress` is called with the fraction done. Raises BadInput if the ids are
+    missing that `method` needs, or there are fewer than three to draw from.
     """
     values = _figure_values(scores, settings.targets)
     layout = _Layout(settings.targets, _curve(scores, settings))
@@ -237,14 +219,9 @@ def differences(
 ) -> dict[str, Interval]:
     """Figures of `first` minus figures of `second`, which scored the same pairs in the same order.
 
-    Both systems get the same replicates, so that what is hard for both cancels: the interval of the difference is
-    narrower than the two intervals together suggest. A difference is beyond chance where its interval leaves out
-    zero.
-
-    Raises
-    ------
-    BadInput
-        If the systems differ in number or labels, or `method` lacks its ids.
+    Both get the same replicates, so that what is hard for both cancels: the interval is narrower than the two intervals
+    suggest. A difference is beyond chance where its interval leaves out zero. Raises BadInput if the systems differ in
+    number or labels, or `method` lacks its ids.
     """
     same = first.label.shape == second.label.shape and bool((first.label == second.label).all())
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
@@ -350,10 +327,7 @@ class _Layout:
 
 
 def _figures_of(cells: _Cells, genuine: Row, impostor: Row, layout: _Layout) -> Row:
-    """One row of figures, in the order of `layout.names`, from the weights (count + 1,) of the cells.
-
-    All are NaN where a class weighs nothing, d' also where no score varies.
-    """
+    """Figures in the order of `layout.names` from the cells' weights (count + 1,); NaN without a class or spread."""
     g, i = genuine[:-1], impostor[:-1]
     made_g, made_i = float(g.sum()), float(i.sum())
     if made_g <= 0 or made_i <= 0:
@@ -499,10 +473,7 @@ def _cluster_units(label: NDArray[np.bool_], ids: Ids) -> _Units:
 def _cell_weights(
     units: _Units, systems: list[_Cells], replicates: int, seed: int
 ) -> Iterator[list[tuple[Weights, Weights]]]:
-    """Draw replicates and give, for each system, the weight of its cells: (count + 1, R) of both sides, in batches.
-
-    All systems get the same draws. The last cell holds the failures.
-    """
+    """Draw the same replicates for all systems: weights (count + 1, R) of the cells (last: failures), both sides."""
     generator = np.random.default_rng(seed)
     gather = [
         (_sums(cells.genuine, units.genuine, cells.count + 1), _sums(cells.impostor, units.impostor, cells.count + 1))

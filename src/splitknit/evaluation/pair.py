@@ -311,34 +311,14 @@ def roll_between(a: Reconstruction, b: Reconstruction) -> tuple[float, float]:
     """Roll of a finger between two captures, from their surfaces: its turn about its own axis.
 
     The ridges say which points are the same skin; the rotation that lays B's points on A's has the roll as its turn
-    about the finger's axis, after pitch and yaw are taken off.
+    about the finger's axis, after pitch and yaw are taken off. Returns the roll in A less that in B (deg; positive
+    where A's skin has moved to its right) and its standard deviation (deg), of a bootstrap of blocks of 4 mm (skin that
+    shifts, noise), and 0.9 deg for the shape, as measured with `metric` on simulated fingers. A shape by
+    Frankot-Chellappa (`snk`) has lost part of its tilt: the roll comes out 5 to 16 % too small, and is off by 1.5 to
+    1.9 deg (rms). Raises BadInput if a scale is unknown, a result holds no surface, or the ridges are not those of one
+    finger. Source: Kabsch 1976, A solution for the best rotation to relate two sets of vectors; the thesis discards
+    fingers by roll (section 5.1) and does not say how it finds it.
 
-    Parameters
-    ----------
-    a, b : Reconstruction
-        Of one finger.
-
-    Returns
-    -------
-    roll_deg : float
-        Roll in A less that in B; positive where A's skin has moved to its right.
-    deviation_deg : float
-        Standard deviation: a bootstrap of blocks of 4 mm (skin that shifts, noise), and 0.9 deg for the shape, as
-        measured with `metric` on simulated fingers. A shape by Frankot-Chellappa (`snk`) has lost part of its tilt: the
-        roll comes out 5 to 16 % too small, and is off by 1.5 to 1.9 deg (rms).
-
-    Raises
-    ------
-    BadInput
-        If a scale is unknown, a result holds no surface, or the ridges are not those of one finger.
-
-    References
-    ----------
-    Kabsch 1976, A solution for the best rotation to relate two sets of vectors; the thesis discards fingers by roll
-    (section 5.1) and does not say how it finds it.
-
-    Examples
-    --------
     >>> first, second = (splitknit.reconstruct(folder, "snk") for folder in ("one", "two"))  # doctest: +SKIP
     >>> roll_deg, deviation_deg = roll_between(first, second)  # doctest: +SKIP
     """
@@ -464,9 +444,7 @@ def _patch_shifts(patches: PatchGrid, value: FloatArray, valid: BoolArray) -> li
 
 
 def _shifts(reliefs: tuple[FloatArray, FloatArray], valid: BoolArray, step: float) -> list[Array]:
-    """Smooth shifts, rows and columns (H, W) in pixels, by which A's relief fits B's best: Lucas and Kanade's steps on
-    control points.
-    """
+    """Smooth shifts, rows and columns (H, W) in px, fitting A's relief to B's: Lucas and Kanade on control points."""
     first, second = reliefs
     spacing = _NODES_MM / step
     hats = [_hats(length, spacing) for length in valid.shape]

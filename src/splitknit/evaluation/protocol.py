@@ -37,25 +37,14 @@ def comparisons(
     *,
     within: bool = False,
 ) -> Comparisons:
-    """Every finger of a session with every finger of every later session.
+    """Every finger of a session with every finger of every later session, ordered by session pair, then by capture.
 
-    Parameters
-    ----------
+    170 fingers in four sessions give 1,020 genuine and 172,380 impostor comparisons. A finger that is missing in a
+    session is missing in its comparisons. Raises BadInput if a finger has two captures in one session.
+
     finger, session : of each capture, one capture for each finger and session
-    drawn : whether two different fingers are compared, in all sessions; None: all are. It is asked once for two
-        fingers, before their comparisons are listed, so that memory follows what is compared.
+    drawn : whether two fingers are compared, in all sessions; None: all are; asked once, before comparisons are listed
     within : whether different fingers of one session are compared, too, each two once, after all others
-
-    Returns
-    -------
-    Comparisons
-        Ordered by session pair, then by capture: 170 fingers in four sessions give 1,020 genuine and 172,380 impostor
-        comparisons. A finger that is missing in a session is missing in its comparisons.
-
-    Raises
-    ------
-    BadInput
-        If a finger has two captures in one session.
     """
     fingers, sessions = np.asarray(finger), np.asarray(session)
     require(fingers.ndim == 1 and fingers.shape == sessions.shape, "fingers and sessions must be lists of one length.")
@@ -113,19 +102,11 @@ def scores_of_comparisons(
 def average_sessions(scores: Scores, *, ordered: bool = True) -> Scores:
     """One score for two fingers: the mean over the pairs of sessions in which they were compared.
 
-    Parameters
-    ----------
-    scores : Scores
-        With fingers and sessions.
-    ordered : finger f of the earlier session with h of the later one, and h with f, stay two comparisons (170 fingers:
-        28,730 impostor scores); otherwise they are averaged as well (14,365)
-
-    Notes
-    -----
-    The thesis "averaged out the scores over the four sessions" (5.3.2) and does not say which; the former is the
-    default. Averaging is not what a user meets, who has one finger to show: it takes six pairs of captures to make a
-    decision. Missing scores are left out of a mean; where all are missing, the mean is too. So are comparisons within a
-    session.
+    `scores` need fingers and sessions. `ordered`: finger f of the earlier session with h of the later one, and h with
+    f, stay two comparisons (170 fingers: 28,730 impostor scores); otherwise they are averaged as well (14,365). The
+    thesis "averaged out the scores over the four sessions" (5.3.2) and does not say which; the former is the default. A
+    user, with one finger to show, does not meet averages: they take six pairs of captures. Missing scores and
+    comparisons within a session are left out of a mean; where all are missing, the mean is too.
     """
     if scores.finger is None or scores.session is None:
         raise BadInput(f"{scores.name}: to average over sessions, columns for fingers and sessions are needed.")
@@ -177,12 +158,8 @@ class _Excluded:
 
 
 def exclude(scores: Scores, exclusions: Sequence[Exclusion]) -> _Excluded:
-    """Leave out every comparison one side of which is excluded (for instance as its roll differs too much).
-
-    Raises
-    ------
-    BadInput
-        If the scores have no fingers (or no sessions, where the list names some), or nothing is left.
+    """Leave out comparisons with an excluded side (for instance, as its roll differs too much). Raises BadInput if the
+    scores have no fingers (or no sessions, where the list names some), or nothing is left.
     """
     if scores.finger is None:
         raise BadInput(f"{scores.name}: to leave fingers out, columns finger_a and finger_b are needed.")
@@ -228,9 +205,8 @@ def by_session_pair(scores: Scores) -> dict[tuple[str, str], Scores]:
 def pair_up(first: Scores, second: Scores) -> Scores | None:
     """The comparisons of `second` in the order of `first`, or None if they are not of the same pairs.
 
-    Pairs are known by their fingers (or subjects) and sessions where both have them and they name each pair once, if
-    need be whichever side comes first; otherwise by their place, if labels, and ids where both have them, agree place
-    by place.
+    Pairs are known by fingers (or subjects) and sessions where both have them, each pair once, in any order of sides;
+    otherwise by their place, if labels, and ids where both have them, agree.
     """
     if first.label.size != second.label.size:
         return None

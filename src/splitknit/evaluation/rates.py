@@ -36,11 +36,8 @@ def error_bound(rate: float, trials: int, confidence: float = 0.95) -> float:
     """Upper bound of a rate from a few errors in independent trials: the rule of three, continued.
 
     ``rate * trials`` errors were seen, not necessarily a whole number. The bound is that of Clopper and Pearson.
-
-    References
-    ----------
-    C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
-    Biometrika 26(4), 1934.
+    Source: C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
+    binomial", Biometrika 26(4), 1934.
     """
     errors = rate * trials
     if errors >= trials:
@@ -87,9 +84,8 @@ SLACK = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roc:
-    """Corners of the ROC's staircase from (0, 0) up, (K,) each.
-
-    From each to the next FAR rises, or GAR, or both at once where genuine and impostor scores tie.
+    """Corners of the ROC's staircase from (0, 0) up, (K,) each. From each to the next FAR rises, or GAR, or both at
+    once where genuine and impostor scores tie.
     """
 
     threshold: Scores1D
@@ -133,22 +129,10 @@ class _OperatingPoint:
 
 
 def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:
-    """Corners of the receiver operating characteristic.
+    """Corners of the receiver operating characteristic, 2 min(N, M) + 2 at most; axis-parallel lines between them.
 
-    Parameters
-    ----------
-    genuine, impostor : (N,) and (M,) scores, NaN = failure to acquire
-    counting : ``all`` (FAR and GAR) or ``made`` (FMR and 1 - FNMR)
-
-    Returns
-    -------
-    Roc
-        2 min(N, M) + 2 corners at most; all other operating points lie on axis-parallel lines between two of them.
-
-    Raises
-    ------
-    BadInput
-        If a side has no score, or one is infinite.
+    `genuine`, `impostor`: (N,) and (M,) scores, NaN = failure to acquire; `counting`: ``all`` (FAR and GAR) or ``made``
+    (FMR and 1 - FNMR). Raises BadInput if a side has no score, or one is infinite.
     """
     g, i = _sort_scores(genuine, "genuine"), _sort_scores(impostor, "impostor")
     fewer = g.scores if g.scores.size <= i.scores.size else i.scores
@@ -167,23 +151,13 @@ def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:
 def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", interpolate: bool = False) -> _EqualError:
     """Equal error rate, exactly, for step functions.
 
-    With t over all scores and infinity, t1 the largest with FRR(t) <= FAR(t) and t2 the smallest with
-    FRR(t) >= FAR(t), that of the two where FAR + FRR is smaller (t1 if neither) is taken, and EER = (FAR + FRR) / 2
-    there. Where rates meet, t1 = t2. Where failures keep FRR above FAR everywhere there is no t1.
+    With t over all scores and infinity, t1 the largest with FRR(t) <= FAR(t) and t2 the smallest with FRR(t) >= FAR(t),
+    that of the two where FAR + FRR is smaller (t1 if neither) is taken, and EER = (FAR + FRR) / 2 there. Where rates
+    meet, t1 = t2. Where failures keep FRR above FAR everywhere there is no t1. `genuine`, `impostor`: (N,) and (M,)
+    scores, NaN = failure to acquire; `counting`: ``all`` or ``made``; `interpolate`: draw a straight line between t1
+    and t2 instead. Source: D. Maio et al., "FVC2000: Fingerprint Verification Competition", IEEE Transactions on
+    Pattern Analysis and Machine Intelligence 24(3), 2002, section 3.2.
 
-    Parameters
-    ----------
-    genuine, impostor : (N,) and (M,) scores, NaN = failure to acquire
-    counting : ``all`` or ``made``
-    interpolate : draw a straight line between t1 and t2 instead
-
-    References
-    ----------
-    D. Maio et al., "FVC2000: Fingerprint Verification Competition", IEEE Transactions on Pattern Analysis and Machine
-    Intelligence 24(3), 2002, section 3.2.
-
-    Examples
-    --------
     >>> equal_error([0.9, 0.8, 0.7, 0.3], [0.1, 0.2, 0.4, 0.5]).value
     0.25
     """
@@ -214,35 +188,15 @@ def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", inte
 
 
 def gar_at_far(genuine: Any, impostor: Any, target: float, *, counting: Counting = "all") -> _OperatingPoint:
-    """Genuine accept rate at the largest FAR that is not above `target`.
+    """Genuine accept rate at the largest FAR that is not above `target`, in (0, 1], as fractions; and the threshold.
 
     k = floor(target M) of M impostors may be accepted. The threshold is the lowest score above the (k + 1)-th largest
     impostor score: ties are accepted together or not at all, so that the FAR may stay below the target. If k = 0 the
-    target cannot be resolved; what comes is the GAR at FAR 0. Where no impostor is accepted the FAR may still
-    be 3 / M (at 95 %, the rule of three).
+    target cannot be resolved; what comes is the GAR at FAR 0. Where no impostor is accepted the FAR may still be 3 / M
+    (at 95 %, the rule of three). `genuine`, `impostor`: (N,) and (M,) scores, NaN = failure to acquire; `counting`:
+    ``all``, or ``made`` for 1 - FNMR at an FMR. Raises BadInput if `target` lies outside (0, 1], or a class has no
+    score. Source: J. A. Hanley, A. Lippman-Hand, "If nothing goes wrong, is everything all right?", JAMA 249(13), 1983.
 
-    Parameters
-    ----------
-    genuine, impostor : (N,) and (M,) scores, NaN = failure to acquire
-    target : FAR in (0, 1]
-    counting : ``all``, or ``made`` for 1 - FNMR at an FMR
-
-    Returns
-    -------
-    _OperatingPoint
-        GAR and FAR as fractions (0 to 1), and the threshold.
-
-    Raises
-    ------
-    BadInput
-        If `target` lies outside (0, 1], or a class has no score.
-
-    References
-    ----------
-    J. A. Hanley, A. Lippman-Hand, "If nothing goes wrong, is everything all right?", JAMA 249(13), 1983.
-
-    Examples
-    --------
     >>> gar_at_far([3, 5, 5, 6], [0, 1, 2, 5], 0.5).gar
     1.0
     >>> gar_at_far([3, 5, 5, 6], [0, 1, 2, 5], 0.1).gar
@@ -281,11 +235,8 @@ def d_prime(genuine: Any, impostor: Any) -> float | None:
     """Distance of the means over the root mean square of the standard deviations; None if no score varies.
 
     d' = (m_g - m_i) / sqrt((s_g^2 + s_i^2) / 2), of the comparisons made. Unlike the other figures it depends on the
-    scores' scale, and it is negative if genuine scores are the lower ones.
-
-    References
-    ----------
-    J. Daugman, "Biometric decision landscapes", technical report 482, University of Cambridge, 2000.
+    scores' scale, and it is negative if genuine scores are the lower ones. Source: J. Daugman, "Biometric decision
+    landscapes", technical report 482, University of Cambridge, 2000.
     """
     g, i = _sort_scores(genuine, "genuine").scores, _sort_scores(impostor, "impostor").scores
     largest = max(abs(g[0]), abs(g[-1]), abs(i[0]), abs(i[-1]))
@@ -333,9 +284,8 @@ class Histograms:
 
 
 def histograms(genuine: NDArray[np.float64], impostor: NDArray[np.float64], bins: int = 60) -> Histograms:
-    """Histograms of scores (N,) and (M,), NaN left out.
-
-    Bins are of equal width; few distinct whole numbers get a bin each, centred on them.
+    """Histograms of scores (N,) and (M,), NaN left out. Bins are of equal width; few distinct whole numbers get a bin
+    each, centred on them.
     """
     sides = [side[~np.isnan(side)] for side in (genuine, impostor)]
     low, high = min(float(side.min()) for side in sides), max(float(side.max()) for side in sides)

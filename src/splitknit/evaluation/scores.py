@@ -101,10 +101,8 @@ class Scores:
 
 
 def contradiction(label: NDArray[np.bool_], finger: Ids | None, subject: Ids | None) -> int | None:
-    """The first comparison whose ids and label cannot both be right, or None.
-
-    A genuine one has the same finger (and subject) on both sides, an impostor one two fingers; fingers of one subject
-    may be impostors of each other.
+    """The first comparison whose ids and label cannot both be right, or None. Genuine: one finger (and subject) on both
+    sides; impostor: two fingers, perhaps of one subject.
     """
     wrong = np.zeros(label.shape, dtype=np.bool_)
     if finger is not None:

@@ -84,13 +84,7 @@ def evaluate_scores(
     gallery: GalleryScores | None = None,
     progress: Progress = no_progress,
 ) -> Evaluation:
-    """Evaluate score files, or the scores of the gallery that `files` names.
-
-    Raises
-    ------
-    BadInput
-        If a file cannot be used.
-    """
+    """Evaluate score files, or scores of the gallery that `files` names; BadInput if a file cannot be used."""
     started = time.perf_counter()
     progress("reading", 0.0)
     if gallery is None:
@@ -246,10 +240,7 @@ def _notes(fused: Fused, method: str) -> list[str]:
 
 
 def _read_systems(files: Sequence[Path], *, turn: bool) -> tuple[list[Scores], dict[str, str], list[str]]:
-    """Read score files: the systems, the files' SHA-256, and the columns that were not read.
-
-    `turn` makes similarities of dissimilarities: a score becomes its negative.
-    """
+    """Read score files: systems, SHA-256s, and columns not read; `turn`: negate scores, as of dissimilarities."""
     require(len(set(files)) == len(files), "a score file is named twice; name each once.")
     systems: list[Scores] = []
     hashes: dict[str, str] = {}

@@ -116,10 +116,7 @@ def private_modes() -> tuple[int, int]:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a private folder and its missing parents; nothing happens to one that exists.
-
-    Raises OSError if that fails, as :meth:`pathlib.Path.mkdir`.
-    """
+    """Create a private folder and its missing parents where missing; OSError as :meth:`pathlib.Path.mkdir`."""
     mode = private_modes()[1]
     for path in [*(path for path in reversed(folder.parents) if not path.exists()), folder]:
         path.mkdir(mode, exist_ok=True)
@@ -145,9 +142,8 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
 
 @contextlib.contextmanager
 def _temporary(target: Path) -> Iterator[Path]:
-    """Yield the path, in a marked and locked temporary folder beside `target`, where it is to be made.
-
-    The folder is locked before it is marked: what has a mark and no lock was left by a program that is no more.
+    """Yield the path, in a marked temporary folder beside `target`, where it is to be made. The folder is locked before
+    it is marked: what has a mark and no lock was left by a program that is no more.
     """
     import secrets  # who only reads needs none of it
 
@@ -177,10 +173,7 @@ def _in_place(target: Path) -> Iterator[Path]:
 
 
 def _discard(folder: Path) -> None:
-    """Remove a temporary folder, its mark last: what a kill leaves of it is still known as ours.
-
-    Not where an exchange was cut short and what was to be replaced still lies in it.
-    """
+    """Remove a temporary folder, its mark last, unless what an exchange, cut short, was to replace lies in it."""
     new, old = folder / "new", folder / "old"
     if os.path.lexists(new) and os.path.lexists(old):
         return
@@ -204,7 +197,6 @@ def _release(descriptor: int | None) -> None:
 
 def hold(stream: IO[Any], busy: str) -> None:
     """Keep other programs out until `stream` is closed or this one ends; without effect where there are no such locks.
-
     Raises BadInput with the message `busy`, if another program holds it.
     """
     try:
@@ -250,9 +242,8 @@ _sweep_once = functools.lru_cache(maxsize=4096)(_sweep_folder)
 
 
 def _sweep_one(left: Path) -> None:
-    """Remove a temporary folder of this user that has our mark and whose program is no more.
-
-    An earlier result whose replacement was cut short is put back, unless something else took its place.
+    """Remove this user's temporary folder with our mark whose program is no more; an earlier result whose replacement
+    was cut short is put back, unless something else took its place.
     """
     if not _is_own(left.lstat()):
         return

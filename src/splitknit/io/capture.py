@@ -253,10 +253,7 @@ def _band(key: str, plan: BandPlan, pixels: PixelArray, ambient: PixelArray | No
 
 
 def _seen_by(rig: Rig, band: Band) -> Band:
-    """The band with what the rig states about its lens and the colours of its LEDs.
-
-    Raises BadInput where LEDs of several colours light one exposure of grey images.
-    """
+    """The band with lens and LEDs' colours by the rig; BadInput if LEDs of several colours light a grey image."""
     colours = rig.colours_of(band.leds)
     for k, names in enumerate(colours):
         require(

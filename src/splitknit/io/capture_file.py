@@ -73,10 +73,7 @@ class _Entry:
 
 
 def read_plan(document_file: Path) -> CapturePlan:
-    """Read ``capture.json`` and its rig file.
-
-    Raises BadInput naming the file and the field.
-    """
+    """Read ``capture.json`` and its rig file. Raises BadInput naming the file and the field."""
     folder, name = document_file.parent, str(document_file)
     document, data = read_json(document_file)
     fields = Fields(document, name)
@@ -211,10 +208,8 @@ def _band(fields: Fields, folder: Path, rig: Rig, band: str) -> BandPlan:
 def _ambient_value(
     fields: Fields, ambient: _Entry | None, images: list[float | None], key: str, default: float
 ) -> float:
-    """Exposure or black level of the ambient image.
-
-    Where the document does not give it, it is that of the band's images if they all have the same, or the default if
-    the document leaves it out for some of the images too. Otherwise it is unknown.
+    """Exposure or black level of the ambient image: by default that of the band's images, if all have the same, or the
+    default if the document leaves it out for some of the images too; else unknown.
     """
     if ambient is None:
         return default

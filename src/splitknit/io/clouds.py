@@ -1,9 +1,7 @@
 """Point clouds and vertices of meshes of other scanners: PLY, PCD, XYZ, OBJ, STL; and height maps as points on a grid.
 
-References
-----------
-G. Turk, The PLY Polygon File Format, 1994; Point Cloud Library, "The PCD (Point Cloud Data) file format"; Wavefront
-Technologies, "Advanced Visualizer", appendix B1; 3D Systems, StereoLithography Interface Specification, 1989.
+Source: G. Turk, The PLY Polygon File Format, 1994; Point Cloud Library, "The PCD (Point Cloud Data) file format";
+Wavefront Technologies, "Advanced Visualizer", appendix B1; 3D Systems, StereoLithography Interface Specification, 1989.
 """
 
 from __future__ import annotations
@@ -57,17 +55,11 @@ class Cloud:
 
 
 def read_cloud(path: str | os.PathLike[str], unit: str | None = None) -> Cloud:
-    """Read a point cloud, the vertices of a mesh, or a height map; its suffix shows which.
+    """Read a point cloud, the vertices of a mesh, or a height map; its suffix, of :data:`CLOUDS`, shows which.
 
-    Raises BadInput if the file is damaged, of another kind, too large, or states its unit while `unit` is given.
+    `unit`: of the coordinates, a key of :data:`UNITS_MM`, mm by default; X3P and TMD state theirs. Raises BadInput if
+    the file is damaged, of another kind, too large, or states its unit while `unit` is given.
 
-    Parameters
-    ----------
-    path : a file with one of the suffixes :data:`CLOUDS`
-    unit : of the coordinates, a key of :data:`UNITS_MM`; mm by default. X3P and TMD state theirs.
-
-    Examples
-    --------
     >>> read_cloud("finger.ply").points_mm.shape  # doctest: +SKIP
     (412345, 3)
     """

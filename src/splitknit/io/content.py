@@ -100,9 +100,8 @@ def _ambient_light(band: Band) -> NDArray[np.float32] | None:
 
 
 def mask_from_image(pixels: PixelArray, name: str) -> BoolArray:
-    """Return the mask (H, W) that an image (H, W, C) shows: white (above half the scale), or 1 in an image of 0 and 1.
-
-    Raises BadInput if not one pixel is white.
+    """Mask (H, W) that an image (H, W, C) shows: white (above half the scale), or 1 in an image of 0 and 1; BadInput if
+    no pixel is white.
     """
     bright = pixels.max(axis=2)
     top = int(bright.max())

@@ -1,8 +1,6 @@
 """Tables as CSV: what a spreadsheet would run as a formula is written as text, and read back as it was.
 
-References
-----------
-RFC 4180, Common Format and MIME Type for CSV Files; OWASP, CSV Injection.
+Source: RFC 4180, Common Format and MIME Type for CSV Files; OWASP, CSV Injection.
 """
 
 from __future__ import annotations
@@ -17,13 +15,11 @@ _FORMULA = frozenset("=+-@\t\r\n＝＋－＠")
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:
-    """Return rows as the text of a CSV file with lines that end in a line feed.
+    """Rows as the text of a CSV file with lines that end in a line feed.
 
     A text that a spreadsheet would run begins with an apostrophe, which spreadsheets do not show and :func:`plain_text`
     takes off; numbers, negative ones too, stay as they are.
 
-    Examples
-    --------
     >>> csv_text([["name", "height"], ['=HYPERLINK("x")', -0.5], ["-0.5", "@a"]]).splitlines()
     ['name,height', '"\\'=HYPERLINK(""x"")",-0.5', "-0.5,'@a"]
     """

@@ -169,9 +169,8 @@ def as_number(value: Any) -> float | None:
 
 
 def inside(folder: Path, value: Any, file: str, field: str) -> Path:
-    """Return the path that `value`, a relative path in field `field` of `file`, names inside `folder`.
-
-    Raises BadInput if it is no string, absolute, or leaves the folder, by ``..`` or by a symbolic link.
+    """Path of `value`, relative to `folder`, of field `field` of `file`. Raises BadInput if it is no string, absolute,
+    or leaves the folder, by ``..`` or by a symbolic link.
     """
     what = f"{file}: {field}"
     if not isinstance(value, str) or not value.strip():

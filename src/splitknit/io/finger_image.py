@@ -5,9 +5,7 @@ All numbers are big-endian; the layout of 2005 stands in ``docs/reference/record
 ANSI/INCITS 381-2004 has the same version and four bytes more, the product's, behind the length. The record of 2011
 ("020") has 16 bytes of header, and resolution, depth and compression in each representation.
 
-References
-----------
-ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8; ANSI/INCITS 381-2004.
+Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8; ANSI/INCITS 381-2004.
 """
 
 from __future__ import annotations
@@ -50,11 +48,8 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
     """Bytes of a record of ISO/IEC 19794-4:2005.
 
     `prints`: at least one, all of 500 or all of 1000 ppi; `compression`: ``none``, ``png`` or ``wsq`` (which loses a
-    little, and is for 500 ppi alone). Raises BadInput if there are none, or the standard has no way to state what they
-    are.
+    little, and is for 500 ppi alone). Raises BadInput if there are none, or the standard cannot state what they are.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> len(encode_finger_images([PrintFile(np.zeros((20, 10), np.uint8), 500.0, {})]))
     246
@@ -198,9 +193,8 @@ def _more(pixels: int, rows: int, columns: int, name: str) -> int:
 
 
 def decode_print(stored: bytes, compression: str, size: tuple[int, int], name: str) -> NDArray[np.uint8]:
-    """Decode a print as records hold it: ``none``, ``wsq``, or a picture file, of the (rows, columns) that they state.
-
-    Raises BadInput if it has another size, is not 8-bit grey, or is damaged.
+    """Decode a print as records hold it: ``none``, ``wsq``, or a picture file, of (rows, columns) as they state. Raises
+    BadInput if it has another size, is not 8-bit grey, or is damaged.
     """
     rows, columns = size
     expected = f"but its record states {rows} x {columns}"

@@ -66,9 +66,8 @@ def check_rest(cursor: Cursor, views: int) -> None:
 
 
 def decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[str, NDArray[Any]]:
-    """Return columns of `count` minutiae of six bytes; `steps` directions in a turn; `what` they are, for messages.
-
-    Two bits of type and 14 of column, two reserved and 14 of row (all big-endian), a byte of direction, one of quality.
+    """Columns of `count` minutiae of six bytes; `steps` directions in a turn; `what` they are, for messages. Two bits
+    of type and 14 of column, two reserved and 14 of row (all big-endian), a byte of direction, one of quality.
     """
     table = np.frombuffer(cursor.take(count * _MINUTIA.itemsize, f"the {count} minutiae of {what}"), dtype=_MINUTIA)
     name = cursor.name
@@ -88,9 +87,8 @@ def decode_minutiae(cursor: Cursor, count: int, steps: int, what: str) -> dict[s
 
 
 def encode_minutiae(view: FingerView, steps: int, max_quality: int) -> bytes:
-    """Bytes of a view's minutiae, six for each; qualities above `max_quality` (none known) become 0.
-
-    Directions are rounded to the nearest of `steps` in a turn.
+    """Bytes of a view's minutiae, six for each, directions rounded to the nearest of `steps` in a turn; qualities above
+    `max_quality` (none known) become 0.
     """
     require(
         view.count <= MAX_MINUTIAE,
@@ -156,20 +154,14 @@ class ViewCodes:
 
 
 def encode_views(views: tuple[FingerView, ...], codes: ViewCodes) -> bytes:
-    """Bytes of all views.
-
-    Raises BadInput if the standard cannot represent what a view holds.
-    """
+    """Bytes of all views. Raises BadInput if the standard cannot represent what a view holds."""
     return b"".join(_encode_view(view, codes) for view in views)
 
 
 def decode_views(
     cursor: Cursor, count: int, size: tuple[int, int], resolution_ppcm: tuple[int, int], codes: ViewCodes
 ) -> tuple[FingerView, ...]:
-    """Read `count` views, which must fill the rest of the record.
-
-    Raises BadInput if they are truncated or hold what the standard does not allow.
-    """
+    """Read `count` views, which fill the rest of the record; BadInput if truncated or not as the standard allows."""
     views = []
     for number in range(1, count + 1):
         what, name = f"view {number}", cursor.name
@@ -248,8 +240,6 @@ def standard_of(data: bytes) -> str | None:
     same place. The length that fits the file decides; if none does, the one that is possible. `data`: the whole file,
     or its first bytes.
 
-    Examples
-    --------
     >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 0, 0, 32]) + bytes(20))
     'ISO/IEC 19794-2:2005'
     >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 34]) + bytes(24))

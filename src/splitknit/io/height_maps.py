@@ -1,10 +1,9 @@
 """Height maps of surface metrology: X3P and TMD, in and out; and a relightable picture of a surface, PTM.
 
-References
-----------
-ISO 25178-72:2017 and Amd 1:2020 (X3P), read and written by the package x3pio; GelSight Inc., gsmatlab, ``readtmd`` and
-``writetmd`` (layout of TMD version 2); T. Malzbender and D. Gelb, "Polynomial Texture Map (.ptm) File Format", version
-1.2, HP Laboratories, 2001; T. Malzbender, D. Gelb and H. Wolters, "Polynomial texture maps", SIGGRAPH 2001.
+Source: ISO 25178-72:2017 and Amd 1:2020 (X3P), read and written by the package x3pio; GelSight Inc., gsmatlab,
+``readtmd`` and ``writetmd`` (layout of TMD version 2); T. Malzbender and D. Gelb, "Polynomial Texture Map (.ptm) File
+Format", version 1.2, HP Laboratories, 2001; T. Malzbender, D. Gelb and H. Wolters, "Polynomial texture maps", SIGGRAPH
+2001.
 """
 
 from __future__ import annotations
@@ -41,8 +40,6 @@ def read_x3p(path: str | os.PathLike[str]) -> Grid:
     Raises BadInput if the package x3pio is missing, the file is damaged, too large, or holds a profile, a cloud of
     points or a grid of uneven steps.
 
-    Examples
-    --------
     >>> height_mm, steps_mm = read_x3p("casing.x3p")  # doctest: +SKIP
     """
     with importing(_NEEDS_X3PIO):
@@ -67,14 +64,8 @@ def read_x3p(path: str | os.PathLike[str]) -> Grid:
 def x3p_bytes(height_mm: FloatArray, pitch_mm: float, comment: str, date: datetime.date | None = None) -> bytes:
     """Bytes of an X3P file (ISO 25178-72:2017, metres, NaN where nothing was measured) of a surface (H, W).
 
-    Raises BadInput if the package x3pio is missing.
-
-    Parameters
-    ----------
-    height_mm : (H, W), row 0 at the top
-    pitch_mm : step along both axes
-    comment : one line
-    date : of the measurement; the standard asks for one, so where it is not known 1980-01-01 is written
+    `height_mm`: row 0 at the top; `pitch_mm`: step along both axes; `comment`: one line; `date`: of the measurement,
+    1980-01-01 where it is not known, since the standard asks for one. Raises BadInput without the package x3pio.
     """
     with importing(_NEEDS_X3PIO):
         import x3pio
@@ -89,9 +80,8 @@ def x3p_bytes(height_mm: FloatArray, pitch_mm: float, comment: str, date: dateti
 
 
 def read_tmd(path: str | os.PathLike[str]) -> Grid:
-    """Read a TMD file (TrueMap, GelSight): heights in mm on a grid; as :func:`read_x3p`.
-
-    Raises BadInput if the file is damaged or too large.
+    """Read a TMD file (TrueMap, GelSight): heights in mm on a grid; as :func:`read_x3p`. Raises BadInput if the file is
+    damaged or too large.
     """
     name = os.fspath(path)
     data = read_bytes(path, _MAX_BYTES)

@@ -53,8 +53,6 @@ def read_image(path: str | os.PathLike[str]) -> PixelArray:
     Pixels come as stored: no colour profile is applied, EXIF orientation is ignored, alpha is dropped, a PNG palette is
     expanded. Raises BadInput if the file is missing, truncated, damaged, too large, or not 8- or 16-bit grey or RGB.
 
-    Examples
-    --------
     >>> import numpy as np, tempfile, pathlib
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "grey.png"
     >>> write_image(path, np.full((2, 3), 7, dtype=np.uint8))
@@ -71,10 +69,8 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
 
 
 def _image_info(data: bytes, name: str, max_pixels: int = MAX_PIXELS) -> _ImageInfo:
-    """Read size, channels and type from the header in `data`; `name` is for messages.
-
-    Raises BadInput if the header is damaged, of an unknown format, or claims more than `max_pixels`, than 400 MB once
-    decoded, or than the file can hold.
+    """Size, channels and type by the header in `data`; BadInput, with `name`, if it is damaged, of an unknown format,
+    or claims more than `max_pixels`, 400 MB once decoded, or what the file can hold.
     """
     if data.startswith(png.SIGNATURE[:4]):
         header = png.png_header(data, name)
@@ -111,10 +107,8 @@ def cores() -> int:
 
 
 class StackReader:
-    """Decodes many files at once, each straight into its place in a stack.
-
-    Use as a context manager; call :meth:`start` for each stack and then :meth:`finish`, so that the files of all
-    stacks share the threads.
+    """Decodes many files at once, each straight into its place in a stack. Use as a context manager; call :meth:`start`
+    for each stack and then :meth:`finish`, so that the files of all stacks share the threads.
     """
 
     def __init__(self, threads: int = 0) -> None:
@@ -176,7 +170,6 @@ class StackReader:
 
 def write_image(path: str | os.PathLike[str], pixels: PixelArray) -> None:
     """Write (H, W), (H, W, 1) or (H, W, 3) uint8 or uint16, RGB order, as PNG or TIFF (by the suffix), losslessly.
-
     Raises BadInput if the array or the suffix is of another kind, or the file cannot be written.
     """
     write_file(path, encode_image(pixels, Path(path).suffix.lower()))
@@ -249,10 +242,9 @@ class _JpegHeader:
 
 
 def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
-    """Walk all segments of a JPEG file to its end marker and return the frame's size.
-
-    Raises BadInput if the file ends early, has no frame, is CMYK, 12-bit, lossless or arithmetic-coded, or claims an
-    image that is too large to be decoded, or to be in the file.
+    """Walk all segments of a JPEG file to its end marker and return the frame's size. Raises BadInput if the file ends
+    early, has no frame, is CMYK, 12-bit, lossless or arithmetic-coded, or claims an image too large to be decoded or to
+    be in the file.
     """
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
     frame: _JpegHeader | None = None
@@ -294,8 +286,8 @@ def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
 
 
 def _decode_jpeg(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
-    """Decode a JPEG file to (H, W, C) uint8 in RGB order, C = 1 or 3, as stored: EXIF orientation is ignored. Raises
-    BadInput if the file is truncated, damaged or of a kind that is not supported.
+    """Decode a JPEG file to (H, W, C) uint8, RGB, C = 1 or 3, as stored, without EXIF orientation. Raises BadInput if
+    the file is truncated, damaged or of a kind that is not supported.
     """
     from PIL import JpegImagePlugin  # slow to import
 

@@ -2,9 +2,7 @@
 
 All numbers are big-endian; the layout stands in ``docs/reference/records.md``.
 
-References
-----------
-ISO/IEC 19794-2:2005, clause 7; ISO/IEC 29109-2 (conformance).
+Source: ISO/IEC 19794-2:2005, clause 7; ISO/IEC 29109-2 (conformance).
 """
 
 from __future__ import annotations
@@ -58,10 +56,8 @@ def encode_iso19794(record: MinutiaeRecord) -> bytes:
 
 
 def decode_iso19794(data: bytes, name: str = "the record") -> MinutiaeRecord:
-    """Read the bytes of a record; writing it again gives the same bytes.
-
-    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
-    or holds what the standard does not allow.
+    """Read the bytes of a record, the whole file `data`; writing it again gives the same. `name` is for messages.
+    Raises BadInput if it is truncated, of another standard, or holds what the standard does not allow.
     """
     require_standard(data, ISO_2005, MAGIC_20, name)
     cursor = Cursor(data, name)

@@ -1,8 +1,6 @@
 """Transactions of ANSI/NIST-ITL read: their frame is checked here, their fields are parsed by `nistitl`.
 
-References
-----------
-ANSI/NIST-ITL 1-2011, update 2015, annex B (traditional encoding).
+Source: ANSI/NIST-ITL 1-2011, update 2015, annex B (traditional encoding).
 """
 
 from __future__ import annotations

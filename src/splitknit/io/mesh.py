@@ -19,21 +19,14 @@ def surface_mesh(
 ) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.int32]]:
     """Triangulate a surface given on a pixel grid; y runs up against the rows, x right along the columns.
 
-    Four valid neighbours give two triangles, three give one. Triangles run counter-clockwise seen from +z. Raises
-    BadInput if the shapes do not fit.
+    Four valid neighbours give two triangles, three give one. Triangles run counter-clockwise seen from +z. Returns
+    vertices (N, 3) float32, mm, in the order of the rows; faces (M, 3) int32; index (H, W) int32 of each pixel's
+    vertex, -1 without: ``values[index >= 0]`` are in the order of the vertices. Raises BadInput if the shapes do not
+    fit.
 
-    Parameters
-    ----------
     x_mm, y_mm : (H, W), or broadcastable to it such as (W,) and (H, 1)
     z_mm : (H, W), NaN where there is no surface
     mask : (H, W) bool, or None for everywhere; pixels whose z is not finite are left out in any case
-
-    Returns
-    -------
-    vertices : (N, 3) float32, mm, in the order of the rows
-    faces : (M, 3) int32
-    index : (H, W) int32, the vertex of each pixel, -1 where there is none; ``values[index >= 0]`` are in the order of
-        the vertices
     """
     z_mm = np.asarray(z_mm, dtype=np.float32)
     require(z_mm.ndim == 2, f"z_mm must be (H, W), but it is {z_mm.shape}.")
@@ -60,11 +53,8 @@ def surface_mesh(
 def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], int, Iterator[NDArray[np.int32]]]:
     """Triangulate the pixels (H, W) of a surface, see :func:`surface_mesh`, without holding all triangles.
 
-    Returns
-    -------
-    index : (H, W) int32, the vertex of each pixel, -1 where there is none
-    count : how many triangles there are
-    pieces : of the triangles, (m, 3) int32 each, in order: those of whole squares of four pixels, then those of three
+    Returns index (H, W) int32 of each pixel's vertex, -1 without; the number of triangles; pieces of them, (m, 3) int32
+    each: first those of whole squares of four pixels, then those of three.
     """
     index: NDArray[np.int32] = np.full(valid.shape, -1, dtype=np.int32)
     index[valid] = np.arange(np.count_nonzero(valid), dtype=np.int32)
@@ -143,14 +133,9 @@ def obj_chunks(
 ) -> Iterator[bytes]:
     """Yield the bytes of a Wavefront OBJ file: vertices with normals, then triangles.
 
+    `vertices_mm`: (N, 3), mm, written to 10 nm (OBJ knows no unit, so the first comment states it); `normals`: (N, 3),
+    unit length; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside; `comments`: single lines.
     Source: Wavefront Technologies, "Advanced Visualizer", appendix B1: Object Files.
-
-    Parameters
-    ----------
-    vertices_mm : (N, 3), mm, written to 10 nm; OBJ knows no unit, so the first comment states it
-    normals : (N, 3), unit length
-    faces : (M, 3) indices of vertices, counter-clockwise seen from outside
-    comments : single lines
     """
     yield "".join(f"# {text}\n" for text in ("unit mm", *comments)).encode("ascii", "replace")
     for pattern, rows in (("v %.5f %.5f %.5f\n", vertices_mm), ("vn %.4f %.4f %.4f\n", normals)):
@@ -185,15 +170,10 @@ def glb_chunks(
 ) -> tuple[int, Iterator[bytes]]:
     """Return the size of a file and its bytes, in order.
 
-    Raises BadInput if the shapes do not fit, there is nothing to write, or a face refers to a vertex that is not there.
-
-    Parameters
-    ----------
-    vertices_mm : (N, 3), mm; y to the fingertip is glTF's "up"
-    normals : (N, 3), unit length
-    intensity : (N,) grey value of each vertex, linear
-    faces : (M, 3), counter-clockwise seen from outside
-    extras : facts for ``asset.extras`` (provenance), what JSON can hold
+    `vertices_mm`: (N, 3), mm, y to the fingertip is glTF's "up"; `normals`: (N, 3), unit length; `intensity`: (N,) grey
+    value of each vertex, linear; `faces`: (M, 3), counter-clockwise seen from outside; `extras`: facts for
+    ``asset.extras`` (provenance), what JSON can hold. Raises BadInput if the shapes do not fit, there is nothing to
+    write, or a face refers to a vertex that is not there.
     """
     count = len(vertices_mm)
     require(count > 0 and len(faces) > 0, "a glTF mesh needs vertices and faces.")

@@ -10,10 +10,8 @@ with lists of one length, and whatever else its writer adds under ``"provenance"
 finger (``phalange.ply``): x to the right and y to the tip as the camera sees it, z to the camera, in millimetres. It is
 not that of the print, which is its mirror image.
 
-References
-----------
-A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI
-37(3), 2015: minutiae as (x, y, z, theta, phi).
+Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans.
+PAMI 37(3), 2015: minutiae as (x, y, z, theta, phi).
 """
 
 from __future__ import annotations
@@ -100,8 +98,6 @@ class Minutiae3D:
 def angles_of(direction: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Azimuth theta in [0, 2 pi) and elevation phi of vectors (N, 3) of any length but zero.
 
-    Examples
-    --------
     >>> theta, phi = angles_of(np.array([[0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]))
     >>> np.rad2deg(theta[0]).round(6), np.rad2deg(phi).round(6).tolist()
     (np.float64(90.0), [0.0, 90.0])
@@ -118,7 +114,6 @@ def angles_of(direction: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
 
 def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None:
     """Write minutiae as JSON, whole or not at all; equal minutiae give equal bytes, and are read exactly as they are.
-
     Raises BadInput if the file cannot be written, or the provenance has no form in JSON.
     """
     document: dict[str, Any] = {"format": FORMAT, "version": VERSION, "finger": minutiae.finger}
@@ -131,7 +126,7 @@ def write_minutiae3d(path: str | os.PathLike[str], minutiae: Minutiae3D) -> None
 
 def read_minutiae3d(path: str | os.PathLike[str]) -> Minutiae3D:
     """Read minutiae that :func:`write_minutiae3d` wrote, or anybody else. Raises BadInput if the file is missing, no
-    JSON, of another format or version, or a field is missing or not as it must be.
+    JSON, of another format or version, or a field is missing or wrong.
     """
     document, _ = read_json(Path(path))
     name = os.fspath(path)

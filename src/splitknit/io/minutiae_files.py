@@ -70,8 +70,8 @@ def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byte
 def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
     """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes.
 
-    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is truncated, of another standard,
-    or says what the standard does not allow.
+    `data`: the whole file; `name`: for messages. Raises BadInput if it is truncated, of another standard, or says what
+    the standard does not allow.
     """
     amended = standard_of(data) == ANSI_2009_AM1
     standard = ANSI_2009_AM1 if amended else ANSI_2009
@@ -140,9 +140,7 @@ _CODES = ViewCodes(ANSI_2004, ANSI_STEPS, ANSI_2004_IMPRESSIONS, {"contactless_r
 
 
 def encode_ansi378(record: MinutiaeRecord) -> bytes:
-    """Bytes of a record; directions are rounded to 2 deg. Raises BadInput if the standard has no way to say what the
-    record holds.
-    """
+    """Bytes of a record; directions are rounded to 2 deg. BadInput if the standard cannot say what the record holds."""
     check_writable(record, ANSI_2004, 12, 4)
     (rows, columns), resolution = common_image(record, ANSI_2004)
     owner, kind = _checked_product(record)
@@ -182,10 +180,8 @@ _READERS: dict[str, Callable[[bytes, str], MinutiaeRecord]] = {
 
 
 def decode_minutiae_record(data: bytes, name: str = "the record") -> MinutiaeRecord:
-    """Read the bytes of a record of ISO/IEC 19794-2:2005 or ANSI/INCITS 378-2004 or -2009.
-
-    Raises BadInput if it is of no such standard (the message names what it is), truncated, or does not conform to its
-    standard.
+    """Read the bytes of a record of ISO/IEC 19794-2:2005 or ANSI/INCITS 378-2004 or -2009. Raises BadInput if it is of
+    no such standard (the message names what it is), truncated, or does not conform to its standard.
     """
     standard = standard_of(data)
     if standard in _READERS:

@@ -62,12 +62,8 @@ IMPRESSIONS = tuple(ITL_IMPRESSIONS)
 
 
 def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
-    """Name of a `code` of the table `codes`; `what` it is, for messages.
+    """Name of a `code` of the table `codes`, BadInput if there is none; `what` it is, for messages.
 
-    Raises BadInput if the table does not have it.
-
-    Examples
-    --------
     >>> name_of(7, FINGER_CODES, "finger position")
     'left_index'
     """
@@ -78,10 +74,7 @@ def name_of(code: int, codes: Mapping[str, int], what: str) -> str:
 
 
 def standard_code(name: str, codes: Mapping[str, int], what: str) -> int:
-    """Code of a `name` in the table `codes`; `what` it is, for messages.
-
-    Raises BadInput if the table does not have it.
-    """
+    """Code of a `name` in the table `codes`, BadInput if there is none; `what` it is, for messages."""
     require(name in codes, f"the {what} '{name}' has no code here; choose one of {', '.join(codes)}.")
     return codes[name]
 
@@ -103,8 +96,6 @@ RESOLUTION_500_PPI = (197, 197)
 def pixels_per_cm(ppi: float) -> tuple[int, int]:
     """Resolution along columns and rows as the standards give it, in whole pixels per centimetre.
 
-    Examples
-    --------
     >>> pixels_per_cm(500), pixels_per_cm(1000)
     ((197, 197), (394, 394))
     """
@@ -117,10 +108,8 @@ def pixels_per_cm(ppi: float) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FingerView:
-    """N minutiae of one image of one finger, on the image's pixel grid.
-
-    The frame is that of the print: column 0 at its left, row 0 at its top, seen as ink on paper. This is also the
-    frame of all the standards here, so that nothing is turned or mirrored on the way.
+    """N minutiae of one image of one finger, on the image's pixel grid. The frame is that of the print: column 0 at its
+    left, row 0 at its top, seen as ink on paper, as in all the standards here: nothing is turned or mirrored.
     """
 
     x_px: NDArray[np.int32]

@@ -5,10 +5,8 @@ deflated side by side and joined into one deflate stream, as pigz does; so the b
 threads, and any ``.npz`` reader reads them. Measured numbers, which deflate makes 10 % smaller in most of the time that
 writing a result takes, are stored in that stream, and only what is the same over long runs is packed.
 
-References
-----------
-APPNOTE.TXT, .ZIP File Format Specification 6.3, sections 4.3.7, 4.3.12 and 4.3.16; RFC 1951 (deflate), section 3.2.4:
-a sync flush ends on a byte, so that streams can be joined.
+Source: APPNOTE.TXT, .ZIP File Format Specification 6.3, sections 4.3.7, 4.3.12 and 4.3.16; RFC 1951 (deflate), section
+3.2.4: a sync flush ends on a byte, so that streams can be joined.
 """
 
 from __future__ import annotations
@@ -104,10 +102,8 @@ def read_npz(
 
 
 def map_npy(path: str | os.PathLike[str], damaged: str | None = None) -> np.ndarray[Any, Any]:
-    """Map an ``.npy`` file into memory, read-only: it may be larger than the memory.
-
-    `damaged`: the whole message where it is damaged; what to do about it. Raises BadInput if the file is missing or
-    damaged.
+    """Map an ``.npy`` file into memory, read-only: it may be larger than the memory. Raises BadInput if the file is
+    missing or damaged, then with `damaged`, the whole message with the remedy.
     """
     damaged = damaged or f"'{os.fspath(path)}' is damaged or no .npy file of numbers; make it again."
     with open_file(path, 1 << 50) as (stream, size), refusing(damaged):

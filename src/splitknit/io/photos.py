@@ -56,8 +56,6 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
     `room`: bytes that the pixels may take, at most 400 MB. Raises BadInput if the file is missing, damaged, too large,
     of another kind, or of a kind whose package is not installed.
 
-    Examples
-    --------
     >>> read_photo("photos/IMG_1.HEIC").pixels.shape  # doctest: +SKIP
     (3024, 4032, 3)
     """
@@ -65,10 +63,7 @@ def read_photo(path: str | os.PathLike[str], *, room: int | None = None) -> Phot
 
 
 def decode_photo(data: bytes, name: str, *, room: int | None = None) -> Photo:
-    """Decode the bytes of a photograph, as :func:`read_photo`.
-
-    `name` is for messages, and its suffix shows camera RAW.
-    """
+    """Decode the bytes of a photograph, as :func:`read_photo`; `name`: for messages; its suffix shows camera RAW."""
     if Path(name).suffix.lower() in RAW_SUFFIXES:
         pixels, orientation = _raw(data, name, room)
     elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":

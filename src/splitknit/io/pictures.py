@@ -109,8 +109,7 @@ def fields_to_frame(
 
 
 def _blocks(mask: BoolArray, frame: PictureFrame) -> tuple[int, tuple[slice, slice], NDArray[np.float64]]:
-    """Side of whole blocks no larger than the picture's pixel, the window that holds the picture, and (3, 3) from the
-    blocks in it to the input."""
+    """Side of whole blocks up to the picture's pixel, its window, and (3, 3) from its blocks to the input."""
     step = float(np.sqrt(abs(np.linalg.det(frame.input_from_picture[:2, :2]))))
     factor = max(1, int(step + 0.01))
     height, width = frame.size

@@ -145,8 +145,6 @@ def capture_from_photographs(
     Raises BadInput as :func:`capture_from_plain_images`; also if the folder holds no photographs, their number is not
     that of the lights, or the lights' file names one that is not there.
 
-    Parameters
-    ----------
     folder : of JPEG, PNG, TIFF, WEBP, BMP, HEIC or RAW files, all of one size, in the order of their names; or a
         pattern of their names, such as ``photos/white_{light}.png``, in the order of the lights' numbers
     lights : list (:mod:`splitknit.io.light_list`), rig file (its white LEDs in order, and its camera), directions
@@ -155,8 +153,6 @@ def capture_from_photographs(
     options : mask, material, encoding and others
     announce : called with a sentence on memory and disk before many or large photographs are read
 
-    Examples
-    --------
     >>> found = capture_from_photographs("photos", px_per_mm=20.0)  # doctest: +SKIP
     >>> found.skipped  # doctest: +SKIP
     ('notes.docx (not a photograph)',)
@@ -292,21 +288,11 @@ def _listed(names: Sequence[str], most: int = 8) -> str:
 def photographs_in(
     folder: Path, table: Path, names: Sequence[str] = (), own: Sequence[Path] = (), *, find_mask: bool = True
 ) -> tuple[list[Path], list[Path], list[str]]:
-    """Photographs of a folder in the order of the lights.
+    """Photographs of a folder in the order of the lights; masks; and what else is there, each with the reason.
 
+    `table`: file of the lights, for messages; `names`: of photographs, from that file; empty: all, photo_2 before
+    photo_10; `own`: files that have another use; `find_mask`: whether a ``mask.png`` (or another format) is looked for.
     Raises BadInput if the folder cannot be read, holds more than 1000 photographs, or lacks one that is named.
-
-    Parameters
-    ----------
-    table : file of the lights, for messages
-    names : of photographs, from that file; empty: all, photo_2 before photo_10
-    own : files that have another use
-    find_mask : whether a ``mask.png`` (or another format) is looked for
-
-    Returns
-    -------
-    photographs, masks : files
-    skipped : what else is there, each with the reason
     """
     found, skipped = _photos_in(folder, own)
     masks = [file for file in found if find_mask and file.stem.lower() == "mask"]
@@ -359,8 +345,7 @@ def _words(name: str) -> list[tuple[int, str]]:
 
 
 def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[list[Path], list[Path]]:
-    """The photographs that the lights' file names, in its order, and the others; a name may lack its suffix, or have
-    another one or capitals, as where photographs were converted."""
+    """Photographs that the lights' file names, in its order, and the others; suffixes and capitals need not agree."""
     chosen = []
     for name in names:
         ways = (str, str.lower, lambda word: Path(word.lower()).stem)
@@ -385,18 +370,11 @@ def capture_from_plain_images(
     by one factor. Raises BadInput if files are missing, damaged, of different sizes or turned differently by their EXIF
     data, lights and images differ in number, the lights do not determine a normal, an image is black or overexposed.
 
-    Parameters
-    ----------
     images : files of :func:`splitknit.io.photos.read_photo`, of one size, at least three, in the order of the lights
     lights : (L, 3) directions *towards* the lights, x right, y up, z to the camera, of any length
     px_per_mm : pixels a millimetre on the object; heights scale with it. None where it is unknown
     options : mask, material and others; without an encoding the images are linear
     intensities : relative strength of each light; equal where None
-
-    Returns
-    -------
-    Capture
-        Write it with :func:`splitknit.write_capture`.
     """
     files = [Path(image) for image in images]
     rig = _distant_rig(np.asarray(lights, dtype=np.float64))
@@ -520,7 +498,7 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
     """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s.
 
     `folder`: of the photographs, in the order of the lights by their names; `count`: of lights; one colour photograph
-    serves three; `encoding`: of the photographs. Raises BadInput if they are not there, not as many, or black in
+    serves three; `encoding`: of the photographs. Raises BadInput if they are missing, too few or many, or black in
     places.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")

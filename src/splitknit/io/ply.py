@@ -3,9 +3,7 @@
 ``quality`` is the per-vertex scalar that MeshLab, CloudCompare and trimesh know by that name; here it is the albedo's
 intensity from 0 (black) to 1 (white).
 
-References
-----------
-G. Turk, The PLY Polygon File Format, 1994.
+Source: G. Turk, The PLY Polygon File Format, 1994.
 """
 
 from __future__ import annotations
@@ -41,16 +39,11 @@ def write_ply(  # noqa: PLR0917 - a mesh is these arrays
 ) -> None:
     """Write a surface as binary little-endian PLY.
 
-    Raises BadInput if the shapes do not fit, a face refers to a vertex that is not there, a comment has more than one
-    line, or the file cannot be written.
-
-    Parameters
-    ----------
-    vertices_mm : (N, 3), mm
-    normals : (N, 3), unit length
-    intensity : (N,) uint8 in [0, 255], or float in [0, 1]; stored as the property ``quality`` in [0, 1]
-    faces : (M, 3) indices of vertices, counter-clockwise seen from outside, or None for a cloud of points
-    comments : single lines for the header (units, provenance)
+    `vertices_mm`: (N, 3), mm; `normals`: (N, 3), unit length; `intensity`: (N,) uint8, or float in [0, 1], stored as
+    the property ``quality`` in [0, 1]; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside, or
+    None for a cloud of points; `comments`: single lines for the header (units, provenance). Raises BadInput if the
+    shapes do not fit, a face refers to a vertex that is not there, a comment has several lines, or the file cannot be
+    written.
     """
     corners = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
     count = len(vertices_mm)

@@ -5,9 +5,7 @@ walked here (lengths, CRC-32), the image data is inflated here (which checks it 
 library gets are strips of rows in a fresh, sound wrapping: all that is left for it is to undo the row filters. Strips
 also keep the memory small: beside the pixels themselves only the file and one strip exist.
 
-References
-----------
-Portable Network Graphics (PNG) Specification, second edition, W3C 2003; chunk layout section 5.3, colour types
+Source: Portable Network Graphics (PNG) Specification, second edition, W3C 2003; chunk layout section 5.3, colour types
 section 11.2.2, filters section 9, interlace section 8.2.
 """
 
@@ -78,10 +76,8 @@ class _PngHeader:
 
 
 def png_header(data: bytes, name: str) -> _PngHeader:
-    """Read the IHDR chunk of `data`; `name` is for messages.
-
-    Raises BadInput if `data` does not begin with a sound IHDR chunk, or the image that it claims is too large to be
-    decoded, or to be in the file.
+    """Read the IHDR chunk of `data`; `name` is for messages. Raises BadInput if it is not sound, or claims an image too
+    large to be decoded, or to be in the file.
     """
     damaged = f"{name} is not a sound PNG file (its header is damaged); capture or export it again."
     require(len(data) >= 33 and data[:8] == SIGNATURE and data[8:16] == b"\0\0\0\rIHDR", damaged)

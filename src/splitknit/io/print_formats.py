@@ -60,11 +60,8 @@ class PrintFormat:
 
 def read_prints(path: str | os.PathLike[str]) -> tuple[PrintFile | FingerView, ...]:
     """Read what a file of any of the formats holds: prints, or minutiae. Its bytes show the format, not its name.
-
     Raises BadInput if the file is missing, of no such format, truncated, damaged or too large.
 
-    Examples
-    --------
     >>> read_prints("finger.fir")[0].image.shape  # doctest: +SKIP
     (500, 400)
     """

@@ -1,9 +1,7 @@
 """Prints as pictures: PNG, TIFF, JPEG and BMP read with the resolution that they state; PNG and TIFF written.
 
-References
-----------
-Portable Network Graphics (PNG) Specification, second edition, W3C 2003: pHYs section 11.3.5.3, tEXt 11.3.4.3, iTXt
-11.3.4.5.
+Source: Portable Network Graphics (PNG) Specification, second edition, W3C 2003: pHYs section 11.3.5.3, tEXt 11.3.4.3,
+iTXt 11.3.4.5.
 """
 
 from __future__ import annotations
@@ -87,10 +85,7 @@ def png_with_texts(data: bytes, text: Mapping[str, str], *chunks: bytes) -> byte
 
 
 def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
-    """Read a grey PNG with its resolution and texts.
-
-    Raises BadInput if the file is missing, damaged, or not 8-bit grey.
-    """
+    """Read a grey PNG with its resolution and texts; BadInput if the file is missing, damaged, or not 8-bit grey."""
     data, name = read_bytes(path, MAX_BYTES), os.fspath(path)
     pixels = decode_png(data, name)
     require(pixels.shape[2] == 1 and pixels.dtype == np.uint8, f"{name} is not an 8-bit grey image.")
@@ -98,21 +93,12 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
-    """Read a PNG, TIFF, JPEG or BMP file as a print, turned upright as its EXIF data say.
+    """Read a PNG, TIFF, JPEG or BMP file `data`, 8 or 16 bits, grey or grey as RGB, as a print, upright by its EXIF
+    data.
 
-    Raises BadInput if the file is damaged, too large, of colour or of another kind, or its pixels are not square.
-
-    Parameters
-    ----------
-    data : the whole file
-        Of 8 or 16 bits, grey or grey stored as RGB.
-    name : of the file, for messages
-
-    Returns
-    -------
-    PrintFile
-        Its resolution is that of pHYs, of the JFIF header or the EXIF data, of the TIFF tags, or of the BMP header;
-        None where it is stated nowhere.
+    Its resolution is that of pHYs, of the JFIF header or the EXIF data, of the TIFF tags, or of the BMP header; None
+    where it is stated nowhere. `name` is for messages. Raises BadInput if the file is damaged, too large, of colour or
+    of another kind, or its pixels are not square.
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
     pixels = decode_photo(data, name).pixels

@@ -18,19 +18,10 @@ JsonValue = None | bool | int | float | str | list["JsonValue"] | dict[str, "Jso
 
 
 def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) -> dict[str, JsonValue]:
-    """Return the facts that every written file carries.
+    """Facts of every written file: ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``.
 
-    Parameters
-    ----------
-    settings : dataclass, mapping or None
-        All parameters that shaped the result.
-    hashes : mapping or None
-        SHA-256 of every input file by its name.
-
-    Returns
-    -------
-    dict with ``software``, ``version``, ``settings``, ``settings_sha256`` and ``inputs``; equal input gives an equal
-    result (no date, no host).
+    `settings`: dataclass or mapping of all parameters that shaped the result; `hashes`: SHA-256 of every input file by
+    its name. Equal input gives an equal result (no date, no host).
     """
     from importlib import metadata  # slow to import
 
@@ -45,10 +36,7 @@ def provenance(settings: Any = None, hashes: Mapping[str, str] | None = None) ->
 
 
 def file_hash(path: str | os.PathLike[str]) -> str:
-    """SHA-256 (hex) of a file, read piece by piece.
-
-    Raises BadInput if it is missing, no regular file, or cannot be read.
-    """
+    """SHA-256 (hex) of a file, read in pieces; BadInput if it is missing, no regular file, or cannot be read."""
     with open_file(path, 1 << 50) as (stream, _):  # nothing is kept of it
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -73,9 +61,7 @@ def json_text(value: Any) -> str:
 
 
 def known_json(value: Any, nulls: Container[str] = ()) -> Any:
-    """Return `value` as :func:`plain_json` does, but without fields of dataclasses that are None by default and still
-    are; those named in `nulls` stay.
-    """
+    """`value` as of :func:`plain_json`, without dataclass fields still None by default, but for those of `nulls`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         given = ((item, getattr(value, item.name)) for item in dataclasses.fields(value))
         return {

@@ -154,8 +154,7 @@ def read_fields(
 
 
 def write_arrays(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write ``height.npz``: all fields on the input's pixel grid; in pixels, and named so, where the scale is
-    unknown."""
+    """Write ``height.npz``: all fields on the input's pixel grid; in pixels, and named so, without a scale."""
     unit = "mm" if result.scale_known else "px"
     arrays: dict[str, Any] = {
         f"height_{unit}": result.height_mm,
@@ -180,8 +179,7 @@ _AXES = "x right, y to the fingertip, z to the camera"
 
 
 def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Vertices (n, 3) in mm, normals (n, 3) and intensity (n,) of the pixels `valid` of the mask's box, some rows at a
-    time, tip along +y."""
+    """Vertices (n, 3) in mm, normals (n, 3) and intensity (n,) of the mask's pixels `valid`, by rows, tip along +y."""
     rows, columns = bounding_box(result.mask)
     height, width = result.mask.shape
     turn = upright_turn(result)
@@ -207,10 +205,7 @@ def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatA
 
 
 def write_mesh(path: Path, result: Reconstruction, origin: Origin) -> None:
-    """Write ``phalange.ply``: the surface in mm, tip up.
-
-    One vertex for each pixel of the mask, in the order of the rows; the grid is not resampled.
-    """
+    """Write ``phalange.ply``: the surface in mm, tip up; one vertex for each pixel of the mask, row by row."""
     box = bounding_box(result.mask)
     valid = result.mask[box] & np.isfinite(result.height_mm[box])
     _, triangles, faces = triangulate(valid)
@@ -234,15 +229,10 @@ def surface_chunks(
 ) -> tuple[dict[str, Any], Iterator[bytes]]:
     """Return facts of a file of the surface, its areal roughness among them, and the bytes of the file.
 
-    Raises BadInput if the result has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven
-    places.
-
-    Parameters
-    ----------
-    kind : ``stl``, ``obj`` (in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it), meshes as
-        ``phalange.ply`` is one; ``x3p`` or ``tmd``, heights on the input's pixel grid; ``ptm``, relightable picture
-    title : one line for the file's header
-    date : of the measurement, where it is known; of ``x3p``
+    `title`: one line for the file's header; `date`: of the measurement, where it is known; of ``x3p``; `kind`: ``stl``,
+    ``obj`` (in mm) or ``glb`` (mm, shown in metres by its node's scale, as glTF wants it), meshes as ``phalange.ply``;
+    ``x3p`` or ``tmd``, heights on the input's pixel grid; ``ptm``, relightable picture. Raises BadInput if the result
+    has no scale or no surface, or ``x3p`` or ``tmd`` are wanted of pixels at uneven places.
     """
     require(result.scale_known, NO_SCALE)
     box = bounding_box(result.mask)

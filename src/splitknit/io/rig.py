@@ -63,9 +63,8 @@ def write_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
 
 
 def rig_to_json(rig: Rig) -> dict[str, JsonValue]:
-    """Return the rig as the document that :func:`rig_from_json` reads.
-
-    Raises BadInput if LEDs are grouped (`also`), as :meth:`Rig.select` does: the file holds single LEDs.
+    """The rig as the document that :func:`rig_from_json` reads. Raises BadInput if LEDs are grouped (`also`), as by
+    :meth:`Rig.select`: the file holds single LEDs.
     """
     camera, distortion, leds = rig.camera, rig.camera.distortion, list[JsonValue]()
     if camera.model == "perspective" and distortion is None:

@@ -52,10 +52,8 @@ class ScoreFile:
 
 
 def read_scores(path: str | os.PathLike[str]) -> ScoreFile:
-    """Read a score file.
-
-    Raises BadInput naming file and line: not a CSV, a column missing or named twice, a line of another length, a label
-    other than 0 and 1, a score that is no finite number, an id that is blank.
+    """Read a score file. Raises BadInput naming file and line: not a CSV, a column missing or named twice, a line of
+    another length, a label other than 0 and 1, a score that is no finite number, an id that is blank.
     """
     name, data = os.fspath(path), _bytes(path)
     rows = _rows(data, name)
@@ -89,10 +87,8 @@ def read_scores(path: str | os.PathLike[str]) -> ScoreFile:
 
 
 def read_exclusions(path: str | os.PathLike[str]) -> tuple[list[dict[str, str]], str]:
-    """Read a list of fingers to leave out and its SHA-256: columns ``finger``, and if wanted the other three.
-
-    ``subject`` where fingers are named within their subject, ``session`` where one capture is meant, ``reason``. Raises
-    BadInput naming file and line.
+    """Read a list of fingers to leave out and its SHA-256: columns ``finger``, and if wanted ``subject`` (where fingers
+    are named within it), ``session`` (one capture) and ``reason``. Raises BadInput naming file and line.
     """
     name, data = os.fspath(path), _bytes(path)
     rows = _rows(data, name)

@@ -22,16 +22,9 @@ def check_target(out: Path, marker: str, words: str, *, keep: Path | None = None
     """Refuse to replace a folder that is not empty and not of this kind, or that is read from (`keep`).
 
     :func:`splitknit.io.atomic.atomic_folder` refuses files of other programs; this keeps one kind of folder from
-    replacing another, such as a result a capture. Raises BadInput if `out` must not be replaced, or cannot be looked
-    into.
-
-    Parameters
-    ----------
-    out : folder to write
-    marker : file that every folder of the kind holds
-    words : for the kind, such as "an earlier result"
-    keep : what is read from, if that is a folder
-    form : the field "format" of `marker`, where that is a JSON file that folders of other kinds have as well
+    replacing another, such as a result a capture. `marker`: file that every folder of the kind holds; `words`: for the
+    kind, such as "an earlier result"; `form`: the field "format" of `marker`, where that is a JSON file that folders of
+    other kinds have as well. Raises BadInput if `out` must not be replaced, or cannot be looked into.
     """
     out = out.expanduser()
     try:
@@ -71,14 +64,9 @@ def check_capture(
 def check_file(out: Path | None, words: str, is_own: Callable[[bytes], bool] | None = None, *, form: str = "") -> None:
     """Refuse to replace a file that is not of this kind; called before the work, so that none is done in vain.
 
-    Raises BadInput if `out` exists and is a folder or of another kind, or cannot be looked into.
-
-    Parameters
-    ----------
-    out : file to write; nothing is checked where it is None
-    words : for the kind, such as "a template"
-    is_own : whether a file that begins with these bytes, at most 16 MB of it, is of the kind
-    form : the field "format" of a JSON file of the kind, instead
+    `out`: file to write, unchecked if None; `words`: for the kind, such as "a template"; `is_own`: whether a file that
+    begins with these bytes, at most 16 MB of it, is of the kind; `form`: the field "format" of a JSON file of the kind,
+    instead. Raises BadInput if `out` exists and is a folder or of another kind, or cannot be looked into.
     """
     if out is None or not os.path.lexists(out := out.expanduser()):
         return

@@ -21,10 +21,7 @@ _LARGEST = 16_000_000
 
 
 def encode_template(payload: bytes, version: int) -> bytes:
-    """Content of a template file: header and `payload`; nothing for an empty payload (failure to acquire).
-
-    `version` is that of the payload, 0 to 65535.
-    """
+    """Content of a template file: header and `payload`, of `version` (0 to 65535); nothing for an empty payload."""
     require(0 <= version <= 65535, f"a template's version must lie between 0 and 65535, but it is {version}.")
     require(len(payload) <= _LARGEST, f"a template of {len(payload)} bytes is larger than any finger's.")
     if not payload:
@@ -41,10 +38,8 @@ def is_template(data: bytes) -> bool:
 
 
 def _decode_template(data: bytes, version: int, name: str = "the template") -> bytes:
-    """Payload of a template file's content, empty for a failure to acquire.
-
-    `data`: the whole file; `version`: the only one that is accepted; `name`: of the file, for errors. Raises BadInput
-    if it is no template, of another version, incomplete or damaged.
+    """Payload of a template file's content `data`, empty for a failure to acquire; BadInput, with `name`, if it is no
+    template, of another version than `version`, incomplete or damaged.
     """
     if not data:
         return b""
@@ -72,16 +67,10 @@ def _decode_template(data: bytes, version: int, name: str = "the template") -> b
 
 
 def read_template(path: str | os.PathLike[str], version: int) -> bytes:
-    """Payload of a template file.
-
-    Raises BadInput if the file cannot be read, or as :func:`_decode_template`.
-    """
+    """Payload of a template file; BadInput if it cannot be read, or as :func:`_decode_template`."""
     return _decode_template(read_bytes(path, _LARGEST + HEADER_BYTES), version, os.fspath(path))
 
 
 def write_template(path: str | os.PathLike[str], payload: bytes, version: int) -> None:
-    """Write a template file, whole or not at all; zero bytes for an empty payload.
-
-    Raises BadInput if the file cannot be written.
-    """
+    """Write a template file, whole or not at all, empty for an empty payload; BadInput if it cannot be written."""
     write_file(path, encode_template(payload, version))

@@ -4,9 +4,7 @@ Nothing is allocated before the strips or tiles that the tags name are known to 
 long enough for the image. Tags that no reader here needs are passed over. Damage inside LZW data may go unnoticed, as
 inside JPEG data: OpenCV decodes on.
 
-References
-----------
-TIFF, revision 6.0, Adobe 1992: sections 2 (image file directory), 9 (PackBits), 14 (predictor), 15 (tiles).
+Source: TIFF, revision 6.0, Adobe 1992: sections 2 (image file directory), 9 (PackBits), 14 (predictor), 15 (tiles).
 """
 
 from __future__ import annotations
@@ -94,8 +92,8 @@ class TiffPage:
 
 
 def encode_tiff(image: NDArray[Any], **tags: Any) -> bytes:
-    """Return an uncompressed TIFF file of one page (H, W) or (H, W, 3); `tags` are arguments of tifffile's ``imwrite``,
-    such as the resolution. Equal input gives equal bytes.
+    """An uncompressed TIFF file of one page (H, W) or (H, W, 3); equal input gives equal bytes. `tags` are arguments of
+    tifffile's ``imwrite``, such as the resolution.
     """
     import tifffile  # slow to import
 
@@ -115,18 +113,12 @@ def write_float_tiff(
     metadata: Mapping[str, Any] | None = None,
     pitch_mm: float | None = None,
 ) -> None:
-    """Write a field of floats, such as heights or light, as an uncompressed float32 TIFF.
+    """Write a field of floats (H, W) or (H, W, 3), NaN where nothing is known, as an uncompressed float32 TIFF.
 
-    The description tag is a JSON object with ``unit``, ``pitch_mm`` (exact) where it is known, and everything in
-    `metadata`; pixels per centimetre are in the resolution tags. Equal input gives equal bytes. Raises BadInput if the
-    array or the pitch is of another kind, or the file cannot be written.
-
-    Parameters
-    ----------
-    field : (H, W) or (H, W, 3), NaN where nothing is known
-    unit : of the values, such as ``mm``, ``pixel``, ``rad`` or ``linear light, 1 = full scale``
-    metadata : what JSON can hold (see :func:`splitknit.io.provenance`)
-    pitch_mm : size of a pixel; None where the scale is unknown: the file then states no resolution
+    The description tag is a JSON object with ``unit`` (such as ``mm``, ``pixel`` or ``linear light, 1 = full scale``),
+    ``pitch_mm`` (exact; None where unknown: no resolution is stated then), and everything in `metadata`, what JSON can
+    hold; pixels per centimetre are in the resolution tags. Equal input gives equal bytes. Raises BadInput if the array
+    or the pitch is of another kind, or the file cannot be written.
     """
     image = np.ascontiguousarray(field, dtype=np.float32)
     good = image.size > 0 and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3))
@@ -141,10 +133,8 @@ def write_float_tiff(
 
 
 def tiff_page(data: bytes, name: str) -> TiffPage:
-    """Read and check the first page's tags.
-
-    Raises BadInput if they are damaged, name strips that are not in the file, or the image is not flat grey or RGB of 8
-    to 64 bits.
+    """Read and check the first page's tags. Raises BadInput if they are damaged, name strips that are not in the file,
+    or the image is not flat grey or RGB of 8 to 64 bits.
     """
     damaged = f"{name} is not a sound TIFF file: its tags are damaged; export it again."
     with refusing(damaged):
@@ -207,9 +197,8 @@ def tiff_page(data: bytes, name: str) -> TiffPage:
 
 
 def tiff_header(data: bytes, name: str) -> TiffPage:
-    """Read the first page's tags.
-
-    Raises BadInput as :func:`tiff_page`, and if the image is not 8- or 16-bit grey or RGB.
+    """Read the first page's tags. Raises BadInput as :func:`tiff_page`, and if the image is not 8- or 16-bit grey or
+    RGB.
     """
     page = tiff_page(data, name)
     require(
@@ -221,9 +210,8 @@ def tiff_header(data: bytes, name: str) -> TiffPage:
 
 
 def decode_tiff(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
-    """Decode the first page of a TIFF file to (H, W, C) uint8 or uint16, C = 1 or 3; alpha is dropped.
-
-    Raises BadInput if the file is truncated or damaged, or not 8- or 16-bit grey or RGB.
+    """Decode the first page of a TIFF file to (H, W, C) uint8 or uint16, C = 1 or 3; alpha is dropped. Raises BadInput
+    if the file is truncated or damaged, or not 8- or 16-bit grey or RGB.
     """
     page = tiff_header(data, name)
     if out is None:
@@ -263,8 +251,7 @@ def decode_page(data: bytes, page: TiffPage, name: str, out: NDArray[Any]) -> No
 
 
 def _directory(data: bytes) -> tuple[Literal["<", ">"], str, int, Iterator[tuple[int, int, int, int]]]:
-    """Order of bytes, format of an offset and number of tags; then each tag, its type, number of values, and place of
-    them or of their offset."""
+    """Byte order, format of an offset, number of tags; of each: tag, type, count, and place of values or offset."""
     order: Literal["<", ">"] = "<" if data[:2] == b"II" else ">"
     big = 43 in data[2:4]
     entry, long = struct.Struct(f"{order}HHQ8x" if big else f"{order}HHI4x"), f"{order}Q" if big else f"{order}I"
@@ -319,12 +306,8 @@ def stated_ppi(data: bytes, name: str) -> float | None:
 def exif_orientation(data: bytes, name: str) -> int:
     """How the picture is turned, 1 to 8, by the first directory of a TIFF file or of EXIF data, which are one format.
 
-    Raises BadInput if the directory is damaged.
-
-    Returns
-    -------
-    int
-        1 (as stored) where there are no data, no such tag, or one without meaning.
+    1 (as stored) where there are no data, no such tag, or one without meaning. Raises BadInput if the directory is
+    damaged.
     """
     if not data:
         return 1

@@ -5,9 +5,8 @@ its own, which may end: 50 ms more, and whatever the bytes, an image or one sent
 and the processor's time that an image of the size in the checked header needs, several times over, and no more (where
 the system has such limits). The package serves Pillow; its codec is called without it here.
 
-References
-----------
-FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biometric Image Software", 2007: cwsq, dwsq.
+Source: FBI IAFIS-IC-0110 (V3.1), 2010; C. I. Watson et al., "User's Guide to NIST Biometric Image Software", 2007:
+cwsq, dwsq.
 """
 
 from __future__ import annotations
@@ -81,19 +80,8 @@ def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
 
 
 def decode_wsq(data: bytes, name: str = "the image") -> PrintFile:
-    """Decompress a print.
-
-    Raises BadInput if it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
-
-    Parameters
-    ----------
-    data : the whole file
-    name : of the file, for messages
-
-    Returns
-    -------
-    PrintFile
-        Its resolution is that of the comment, None where there is none.
+    """Decompress a print, the whole file `data`, with the comment's resolution, None if there is none; `name`: for
+    messages. Raises BadInput if it is no WSQ file, truncated or damaged, or the package `wsq` is not installed.
     """
     header = _wsq_header(data, name)
     decoded = _run("decode", header.rows * header.columns, data)
@@ -209,8 +197,7 @@ def _frame(body: bytes, name: str) -> tuple[int, int]:
 
 
 def _ppi(comment: bytes) -> int | None:
-    """The last line ``PPI n`` after the line that begins with ``NIST_COM``; each byte is looked at a fixed number of
-    times."""
+    """Last line ``PPI n`` after the one that begins with ``NIST_COM``, in time linear in the bytes."""
     head = re.search(rb"^NIST_COM ", comment, re.MULTILINE)
     stated = _PPI_LINE.findall(comment, head.end()) if head else []
     return int(stated[-1]) if stated else None

@@ -112,10 +112,7 @@ def _drawing(seen: SeenInMirrors) -> dict[str, Any]:
 
 
 def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeSettings) -> SeenInMirrors:
-    """Views and shape of a capture.
-
-    Raises BadInput if the rig has no mirrors, or they do not show one finger.
-    """
+    """Views and shape of a capture; BadInput if the rig has no mirrors, or they do not show one finger."""
     rig = capture.rig
     require(
         bool(rig.mirrors),
@@ -134,7 +131,6 @@ def seen_in_mirrors(capture: Capture, mask: MaskSettings, settings: MirrorShapeS
 
 def found_views(capture: Capture, mask: MaskSettings) -> tuple[Views, FloatArray]:
     """Which part of a capture's images shows the finger and which shows it in mirrors; its white images (L, h, w).
-
     Raises BadInput as :func:`splitknit.mirrors.views.find_views`.
     """
     rig = capture.rig
@@ -161,7 +157,6 @@ def views_in(mean: FloatArray, rig: Rig, binning: int, mask: MaskSettings) -> Vi
 
 def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorShape) -> Slopes | None:
     """Slopes of the skin in the front view, by photometric stereo with the LEDs and their images in the mirrors.
-
     `grey`: (L, h, w) white images on the views' grid; `shape`: a first one: it gives where each light reaches the skin.
     """
     camera = capture.rig.camera
@@ -205,10 +200,8 @@ def skin_slopes(capture: Capture, grey: FloatArray, views: Views, shape: MirrorS
 def _with_images(
     rig: Rig, glasses: Sequence[Glass], points_mm: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> Rig:
-    """The rig whose exposures are also lit by the LEDs' images in mirrors, each where it reaches the skin.
-
-    `rig`: `rig.leds[k]` lights image k; `glasses`: the mirrors; `points_mm`, `normals`: (h, w, 3) of the skin on a
-    regular grid.
+    """The rig (`rig.leds[k]` lights image k) with the LEDs' images in mirrors `glasses`, each where it reaches the
+    skin. `points_mm`, `normals`: (h, w, 3) of the skin on a regular grid.
     """
     leds = []
     for exposure in rig.leds:

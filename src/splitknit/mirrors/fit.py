@@ -102,9 +102,8 @@ class Estimate:
         return Estimate(replace(self.body, **{kind: getattr(self.body, kind) + by}), self.poses)
 
     def stepped(self, step: Array, parameters: _Parameters) -> Estimate:
-        """After a correction: of the splines' coefficients first, then of `parameters`.
-
-        One that goes beyond a limit is shortened as a whole: lean and shift of a mirror belong together.
+        """After a correction, of the splines' coefficients, then of `parameters`; beyond a limit it is shortened as a
+        whole, as lean and shift of a mirror belong together.
         """
         count = self.body.coefficients.size
         shared = [name for name, _ in parameters]
@@ -147,8 +146,7 @@ class Fit:
     body: Body
     poses: Mapping[str, Pose]
     misfit_mm: Mapping[str, Array]
-    """Distance (n,) of the body from each touching plane of ``front`` and every mirror, positive where it is too
-    large."""
+    """Distance (n,) of the body from each touching plane of ``front`` and every mirror, positive where too large."""
     weights: Mapping[str, Array]
 
 
@@ -352,14 +350,8 @@ def fit_body(
     slopes: Slopes | None = None,
     sure_from: int = SURE_FROM,
 ) -> Fit:
-    """Fit body and poses.
-
-    Parameters
-    ----------
-    start : a first guess
-    outlines : of all views
-    slopes : of the skin, optional
-    sure_from : corrections before points of an outline may be left out altogether
+    """Fit body and poses from a first guess `start`, the `outlines` of all views and, if given, `slopes` of the skin.
+    `sure_from`: corrections before points of an outline may be left out altogether.
     """
     if any(mirror.from_tip for mirror in outlines.mirrors.values()):
         return _with_ends(start, outlines, settings, slopes)
@@ -390,10 +382,8 @@ def fit_body(
 
 
 def _with_ends(start: Estimate, outlines: Outlines, settings: MirrorShapeSettings, slopes: Slopes | None) -> Fit:
-    """With mirrors beyond the tip: what they show of the sections' form, the others fit with that form again.
-
-    They see the largest sections only, and those beside the tip hide the rest: so they do not constrain the lines along
-    the finger.
+    """With mirrors beyond the tip: what they show of the sections' form, the others fit with that form again. They see
+    the largest sections only, and those beside the tip hide the rest: they do not constrain lines along the finger.
     """
     poses = dict(start.poses)
     beside = {name: mirror for name, mirror in outlines.mirrors.items() if not mirror.from_tip}

@@ -54,10 +54,8 @@ TIPS_APART = (
 
 
 def turn_of_tips(views: Views, name: str, camera: Camera, plane: MirrorPlane, axis: Array) -> float | None:
-    """How far the mirror `name`, nominally in `plane`, is turned about the camera's axis, from the tips of two views.
-
-    The line that joins a point with its mirror image touches both views' outlines at the tip (a frontier point). None:
-    no turn within reason makes it so.
+    """Turn of mirror `name`, nominally in `plane`, about the camera's axis, by the tips of two views; None if beyond
+    reason. The line that joins a point with its mirror image touches both outlines at the tip (a frontier point).
     """
     across = np.array([axis[1], -axis[0]])
     front, side = (
@@ -166,10 +164,10 @@ class _Ellipses:
 def _ellipses(front: OutlineRows, lateral: OutlineRows, tip_is_outward: float) -> _Ellipses:
     """Align the views as the thesis does, and pair their rows.
 
-    Both medial lines are turned to one direction, both tips put into one row, and each row's half-widths become the
-    half axes of an ellipse. Lengths agree already: a plane mirror does not change them. `front`, `lateral`: outlines of
-    the views across their own medial lines; `tip_is_outward`: +1 where the pad is on the right of the lateral view's
-    axis, -1 where it is on its left. Source: the thesis, section 3.3.2.3, steps 2 to 7.
+    Medial lines are turned to one direction, tips put into one row, and each row's half-widths become half axes of an
+    ellipse; a plane mirror keeps lengths. `front`, `lateral`: outlines across their medial lines; `tip_is_outward`: +1
+    where the pad is on the right of the lateral view's axis, -1 on its left. Source: the thesis, section 3.3.2.3, steps
+    2 to 7.
     """
     parts = []
     for rows in (front, lateral):
@@ -216,9 +214,8 @@ class MirrorShape:
         return plane.normal, plane.offset_mm
 
     def points(self, rows: slice, columns: slice, binning: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """x, y and z (h, w), mm, of the surface that the pixels of a window of the front view see; NaN beside it.
-
-        With `binning`, of blocks of so many pixels a side.
+        """x, y and z (h, w), mm, of the surface that a window's pixels of the front view see, in blocks of `binning`
+        pixels a side; NaN beside it.
         """
         if isinstance(self.model, _Ellipses):
             return self.model.heights(self.camera, rows, columns, binning)
@@ -261,8 +258,6 @@ def mirror_shape(
     Raises BadInput if the views do not fit one finger. Source: the thesis, section 3.3.2.3. Cipolla and Giblin 2000,
     Visual Motion of Curves and Surfaces (frontier points).
 
-    Parameters
-    ----------
     views : masks of the front view and of the mirrors' views, see :func:`splitknit.mirrors.views.find_views`
     rig : its camera, and where its mirrors nominally are
     tip_direction_deg : where the finger's tip points, within 75 deg: 0 = row 0, counter-clockwise

@@ -64,10 +64,8 @@ class OutlineRows:
         return OutlineRows(self.axis, self.along_mm[kept], self.left_mm[kept], self.right_mm[kept])
 
     def places(self, side: str) -> tuple[Array, Array, Array]:
-        """Points of one side of the outline.
-
-        Returns `places_mm`, (m, 2) on the finger plane; `along`, (m, 2) direction of the outline; `outward`, (m, 2)
-        away from the finger.
+        """Points of one side of the outline: `places_mm`, `along` it and `outward`, away from the finger, (m, 2) each
+        on the finger plane.
         """
         edge = self.left_mm if side == "left" else self.right_mm
         row = np.flatnonzero(np.isfinite(edge))
@@ -82,15 +80,10 @@ class OutlineRows:
 
 
 def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust_ends: bool = False) -> OutlineRows:
-    """Measure the outline of `mask`.
+    """Measure the outline of `mask` (h, w) of one view, in blocks of `binning` pixels a side of the camera's image.
 
-    Raises BadInput if the mask is empty.
-
-    Parameters
-    ----------
-    mask : (h, w) one view, on blocks of `binning` pixels a side of the camera's image
-    axis : (2,) direction on the finger plane along which rows follow each other, towards the fingertip
-    trust_ends : keep what looks like the straight end of a cut finger
+    `axis`: (2,) direction on the finger plane along which rows follow each other, towards the fingertip; `trust_ends`:
+    keep what looks like the straight end of a cut finger. Raises BadInput if the mask is empty.
     """
     require(bool(mask.any()), "a view of the finger is empty.")
     axis = np.asarray(axis, dtype=np.float64) / float(np.hypot(*axis))
@@ -125,8 +118,8 @@ def front_axis(mask: BoolArray, camera: Camera, binning: int, tip_direction_deg:
 def medial_line(rows: OutlineRows, full_width: float = 0.8) -> tuple[float, float]:
     """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles.
 
-    Robust (Tukey's biweight), over rows in which the finger has its full width, so that tip and base do not turn it.
-    Source: the thesis, sections 3.3.1.1 and 3.3.2.3, step 3; reading notes 2.
+    Robust (Tukey's biweight), over rows of full width, so that tip and base do not turn it. Source: the thesis,
+    sections 3.3.1.1 and 3.3.2.3, step 3; reading notes 2.
     """
     width = rows.width_mm
     known = np.isfinite(width)
@@ -152,7 +145,6 @@ def pad_side(mirror: Mirror, rows: OutlineRows) -> str:
 
 def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
     """Whether a view ends at its mirror's edge rather than at the pad: its outline is a straight line, or not there.
-
     `side`: of the pad; `from_tip`: whether the rows run across the finger.
     """
     known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))
@@ -168,9 +160,8 @@ def is_cut(rows: OutlineRows, side: str, *, from_tip: bool = False) -> bool:
 
 
 def finger_axis(mask: BoolArray, camera: Camera, binning: int, hint: Array) -> tuple[Array, OutlineRows]:
-    """Direction (2,) of the finger on the finger plane, towards its tip, and its outline across it.
-
-    `hint`: (2,) direction towards the tip within about 75 deg.
+    """Direction (2,) of the finger on the finger plane, towards its tip within about 75 deg of `hint` (2,), and its
+    outline across it.
     """
     axis = np.asarray(hint, dtype=np.float64) / float(np.hypot(*hint))
     rows = rows_of(mask, camera, binning, axis)

@@ -32,10 +32,8 @@ class Touching:
 
 
 def touching(camera: Camera, places_mm: Array, along: Array, outward: Array) -> Touching:
-    """Rays and planes of points of an outline.
-
-    `places_mm`: (n, 2) where the outline's pixels look on the finger plane; `along`: (n, 2) direction of the outline
-    there; `outward`: (n, 2) any direction on the finger plane that leaves the finger.
+    """Rays and planes of points of an outline, by their `places_mm` (n, 2) on the finger plane. `along`: (n, 2)
+    direction of the outline there; `outward`: (n, 2) any direction on that plane that leaves the finger.
     """
     n = len(places_mm)
     point = np.column_stack([places_mm, np.zeros(n)])
@@ -63,14 +61,8 @@ class MirrorPlane:
         return MirrorPlane(mirror.normal, float(mirror.normal @ mirror.point_mm))
 
     def moved(self, turn_rad: float, lean_rad: float, shift_mm: float, about_mm: Array) -> MirrorPlane:
-        """The mirror turned about z, leaned by more, and shifted along its normal.
-
-        Parameters
-        ----------
-        turn_rad : about the camera's axis
-        lean_rad : towards lying flat
-        shift_mm : along the normal
-        about_mm : (3,) point of the mirror that stays where it is but for the shift
+        """The mirror turned about z by `turn_rad`, leaned by `lean_rad` more towards lying flat, and shifted by
+        `shift_mm` along its normal; but for the shift its point `about_mm` (3,) stays where it is.
         """
         level = self.normal[:2] / np.hypot(*self.normal[:2])
         cosine, sine = np.cos(turn_rad), np.sin(turn_rad)

@@ -60,12 +60,10 @@ def find_views(
     works on a small copy of the image, and the outlines are found in the image around what was seen there. Raises
     BadInput if there are no mirrors, none shows a finger, a view is cut by a mirror's edge, or there are two fingers.
 
-    Parameters
-    ----------
     image : (h, w, C) float32, linear, in blocks of `binning` pixels a side of the camera's image
     rig : its camera, and where its mirrors nominally are
     find_finger : segmentation mask of an image, such as :func:`splitknit.finger.mask.finger_mask`
-    find_outline : outline of a finger roughly known, such as :func:`splitknit.finger.mask.finger_outline`, optional
+    find_outline : of a finger roughly known, such as :func:`splitknit.finger.mask.finger_outline`, optional
     """
     require(bool(rig.mirrors), "the rig has no mirrors: name them in rig.json, or take the shape from light.")
     factor = 1

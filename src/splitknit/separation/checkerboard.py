@@ -56,34 +56,22 @@ def checkerboard(
 
     With `patterns` and `check_px`, for matter in which light spreads: least squares of L = a + b s + c m, where m is s
     averaged over a square of 0.8 checks around the pixel, with the weights |2 m - 1|, evaluated where the pixel lies
-    nearest to the middle of a lit and of a dark check. These places are known, so that there is still no bias by noise.
-    Raises BadInput if the stack is inconsistent: a shift missing or repeated, pixels that were never lit or never dark,
-    saturated or black images, sizes that differ, NaN, images that do not show their patterns.
+    nearest to the middle of a lit and of a dark check. These places are known: no bias by noise. Raises BadInput if the
+    stack is inconsistent: a shift missing or repeated, pixels never lit or never dark, saturated or black images, sizes
+    that differ, NaN, images that do not show their patterns.
 
-    Parameters
-    ----------
-    stack : (N, H, W) or (N, H, W, C), two images at least
-        Linear light, black level removed. All patterns have the same `alpha`.
+    stack : (N, H, W) or (N, H, W, C), N >= 2, linear light, black level removed; all patterns have the same `alpha`
     alpha : fraction of the source that is lit, in (0, 1]
-    dark : brightness of the unlit part relative to the lit one, in [0, 1)
-        Zero where an image of the "black" source was subtracted.
-    patterns : (N, H, W) in [0, 1], optional
-        State P of the pattern at each camera pixel: 1 lit, 0 dark.
-    check_px : side of a check on the camera's pixels, optional
-        Give it for skin. Without it global light is taken to be the same under all shifts.
-    shifts : (N,) or (N, 2), optional
-        Shift of each image's pattern. It must be a full grid, each shift once.
-    period : number or pair, optional
-        Period of the pattern in the units of `shifts`, which are then compared modulo it.
-    mask : (H, W) bool, optional
+    dark : brightness of the unlit part over the lit one, in [0, 1); zero where a "black" image was subtracted
+    patterns : (N, H, W) in [0, 1], state P of the pattern at each camera pixel: 1 lit, 0 dark
+    check_px : side of a check on the camera's pixels, for skin; without, global light is the same under all shifts
+    shifts : (N,) or (N, 2), of each image's pattern: a full grid, each shift once
+    period : number or pair, of the pattern in the units of `shifts`, which are then compared modulo it
+    mask : (H, W) bool
 
-    References
-    ----------
-    S. K. Nayar et al., "Fast separation of direct and global components of a scene using high frequency
+    Source: S. K. Nayar et al., "Fast separation of direct and global components of a scene using high frequency
     illumination", ACM Transactions on Graphics 25(3), 2006, section 3.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> from splitknit.separation.states import checkerboard_patterns
     >>> patterns = checkerboard_patterns((8, 8), 4.0, [(0, 0), (0, 4)])
@@ -135,11 +123,9 @@ def _by_states(light: FloatArray, states: FloatArray, alpha: float, dark: float)
 
 
 def _in_the_middle(light: FloatArray, states: FloatArray, check_px: float) -> tuple[FloatArray, FloatArray]:
-    """Light (H, W, C) of each pixel where it is nearest to the middle of a dark and of a lit check.
-
-    The pattern's mean over a square somewhat smaller than a check is 1 or 0 near the middle of one and passes 1/2 at
-    its rim: it stands for the light that arrives from around, it shows where the middle is, and images count the more
-    the nearer the pixel is to it.
+    """Light (H, W, C) of each pixel where it is nearest to the middle of a dark and of a lit check. The pattern's mean
+    over a square somewhat smaller than a check, 1 or 0 in its middle and 1/2 at its rim, stands for the light from
+    around, and weighs the images.
     """
     around = np.stack([_square_mean(state, 0.8 * check_px) for state in states])
     used = (states <= EDGE) | (states >= 1 - EDGE)

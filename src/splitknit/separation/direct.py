@@ -22,20 +22,15 @@ MIN_LEVEL = 0.05
 
 
 def exposure_level(image: FloatArray) -> float:
-    """Brightness of an image's white: the 99.9th percentile of its positive values.
-
-    Taken on every second pixel in each direction, over all channels together, so that colours keep their ratios.
-    """
+    """An image's white: the 99.9th percentile of its positive values, all channels together, at every second pixel."""
     sample = image[..., ::2, ::2]
     sample = sample[sample > 0]
     return float(np.percentile(sample, 99.9)) if sample.size else 1.0
 
 
 def local_level(image: FloatArray) -> FloatArray:
-    """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one.
-
-    A Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not black, formed on blocks of 8 x 8
-    pixels and interpolated.
+    """(h, w) mean brightness of the skin about each pixel, one for all channels: what the network takes as one. A
+    Gaussian mean over the pixels of `image`, (h, w) or (C, h, w), that are not black, by blocks of 8 x 8 pixels.
     """
     grey = np.maximum(image if image.ndim == 2 else image.mean(axis=0, dtype=np.float32), np.float32(0.0))
     height, width = grey.shape
@@ -60,15 +55,12 @@ def direct_light(
     Every image is divided by its :func:`local_level` and the result multiplied by it, so that neither exposure nor
     shading matters. What "direct" is depends on the size of the checks that the network was trained with; its card
     shows. The result, of the shape of `images`, lies between zero and the image; for enhanced images it is what
-    enhancement makes of the image times the direct fraction of its light. The thesis, 3.3.1.4; O. Ronneberger, P.
-    Fischer and T. Brox, "U-Net", MICCAI 2015. Raises BadInput if the images have the wrong shape, hold NaN, or are
-    smaller than the network's stride.
+    enhancement makes of the image times the direct fraction of its light. Raises BadInput if the images have the wrong
+    shape, hold NaN, or are smaller than the network's stride. Source: the thesis, 3.3.1.4; O. Ronneberger, P. Fischer
+    and T. Brox, "U-Net", MICCAI 2015.
 
-    Parameters
-    ----------
-    images : (N, H, W) grey or (N, 3, H, W) red, green, blue
-        Linear light, or images enhanced by CLAHE; any scale, zero outside the skin. Grey images are given to the
-        network three times, as the thesis does.
+    images : (N, H, W) grey (given to the network three times, as in the thesis) or (N, 3, H, W) red, green, blue;
+        linear light, or enhanced by CLAHE; any scale, zero outside the skin
     network : Network, name of a shipped network, or path of an ``.onnx`` file
     tile : as of :func:`splitknit.networks.unet.run_network`
     """
@@ -92,12 +84,11 @@ def direct_light(
 def direct_of_enhanced(
     enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
 ) -> FloatArray:
-    """Direct part (N, H, W) of enhanced grey images, by the direct fraction of the colour images (N, 3, H, W) they were
-    made of.
+    """Direct part (N, H, W) of enhanced grey images, by the direct fraction of their colour images (N, 3, H, W).
 
-    A grey image has lost the colours that show how much of skin's light is direct. Here the network is given the
-    colours, and the enhanced image is multiplied by the fraction of direct light that it finds; the thesis gives the
-    network the enhanced image itself, which is :func:`direct_light` of `enhanced`.
+    Grey images have lost the colours that show how much of skin's light is direct: here the network sees the colours,
+    and its fraction multiplies the enhanced image. The thesis gives it the enhanced image itself
+    (:func:`direct_light`).
     """
     grey, colours = np.asarray(enhanced, dtype=np.float32), np.asarray(images, dtype=np.float32)
     require(

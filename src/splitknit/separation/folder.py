@@ -82,7 +82,6 @@ def separate_polarised_folders(
     parallel: Path, crossed: Path, out: Path, *, encoding: str | None = None, progress: Progress = no_progress
 ) -> dict[str, Any]:
     """Separate photographs through parallel and crossed films, light by light; return the facts of ``report.json``.
-
     Raises BadInput if the folders do not hold the same number of photographs of one kind, or are not to be read.
     """
     series = []

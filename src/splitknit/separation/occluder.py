@@ -36,20 +36,18 @@ def occluder(
     """Separate direct from global light by a moving shadow (S. K. Nayar et al. 2006, section 5.1).
 
     A thin line takes away hardly any of the global light: direct = greatest - least, global = least. A mesh that lets
-    the fraction `alpha` of the light through takes the rest of the global light with it in *every* image: direct =
-    greatest - least, global = least / alpha.
+    the fraction `alpha` of the light through takes the rest of the global light with it in *every* image: global =
+    least / alpha.
 
     Minimum and maximum over noisy images are biased outwards. Two remedies: `shadow_percent`, the fraction of the
-    images in which every pixel is surely in full shadow; the median of that many darkest images is its shadow, and the
-    median of the upper half its light (robust against a passing fly, less biased, not unbiased). Or `patterns`, known
-    or from :func:`splitknit.separation.states.estimate_patterns`: the means over a pixel's lit and shadowed images,
-    unbiased.
+    images in which every pixel is surely in full shadow: the median of that many darkest images is its shadow, the
+    median of the upper half its light (robust against a passing fly, less biased). Or `patterns`, known or from
+    :func:`splitknit.separation.states.estimate_patterns`: the means over a pixel's lit and shadowed images, unbiased.
 
     `sequence`: (N, H, W) or (N, H, W, C) linear light, black level removed, lamp and camera fixed, or an iterable of
     images, two at least; `kind`: ``line`` or ``mesh``; `alpha`, in (0, 1], is to be given for a mesh; `shadow_percent`:
-    0 (plain extremes) to 50; `patterns`: (N, H, W), 1 where a pixel is lit, 0 where it lies in the shadow, left out
-    between them; `mask`: (H, W) bool. Raises BadInput if pixels were never shadowed (with their fraction and the first
-    of them), or the images are unusable.
+    0 (plain extremes) to 50; `patterns`: (N, H, W), 1 lit, 0 in the shadow, left out between; `mask`: (H, W) bool.
+    Raises BadInput if pixels were never shadowed (fraction and first of them), or the images are unusable.
     """
     require(kind in KINDS, f"kind must be 'line' or 'mesh', but it is '{kind}'.")
     require(kind == "line" or alpha is not None, "a mesh needs alpha, the fraction of the light that passes it.")

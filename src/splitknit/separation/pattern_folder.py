@@ -205,10 +205,7 @@ def _in_order(stem: str) -> list[tuple[int, int | str]]:
 
 
 def _shifts_by_names(plan: PatternFolder) -> tuple[tuple[float, ...], ...] | None:
-    """The numbers in which the names differ, one or two of them, checked to leave no gap; None where there are none.
-
-    They are places in a table, not lengths: nothing but completeness is read from them.
-    """
+    """The one or two numbers in which names differ, without a gap, or None; only completeness is read from them."""
     if plan.method not in ("checkerboard", "symmetry", "sinusoid") or len(plan.images) < 3:
         return None
     words = {re.sub(r"\d+", "#", image.stem) for image in plan.images}

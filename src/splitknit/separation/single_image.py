@@ -72,11 +72,9 @@ def single_image(
 
 
 def _envelopes(light: FloatArray, check_px: float) -> tuple[FloatArray, FloatArray]:
-    """Light from valley to valley and from peak to peak (H, W, C): opening and closing of each channel.
-
-    The closing is each peak's value, carried over the dark checks between the peaks; it follows the slopes of the
-    shading, on which a check's plain maximum would be its neighbour's rim. A window of 1.5 checks always holds the
-    middle of a lit and of a dark one.
+    """Light from valley to valley and from peak to peak (H, W, C): opening and closing of each channel. The closing
+    carries peaks over dark checks and follows the slopes of shading, where a plain maximum would be a neighbour's rim.
+    A window of 1.5 checks always holds the middle of a lit and of a dark one.
     """
     reach = int(np.ceil(0.75 * check_px))
     window = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * reach + 1, 2 * reach + 1))

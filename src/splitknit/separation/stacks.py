@@ -5,10 +5,8 @@ brightness s (1 = lit, `dark` = unlit) records L = s L_direct + k L_global: dire
 light (scattered in the skin or between surfaces) sees only the pattern's mean brightness k, because it gathers many
 checks. With a fraction `alpha` of the source lit, k = alpha + dark (1 - alpha).
 
-References
-----------
-S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global components of a scene
-using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
+Source: S. K. Nayar, G. Krishnan, M. D. Grossberg and R. Raskar, "Fast separation of direct and global components of a
+scene using high frequency illumination", ACM Transactions on Graphics 25(3), 2006.
 """
 
 from __future__ import annotations
@@ -55,9 +53,8 @@ DEFAULTS = StackSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separation:
-    """Direct and global light, NaN outside the mask.
-
-    Both are what the camera would record with the whole source lit, so that they add up to that image.
+    """Direct and global light, NaN outside the mask. Both are what the camera would record with the whole source lit,
+    so that they add up to that image.
     """
 
     direct: FloatArray
@@ -90,8 +87,7 @@ class LightStack:
 
 
 def light_stack(stack: Any, *, least: int, mask: Any = None, settings: StackSettings = DEFAULTS) -> LightStack:
-    """Check a stack of linear light, (N, H, W) or (N, H, W, C) or a sequence of images, C = 1 or 3, and its mask (H,
-    W).
+    """Check a stack of linear light, (N, H, W), (N, H, W, C) or a sequence of images, C = 1 or 3, and its mask (H, W).
 
     Raises BadInput if there are fewer than `least` images, sizes differ, values are not finite, or an image is black or
     overexposed.
@@ -191,9 +187,7 @@ def percent(fraction: float) -> str:
 def check_contrast(
     low: FloatArray, high: FloatArray, mask: BoolArray, settings: StackSettings, words: tuple[str, str]
 ) -> None:
-    """Refuse a stack in which too many bright pixels do not change, naming their fraction and where the first of them
-    is.
-
+    """Refuse a stack in which too many bright pixels do not change, naming their fraction and the first's place.
     `words`: what they have never been, and the remedy.
     """
     dark, bright = low.max(axis=-1), high.max(axis=-1)
@@ -214,9 +208,9 @@ def check_repeats(
 ) -> None:
     """Refuse a stack in which two images show the same pattern: a repeated shift, and so a missing one.
 
-    Two images of one pattern differ by noise alone. Noise is independent from pixel to pixel, patterns are not: the
-    covariance of the difference with itself, moved by a pixel or two, separates them in noisy images too. `expected`:
-    (N, N) how much the patterns themselves differ (any unit); all equal where None.
+    They differ by noise alone, which is independent from pixel to pixel: the covariance of the difference with itself,
+    moved by a pixel or two, shows patterns. `expected`: (N, N) how much patterns differ (any unit); all equal where
+    None.
     """
     power, covariance, count = _differences(light, mask)
     pairs = np.triu_indices(len(light), 1)
@@ -242,8 +236,8 @@ def check_repeats(
 def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
     """Return the first pair that is `similar` (N, N, upper triangle), or None if all have as many twins.
 
-    A checkerboard moved by one check each way is the same again, so that in a full grid of an even number of shifts
-    every image has a twin. One that was captured twice by mistake has a twin where others have none.
+    In a full grid of an even number of shifts every checkerboard has a twin, a check away each way; one captured twice
+    by mistake has a twin where others have none.
     """
     number = (similar | similar.T).sum(axis=0)
     if bool((number == number[0]).all()):
@@ -256,9 +250,8 @@ def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
 def _differences(
     light: FloatArray, mask: BoolArray, pixels: int = 60_000
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Mean square of each difference of two images (N, N); its largest covariance with itself, moved (N, N); pixels.
-
-    On rows that are spread over the image, relative to the mean of all images.
+    """Mean square of each difference of two images, less their means (N, N); its largest covariance with itself, moved
+    (N, N); pixels: on rows spread over the image.
     """
     height, width = light.shape[1:3]
     rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, pixels // width))).astype(int))

@@ -14,10 +14,9 @@ from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSetting
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
-    """States (N, H, W) in [0, 1] of a checkerboard whose rows and columns run along the camera's, moved by (N, 2)
-    `shifts_px`.
+    """States (N, H, W) in [0, 1] of a checkerboard along the camera's rows and columns, moved by (N, 2) `shifts_px`.
 
-    Each value is the lit fraction of the pixel's area, so that shifts and checks (of a pixel or more) need not be whole
+    Values are lit fractions of the pixel's area, so that shifts and checks (of a pixel or more) need not be whole
     pixels.
     """
     require(bool(np.isfinite(check_px)) and check_px >= 1, f"check_px must be at least 1, but it is {check_px}.")

@@ -50,7 +50,7 @@ def by_symmetry(
     mask: Any = None,
     settings: StackSettings = DEFAULTS,
 ) -> Separation:
-    """Separate direct from global light (Nayar et al. 2006, equations 3 and 4) by n x n shifts of one checkerboard, n
+    """Separate direct from global light (Nayar et al. 2006, equations 3 and 4) by n x n shifts of a checkerboard, n
     odd.
 
     For *clean* stacks: D is twice an image, its noise too, and on noisy skin the result is worse than plain maximum
@@ -60,24 +60,16 @@ def by_symmetry(
     contradict each other (order, period, noise), the white image does not belong to the stack, checks are too small, or
     the stack is unusable as for :func:`splitknit.separation.checkerboard.checkerboard`.
 
-    Parameters
-    ----------
-    stack : (n n, H, W) or (n n, H, W, C), n odd, 9 images at least
-        Linear light, black level removed. Without `shifts`: the shift along one axis changes from image to image, that
-        along the other after each n images.
-    white : (H, W) or (H, W, C), optional
-        The image under the whole source. None takes 2 / (1 + dark) times the mean of the stack, which is true but for
-        the n-th harmonics of the pattern; with the image itself the result is better by some 5 to 10 dB on skin.
+    stack : (n n, H, W) or (n n, H, W, C), n odd, 9 images at least, linear light, black level removed
+        Without `shifts` the shift along one axis changes from image to image, along the other after each n images.
+    white : (H, W) or (H, W, C), the image under the whole source, which makes the result on skin 5 to 10 dB better
+        None takes 2 / (1 + dark) times the stack's mean, true but for the n-th harmonics of the pattern.
     dark : brightness of the unlit checks relative to the lit ones, in [0, 1)
     check_px : side of a check on the camera's pixels, optional; only checked
-    shifts : (n n, 2), optional
-        Shift of each image's pattern, in any order; needs `period`.
-    period : number or pair, optional
-        Period of the pattern, two checks, in the units of `shifts`.
+    shifts : (n n, 2), optional, of each image's pattern, in any order; needs `period`
+    period : number or pair, of the pattern (two checks) in the units of `shifts`
     mask : (H, W) bool, optional
 
-    Examples
-    --------
     >>> from splitknit.separation.states import checkerboard_patterns
     >>> patterns = checkerboard_patterns((20, 20), 5.0, [(2 * i, 2 * j) for i in range(5) for j in range(5)])
     >>> parts = by_symmetry(0.3 * patterns + 0.5 * 0.2)

@@ -46,11 +46,10 @@ class SkinSettings(Checked):
         return self.scattering_per_mm[CHANNELS.index(channel)] * self.scattering_factor
 
     def absorption(self, channel: str, colour: float | None = None) -> float:
-        """Absorption per mm in `channel`, adapted to the finger's colour if that is given.
+        """Absorption per mm in `channel`, adapted to the finger's `colour` (over red, under white light) if given.
 
-        `colour` is the channel's diffuse brightness over that of red under white light. The absorption in red is taken
-        as it is; green and blue get what brings the ratio of the albedos of :func:`diffusion` to the colour, as far as
-        `colour_trust` says (in the logarithm).
+        The absorption in red is taken as it is; green and blue get what brings the ratio of the albedos of
+        :func:`diffusion` to the colour, as far as `colour_trust` says (in the logarithm).
         """
         assumed = self.absorption_per_mm[CHANNELS.index(channel)]
         if colour is None or channel not in ("green", "blue") or self.colour_trust == 0:
@@ -66,10 +65,8 @@ class SkinSettings(Checked):
     def optics(
         self, channels: Iterable[str], colour: Mapping[str, float] | None = None, scattering: float = 1.0
     ) -> dict[str, Diffusion]:
-        """Transfer function of each channel.
-
-        `colour`: of each white channel, its diffuse brightness over that of the first; the absorption follows it where
-        there are several. `scattering`: factor on the assumed scattering.
+        """Transfer function of each channel; `scattering`: factor on the assumed scattering. `colour`: each white
+        channel's diffuse brightness over the first's; of several, the absorption follows it.
         """
         tint = colour if colour is not None and len(colour) > 1 else {}
         return {
@@ -99,8 +96,6 @@ def diffusion(scattering_per_mm: float, absorption_per_mm: float) -> Diffusion:
     coefficient sigma_s', above zero, and its absorption coefficient sigma_a; S. Jacques, "Optical properties of
     biological tissues: a review", Phys. Med. Biol. 58 (2013).
 
-    Examples
-    --------
     >>> blue = diffusion(5.18, 0.40)
     >>> float(blue(0.0)), bool(0.15 < blue(14.4) < 0.25)
     (1.0, True)

@@ -19,9 +19,7 @@ INDEX = 1.42
 
 
 def fresnel_transmission(cosine: Any, index: float = INDEX) -> FloatArray:
-    """Unpolarised light that enters a dielectric at an angle with this cosine, over that at normal incidence (Born and
-    Wolf 1.5).
-    """
+    """Unpolarised light that enters a dielectric, relative to normal incidence, by the cosine (Born and Wolf 1.5)."""
     normal = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     return ((1.0 - fresnel_reflectance(cosine, index)) / np.float32(normal)).astype(np.float32)
 
@@ -86,13 +84,11 @@ def fit_glare(
     model: Callable[[float], FloatArray],
     roughnesses: tuple[float, ...] = (0.12, 0.18, 0.24, 0.30, 0.36, 0.42),
 ) -> GlareFit:
-    """Fit strength and roughness of the glare in the images `stack` (L, n) of one band, four lights at least, at n
-    pixels that all lights (L, 3, n) reach; `model`: glare (L, n) of strength one, as a :class:`MicrofacetGlare` gives
-    it.
+    """Strength and roughness of the glare in `stack` (L, n) of one band, L >= 4, at n pixels that all lights reach.
 
-    At each pixel a matt surface's images lie in the space that its light vectors span. What is left of the images when
-    that space is projected out is compared with what is left of the glare; roughness by search, strength by least
-    squares.
+    `lights`: (L, 3, n); `model`: glare (L, n) of strength one, as of :class:`MicrofacetGlare`. Both images and glare
+    are taken without the space of matt images, which the pixel's light vectors span; roughness by search, strength by
+    least squares.
     """
     if stack.shape[0] < 4 or stack.shape[1] == 0:
         return GlareFit(roughnesses[0], 0.0, 0.0)

@@ -147,9 +147,8 @@ def _within(whole: slice, part: slice) -> slice:
 def skin_images(
     capture: Capture, bands: tuple[Band, ...], window: Window, inside: BoolArray, pitch_mm: float
 ) -> tuple[Grid, tuple[BandImages, ...], float]:
-    """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks.
-
-    Parameters as for :func:`working_images`.
+    """Grid of about `pitch_mm`, linear images on it, and how many pixels a side make one of its blocks. Parameters as
+    for :func:`working_images`.
     """
     white, *others = bands
     binning = max(1.0, round(8 * pitch_mm / capture.rig.camera.pitch_mm) / 8)

@@ -52,11 +52,10 @@ class Features:
 def features(
     band: BandImages, grid: Grid, surface_mm: FloatArray, light: Lighting, measured: FloatArray | None = None
 ) -> Features:
-    """Rig-independent description of the white band's light on a smooth surface (h, w), finite, on the fine grid; three
-    channels, six lights at least.
+    """Rig-independent description of the white band's light on a finite smooth surface (h, w) of the fine grid.
 
-    `light`: of `band.rig` on that surface; `measured`: (C, h, w, 3) brightness times normal of ``band.stack /
-    light.entering``, by least squares over the lights where it is not given.
+    Three channels, six lights at least. `light`: of `band.rig` on that surface; `measured`: (C, h, w, 3) brightness
+    times normal of ``band.stack / light.entering``, by least squares over the lights where it is not given.
     """
     g = measured
     if g is None:
@@ -118,10 +117,9 @@ def features(
 
 
 def _statistics(slopes: FloatArray, beyond: FloatArray, lit: BoolArray) -> list[np.float32]:
-    """Three numbers of the whole finger, which depend on its scattering and specular reflection.
-
-    Logarithms of the rms slope in every channel but the last over that in the last (more scattering takes more from red
-    than from blue), and of the rms of what no matt surface explains over the rms slope.
+    """Three numbers of the whole finger, which depend on its scattering and specular reflection: logarithms of the rms
+    slope in all channels but the last over the last's, and of the rms of what no matt surface explains over the rms
+    slope.
     """
     region = (lit if lit.any() else np.ones_like(lit)).astype(np.uint8)
     size = cv2.countNonZero(region)
@@ -208,10 +206,8 @@ def can_learn(band: BandImages, pitch_mm: float) -> bool:
 
 
 def relief_by_network(given: Features, grid: Grid, smooth_mm: FloatArray, network: Network) -> ReliefEstimate:
-    """Relief as the network estimates it on the fine grid; :func:`glare_of` has the specular reflection estimated with
-    it.
-
-    `given`: of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
+    """Relief as the network estimates it on the fine grid; :func:`glare_of` has the glare estimated with it. `given`:
+    of the white band on `smooth_mm` (h, w), the shape without the relief; their memory is used.
     """
     output, levels = network(given.fields), given.level
     del given
@@ -275,19 +271,14 @@ def refined_shape(
 
 
 def _slopes_by_network(fields: FloatArray, network: Network) -> tuple[FloatArray, FloatArray]:
-    """Residual slopes (h, w) of the shape along x and y, from :func:`_shape_features`: the mean over quarter turns.
-
-    Mirrored orientations as well change no figure of accuracy by more than 1 %.
-    """
+    """Residual slopes (h, w) in x, y of :func:`_shape_features`: mean over quarter turns (mirroring changes < 1 %)."""
     slopes = mean_over_orientations(network, fields, (SHAPE_SYMMETRY, _SLOPES), QUARTER_TURNS) * SHAPE_SLOPE
     return slopes[0], slopes[1]
 
 
 def _ridge_tensor(relief_mm: FloatArray, grid: Grid, factor: int, low: Grid) -> FloatArray:
-    """(3, h, w) how steep the ridges are on the coarse grid, and across which direction.
-
-    The last is the root mean square slope of the relief (H, W) around each pixel; the others are that slope times the
-    cosine and the sine of twice the azimuth of the direction across the ridges, less where the direction is not clear.
+    """(3, h, w) on the coarse grid: cosine and sine of twice the azimuth across the ridges, times the rms slope of the
+    relief (H, W) around, less where unclear; and that slope.
     """
     x, y = height_gradients(relief_mm, grid.pitch_mm)
     rows, columns = (length * factor for length in low.shape)
@@ -322,10 +313,9 @@ _SLOPES = Symmetry(vectors=((0, 1),), second_harmonics=(), third_harmonics=())
 def _shape_features(
     bands: tuple[BandImages, ...], grid: Grid, height_mm: FloatArray, skin: Mapping[str, Diffusion], ridges: FloatArray
 ) -> FloatArray:
-    """(32, h, w) how the images on the coarse grid differ from what the shape predicts; zero outside the mask.
-
-    The fields of a missing channel are zero. `height_mm`: above the finger plane, zero outside the mask; `skin`:
-    transfer function of each channel; `ridges`: (3, h, w) of :func:`_ridge_tensor`.
+    """(32, h, w) how coarse images differ from the shape's prediction; zero outside the mask, and of missing channels.
+    `height_mm`: above the finger plane, zero outside the mask; `skin`: transfer function of each channel; `ridges`: (3,
+    h, w) of :func:`_ridge_tensor`.
     """
     slope_x, slope_y = slopes_inside(height_mm, grid)
     normals = normals_from_gradients(slope_x, slope_y)

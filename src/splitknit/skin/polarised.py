@@ -11,12 +11,10 @@ and rho the local strength of what is scattered. Unknown are the heights at the 
 centres are then differences over one pixel, and integrable. They are found by Gauss-Newton together with strength,
 roughness and path length, which three cannot be fitted in turns: ridges would end at 0.8 of their height.
 
-References
-----------
-S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", J. Biomed. Opt. 7, 2002.
-W.-C. Ma et al., "Rapid acquisition of specular and diffuse normal maps from polarized spherical gradient illumination",
-EGSR 2007.
-B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq. 20, 33 and 34.
+Source: S. L. Jacques, J. C. Ramella-Roman and K. Lee, "Imaging skin pathology with polarized light", J. Biomed. Opt. 7,
+2002. W.-C. Ma et al., "Rapid acquisition of specular and diffuse normal maps from polarized spherical gradient
+illumination", EGSR 2007. B. Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007, eq.
+20, 33 and 34.
 """
 
 from __future__ import annotations
@@ -118,8 +116,8 @@ def specular_images(
     """The difference of two polarised series, on a smooth surface (h, w): of `both`, their mean, and of the crossed
     one.
 
-    Where the crossed series has LEDs of its own, beside those of the parallel one, it is taken as under the latter,
-    `rig.leds[k]` of image k: by the brightness of the matt surface under both.
+    A crossed series with LEDs of its own is taken as under the parallel one's, `rig.leds[k]` of image k: by the
+    brightness of the matt surface under both.
     """
     stack = 2 * (both.stack - crossed.stack).mean(axis=0)
     if rig.leds != crossed.rig.leds:
@@ -140,9 +138,7 @@ def specular_images(
 def polarised_heights(
     images: SpecularImages, grid: Grid, start_mm: FloatArray, deviation_mm: FloatArray
 ) -> PolarisedHeights:
-    """Heights by the specular image of the fine grid, from a finite start (h, w) whose shape and relief are about
-    right.
-
+    """Heights by the specular image of the fine grid, from a finite start (h, w) of about the right shape and relief.
     `deviation_mm`: (h, w) stated standard deviation of its ridges' heights.
     """
     difference, noise = images.stack, images.noise
@@ -288,8 +284,7 @@ def _strengths(
     measured: tuple[FloatArray, FloatArray], predicted: tuple[FloatArray, FloatArray], grid: Grid, mask: BoolArray,
     strength: float,
 ) -> tuple[float, FloatArray, FloatArray]:  # fmt: skip
-    """Strength of the specular part, by least squares where it is zero, and that of the scattered part (h, w) with its
-    local mean, from the difference and its weights."""
+    """Specular strength, by least squares where zero, and that of the scattered part (h, w) with its local mean."""
     (difference, weight), (sharp, soft), first = measured, predicted, strength == 0
     sums = np.empty((5, *mask.shape), dtype=np.float32)
 
@@ -342,10 +337,9 @@ class _Turn:
     """(h, w) strength of the scattered part."""
 
     def columns(self, rows: slice) -> tuple[list[FloatArray], FloatArray]:
-        """Of some rows, (L, rows, w) each: derivatives of the prediction by both slopes and by rho, the residual,
-        derivatives by the logarithms of strength, roughness, path and blur; and weights.
-
-        The derivatives by slopes and roughness are those before the blur, whose effect on them is of second order.
+        """Of some rows, (L, rows, w) each: derivatives by both slopes and by rho, the residual, derivatives by the
+        logarithms of strength, roughness, path and blur; and weights. Those by slopes and roughness leave out the blur,
+        an effect of second order.
         """
         p, q = slopes = self.slopes[0][rows], self.slopes[1][rows]
         facets = _facets(self.lights.on(rows), slopes, self.specular.roughness, derivatives=True)
@@ -462,10 +456,8 @@ def _gram(
 
 
 class _Solver:
-    """Heights (h + 1, w + 1) of least squares with a tensor at every pixel, by conjugate gradients.
-
-    The unknowns are the heights' cosine transform, in which the prior of the slow slopes is diagonal, and so is the
-    preconditioner: Poisson's equation with the mean tensor.
+    """Heights (h + 1, w + 1) of least squares with a tensor at every pixel, by conjugate gradients on their cosine
+    transform, in which the slopes' prior and the preconditioner (Poisson's equation with the mean tensor) are diagonal.
     """
 
     def __init__(self, start_mm: FloatArray, grid: Grid) -> None:

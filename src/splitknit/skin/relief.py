@@ -64,8 +64,8 @@ def _window_power(image: FloatArray, side: int) -> FloatArray:
 def _local_wiener(
     relief: FloatArray, noise_power: FloatArray, settings: LocalWienerSettings, pitch_mm: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Denoise `relief` (H, W), and state what is left: noise kept plus relief lost (J. S. Lim, "Two-Dimensional Signal
-    and Image Processing", 1990, section 9.2). `noise_power`: of :func:`_window_power` for pure noise.
+    """Denoise `relief` (H, W); state what is left (J. S. Lim, "Two-Dimensional Signal and Image Processing", 1990,
+    9.2). `noise_power`: of :func:`_window_power` for pure noise.
     """
     side = settings.window_px(pitch_mm)
     require(
@@ -200,11 +200,9 @@ class _ReliefResidual:
 
 
 def _relief_residual(measured: Measured, grid: Grid, surface_mm: FloatArray) -> _ReliefResidual:
-    """Slopes that the measurement has beyond the current surface's.
-
-    Predicted are the surface's normals blurred by the skin. As in the coarse comparison the local albedo, and with it
-    the darkening of valleys (1 + k h), drops out; the fraction of specular reflection in the brightness is estimated by
-    colour.
+    """Slopes that the measurement has beyond the current surface's. Predicted are the normals blurred by the skin; the
+    local albedo, and with it the darkening of valleys (1 + k h), drops out; the specular part of the brightness is
+    estimated by colour.
     """
     normals = grid.forward(np.moveaxis(_mean_normals(surface_mm, grid), -1, 0), extend=True)
     predicted = [
@@ -272,10 +270,9 @@ def unmixing(
 
 
 def _plausible(fit: SpectralFit) -> SpectralFit:
-    """The fit with the relief's power above the ridges' own frequency limited to the fall of a ridge's harmonics.
-
-    Where skin passes next to nothing, an error in the colour of the specular reflection looks like relief. The slopes
-    of flat ridges with narrow, steep valleys fall off about as one over the frequency; nothing rougher is believed.
+    """The fit with the relief's power above the ridges' own frequency limited to the fall of a ridge's harmonics. Where
+    skin passes next to nothing, errors in the glare's colour look like relief. Slopes of flat ridges with narrow, steep
+    valleys fall off about as one over the frequency; nothing rougher is believed.
     """
     omega = fit.omega_per_mm
     ridges = np.flatnonzero((omega >= RIDGE_PER_MM[0]) & (omega <= RIDGE_PER_MM[1]))
@@ -316,9 +313,8 @@ def _integrated(
 
 
 def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray:
-    """The ridge band (h, w) of the shape from the coarse grid: creases and what else is finer than the crossover.
-
-    Taken from the slopes less their local mean, so that the curvature at the outline is not mistaken for a ridge.
+    """The ridge band (h, w) of the coarse shape: creases and what else is finer than the crossover. Taken from the
+    slopes less their local mean, so that the curvature at the outline is not taken for a ridge.
     """
     x, y = (_ridge_band(s, grid, KNIT_MM) * trust for s in height_gradients(shape_mm, grid.pitch_mm))
     whole = _integrated(grid, [(x, y)], [np.ones(1, dtype=np.float32)])
@@ -328,9 +324,8 @@ def detail_of(shape_mm: FloatArray, trust: FloatArray, grid: Grid) -> FloatArray
 def denoise(
     relief_mm: FloatArray, grid: Grid, mix: Unmixing, settings: LocalWienerSettings, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Relief without the noise that the unmixing let through, and the standard deviation of what is left, mm.
-
-    The noise's spectrum is that of white noise (seeded) sent through the same unmixing and integration.
+    """Relief without the noise that the unmixing let through, and the standard deviation of what is left, mm. The
+    noise's spectrum is that of white noise (seeded) sent through the same unmixing and integration.
     """
     rng = np.random.default_rng(seed)
     noise = [

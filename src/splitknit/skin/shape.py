@@ -171,7 +171,7 @@ def residual_of(
     bands: Sequence[BandImages], grid: Grid, height_mm: FloatArray, optics: Mapping[str, Diffusion]
 ) -> Residual:
     """Predict the images of all bands, the white one first, from a finite surface (h, w) on the coarse grid and the
-    transfer function of each channel, fit the specular reflection, and measure the slopes that are left over.
+    transfer function of each channel; fit the specular reflection; measure the slopes left over.
     """
     normals = normals_from_gradients(*slopes_inside(height_mm, grid))
     slopes: dict[str, Slopes] = {}
@@ -230,8 +230,7 @@ def _wiener(
     residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid, prior: CoarsePrior
 ) -> Slopes:
     """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the minimum-mean-square-error W.
-
-    `added`: slopes that earlier comparisons have put into the surface; `optics`: transfer function M of each channel.
+    `added`: slopes put in by earlier comparisons; `optics`: M of each channel.
     """
     names = list(residual.slopes)
     omega = np.linspace(0, float(grid.omega[2].max()), 512)
@@ -268,8 +267,7 @@ def _least_specular(lobe: FloatArray, region: BoolArray) -> BoolArray:
 
 
 def _scaled_to(measured: FloatArray, predicted: FloatArray, where: BoolArray) -> list[float]:
-    """Bring each channel of the prediction (C, L, h, w), in place, to the median brightness of the images; return the
-    factors."""
+    """Bring each channel of the prediction (C, L, h, w), in place, to the images' median; return the factors."""
     factors = []
     for c, image in enumerate(measured):
         factors.append(float(np.median(image[where] / np.maximum(predicted[c][where], np.float32(1e-4)))))
@@ -287,9 +285,8 @@ def _specular_by_colour(
     excess: FloatArray, brightness: Sequence[float], light: Lighting, normals: FloatArray, region: BoolArray
 ) -> GlareFit:
     """Lobe of a colour band: the part of the `excess` (C, L, h, w) over the prediction that is equal in all channels.
-
-    Per pixel and light the excess is split, by least squares over the channels, into a part with the skin's colour (the
-    shape is not right yet) and a white part; strength and roughness fit the white part.
+    By least squares over the channels, per pixel and light, the excess is a part with the skin's colour (the shape is
+    not right yet) and a white one, to which strength and roughness are fitted.
     """
     excess = excess[:, :, region]
     skin = np.array(brightness, dtype=np.float32)

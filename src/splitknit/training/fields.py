@@ -271,10 +271,8 @@ def _network_metrics(task: FieldsTask, run: Run, stride: int, samples: Mapping[i
 
 
 def train_fields(run: TrainingRun, task: FieldsTask, data: SceneRanges, settings: FieldsSettings) -> dict[str, Any]:
-    """Simulate the fingers and train; return what came out.
-
-    Raises BadInput if torch is missing, the folder is in use, what is there does not fit the settings, or no finger can
-    be used.
+    """Simulate the fingers and train; return what came out. Raises BadInput if torch is missing, the folder is in use,
+    what is there does not fit the settings, or no finger can be used.
     """
     started = time.perf_counter()
     require_torch(settings)

@@ -86,10 +86,8 @@ def unet(
 
 
 def _begin_with_fraction(network: Any, width: int, start_fraction: float, channels: int) -> None:
-    """Make the untrained network's result a fraction of its image, and leave the rest to the training.
-
-    The first few of the outermost blocks' channels pass the image on, the others are drawn at random as usual; the last
-    layer, which regresses, listens to those first channels.
+    """Make the untrained result a fraction of the image: the outermost blocks' first channels pass the image on, and
+    the last layer listens to those; the other weights are random as usual.
     """
     network.last.weight.mul_(0.1)
     if start_fraction == 0 or width < channels:
@@ -105,13 +103,12 @@ def _begin_with_fraction(network: Any, width: int, start_fraction: float, channe
 
 
 def fields_network(widths: Sequence[int], fields: int, outputs: int) -> Any:
-    """Build the U-Net (Ronneberger et al. 2015) of the `metric` networks from (N, fields, H, W), H and W multiples of
-    2^(levels - 1), to (N, outputs, H, W), its weights drawn from torch's current random state.
+    """Build the U-Net (Ronneberger et al. 2015) of the `metric` networks, weights from torch's random state.
 
-    Every level, of `widths` channels, the finest first, is two 3 x 3 convolutions with ReLUs. On the way down, maxima
-    over 2 x 2 pixels go on to the next level; on the way up, pixels are doubled and put beside what the level had on
-    the way down. The outputs come from a last 1 x 1 convolution; fields are first multiplied by the network's
-    ``scale``.
+    From (N, fields, H, W), H and W multiples of 2^(levels - 1), to (N, outputs, H, W). Every level, of `widths`
+    channels, the finest first, is two 3 x 3 convolutions with ReLUs. Down: maxima over 2 x 2 pixels; up: pixels
+    doubled, beside what the level had on the way down; last a 1 x 1 convolution. Fields are first multiplied by the
+    network's ``scale``.
     """
     torch = load_torch()
     nn = torch.nn
@@ -152,8 +149,8 @@ def fields_network(widths: Sequence[int], fields: int, outputs: int) -> Any:
 def unet_reach(depth: int) -> int:
     """How far beyond a stretch that begins on the stride's grid an input can change the network's result, in pixels.
 
-    Followed from the result back to the input: every 3 x 3 convolution needs one pixel more at its scale, a
-    transposed convolution for the coarse pixels that cover the fine ones, a pooling for the fine pixels of the coarse.
+    From the result back to the input: a 3 x 3 convolution needs one pixel more at its scale, a transposed convolution
+    the coarse pixels that cover the fine ones, a pooling the fine pixels of the coarse.
     """
     reach = 0
     for _ in range(depth):  # decoder, from fine to coarse
@@ -165,9 +162,8 @@ def unet_reach(depth: int) -> int:
 
 
 def export_onnx(network: Any, channels: int, stride: int) -> bytes:
-    """Write `network` as an ONNX file whose weights are stored in half precision and computed with in single.
-
-    Any height and width that are multiples of `stride` are allowed. Halving rounds a weight by at most 0.05 %.
+    """Write `network` as an ONNX file whose weights are stored in half precision and computed with in single. Any
+    height and width that are multiples of `stride` are allowed. Halving rounds a weight by at most 0.05 %.
     """
     torch = load_torch()
     stored = _with_stored_halves(torch, copy.deepcopy(network).cpu()).eval()

@@ -78,10 +78,9 @@ class ReliefSettings(FieldsSettings):
 def _relief_losses(made: Any, batch: Any) -> dict[str, Any]:
     """The parts of the loss of what the network `made` (B, 9, h, w), each a mean over the pixels that count.
 
-    ``relief``: the mean squared error of the heights; ``slope``: that of their differences from pixel to pixel, where
-    ridges outweigh what is wide; ``likelihood``: the negative logarithm of the likelihood of the error under the
-    estimated variance (the error is taken as given here, so that no height is made worse for it); ``glare``: the mean
-    squared error of its waves.
+    ``relief``: mean squared error of the heights; ``slope``: of their differences from pixel to pixel, where ridges
+    outweigh what is wide; ``likelihood``: negative log-likelihood of the error (taken as given, so that no height gets
+    worse for it) under the estimated variance; ``glare``: mean squared error of its waves.
     """
     weight = batch[:, WEIGHT]
     count = weight.sum() + 1.0
@@ -108,11 +107,9 @@ def _judge_middle(run: Run, sample: Sample, stride: int) -> dict[str, float]:
 
 
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
-    """Figures of a result (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2.
-
-    ``correlation`` of the relief; ``gain``, the slope of result over truth; ``rms``, its error in the network's unit;
-    ``error_ratio``, that error over what the network expected of it (one is honest); ``glare_r2``, the part of the
-    glare's power that is explained. NaN where the sample holds no skin, or no glare.
+    """Figures of a result (9, h, w) against the truth in a sample (41, h, w), where the weight is above 1/2. Of the
+    relief ``correlation``, ``gain`` (result over truth), ``rms`` error in the network's unit, ``error_ratio`` to the
+    expected error (one is honest); ``glare_r2``: explained part of the glare's power. NaN without skin or glare.
     """
     counts = sample[WEIGHT] > 0.5
     if not counts.any():

@@ -138,9 +138,8 @@ def _draw_scene(number: int, data: ReliefData) -> TrainingScene:
 
 
 def training_sample(number: int, data: ReliefData) -> tuple[NDArray[np.float16], dict[str, Any]]:
-    """Photograph the finger `number` and turn it into a sample (41, h, w) float16, see
-    :mod:`splitknit.training.fields`, and the facts of what was drawn; BadInput if the reconstruction would refuse the
-    capture.
+    """Photograph the finger `number`: a sample (41, h, w) float16 (:mod:`splitknit.training.fields`), and the facts
+    drawn. Raises BadInput if the reconstruction would refuse the capture.
     """
     scene = _draw_scene(number, data)
     capture, truth = photograph_scene(scene)
@@ -200,9 +199,8 @@ def _light_on(rig: Rig, grid: Grid, surface_mm: FloatArray, coarse_pitch_mm: flo
 
 
 def training_crops(number: int, data: ReliefData) -> NDArray[np.float16]:
-    """Samples (n, 41, h, w) of pieces of the finger `number`, see :mod:`splitknit.training.fields`.
-
-    Raises BadInput if the images are smaller than a piece, or not one piece holds enough skin.
+    """Samples (n, 41, h, w) of pieces of the finger `number`, see :mod:`splitknit.training.fields`. Raises BadInput if
+    the images are smaller than a piece, or no piece holds enough skin.
     """
     rng = np.random.default_rng([number, 78])
     usual = rng.random() < data.crop_usual_share

@@ -143,9 +143,8 @@ def _learning_factor(done: float, decay: float) -> float:
 
 
 def train_separation(run: TrainingRun, data: SeparationData, settings: SeparationSettings) -> dict[str, Any]:
-    """Build the data set and train; return what came out.
-
-    Raises BadInput if torch is missing, the folder is in use, or what is there does not fit the settings.
+    """Build the data set and train; return what came out. Raises BadInput if torch is missing, the folder is in use, or
+    what is there does not fit the settings.
     """
     started = time.perf_counter()
     require_torch(settings)

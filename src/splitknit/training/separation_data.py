@@ -106,9 +106,8 @@ class Photograph:
 
 
 def photographs(kind: str, index: int, seed: int, settings: SeparationData, enhance: Enhance) -> list[Photograph]:
-    """Take all views of the palm or finger `index`, which follows from it and the data set's `seed`.
-
-    `enhance`: the contrast enhancement of the thesis's presets, :func:`enhanced_contrast`.
+    """Take all views of the palm or finger `index`, which follows from it and the data set's `seed`. `enhance`: the
+    contrast enhancement of the thesis's presets, :func:`enhanced_contrast`.
     """
     surface = drawn_surface(kind, index, seed, settings)
     view_seeds = _root(kind, index, seed).spawn(1 + settings.views)[1:]

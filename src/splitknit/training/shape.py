@@ -96,11 +96,9 @@ class ShapeNetSettings(FieldsSettings):
 
 
 def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, Any]:
-    """The parts of the loss of the slopes `made` (B, 2, h, w), each a mean over the pixels that count.
-
-    ``slope``: the mean square of the error (both slopes together); ``wide``: that of its means over blocks of
-    `wide_px`: what is wrong over many pixels adds up when slopes are integrated, what changes from pixel to pixel does
-    not.
+    """The parts of the loss of the slopes `made` (B, 2, h, w), each a mean over the pixels that count. ``slope``: mean
+    square of the error (both slopes); ``wide``: that of its means over blocks of `wide_px`: integration adds up what is
+    wrong over many pixels.
     """
     pooled = load_torch().nn.functional.avg_pool2d
     weight = batch[:, WEIGHT : WEIGHT + 1]
@@ -111,20 +109,16 @@ def _shape_losses(made: Any, batch: Any, wide_px: int = _WIDE_PX) -> dict[str, A
 
 
 def _judge_whole(run: Run, sample: Sample, stride: int) -> dict[str, float]:
-    """Figures of :func:`_judged` for a finger, without the last rows and columns where the sides are no multiples of
-    `stride`.
-    """
+    """Figures of :func:`_judged`, without last rows and columns where the sides are no multiples of `stride`."""
     rows, columns = (length // stride * stride for length in sample.shape[1:])
     seen = np.asarray(sample[:, :rows, :columns], dtype=np.float32)
     return _judged(run(seen[:FIELDS]), seen)
 
 
 def _judged(made: FloatArray, sample: FloatArray) -> dict[str, float]:
-    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit; NaN where there is
-    no skin.
-
-    ``before`` and ``after``: the shape's slope error (rms of one slope, weighted) without and with them;
-    ``wide_before`` and ``wide_after``: the same of means over squares of 17 pixels.
+    """Figures of slopes (2, h, w) against the truth in a sample (35, h, w), in the network's unit; NaN without skin.
+    ``before``, ``after``: rms slope error of the shape without and with them (weighted); ``wide_before``,
+    ``wide_after``: of means over squares of 17 pixels.
     """
     weight = np.asarray(sample[WEIGHT], dtype=np.float64)
     wanted = np.asarray(sample[SLOPES], dtype=np.float64)

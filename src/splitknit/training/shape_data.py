@@ -98,9 +98,8 @@ def _draw_shape_scene(number: int, data: ShapeData) -> tuple[TrainingScene, floa
 
 
 def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dict[str, Any]]:
-    """Photograph the finger `number` and turn it into a sample (35, h, w) float16, see
-    :mod:`splitknit.training.fields`, and the facts of what was drawn; BadInput if the reconstruction would refuse the
-    capture.
+    """Photograph the finger `number`: a sample (35, h, w) float16 (:mod:`splitknit.training.fields`), and the facts
+    drawn. Raises BadInput if the reconstruction would refuse the capture.
     """
     scene, gain = _draw_shape_scene(number, data)
     capture, truth = photograph_scene(scene)
@@ -108,9 +107,7 @@ def shape_sample(number: int, data: ShapeData) -> tuple[NDArray[np.float16], dic
 
 
 def _shape_sample_of(capture: Capture, truth: Mapping[str, NDArray[Any]], gain: float) -> NDArray[np.float16]:
-    """Fields, missing slopes and weight (35, h, w) of one capture; `gain`: of the relief that the reconstruction is
-    given.
-    """
+    """Fields, missing slopes and weight (35, h, w) of a capture; `gain`: of the relief that is given."""
     settings = preset_settings("metric")
     finger = find_finger(capture, settings)
     lit = tuple(capture.bands[name] for name in ("white", "nir") if name in capture.bands)
@@ -147,9 +144,7 @@ def _split_relief(truth: TruthOnGrid, grid: Grid) -> tuple[FloatArray, FloatArra
 def _assembled_shape(
     fields: FloatArray, true_mm: FloatArray, known: BoolArray, low: Grid, factor: int
 ) -> NDArray[np.float16]:
-    """The sample (35, h, w) of one finger, whose true shape on the fine grid is `known` somewhere; `factor`: fine
-    pixels a coarse one.
-    """
+    """Sample (35, h, w) of a finger; `known`: where the shape is, fine grid; `factor`: fine pixels a coarse one."""
     rows, columns = low.shape
 
     def coarse(field: Any) -> FloatArray:

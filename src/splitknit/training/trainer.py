@@ -89,10 +89,8 @@ class Step(NamedTuple):
 
 
 class Trainer(ABC):
-    """A network in training.
-
-    Repeatable on a processor: the same settings and data give the same weights, also when the training was
-    interrupted, as long as the number of threads is the same.
+    """A network in training. Repeatable on a processor: the same settings and data give the same weights, also when the
+    training was interrupted, as long as the number of threads is the same.
     """
 
     counted: ClassVar[str] = "iteration"
@@ -129,9 +127,7 @@ class Trainer(ABC):
         """The weighted sum of the parts."""
 
     def train(self, count: int, tick: Callable[[float], None] | None = None) -> dict[str, float]:
-        """Go on by `count` epochs or iterations; return the mean of each part of the loss, or BadInput if one is not
-        finite.
-        """
+        """Train `count` epochs or iterations; return the mean of each part of the loss; BadInput if not finite."""
         self.network.train()
         sums: dict[str, float] = {}
         weight = 0.0
@@ -249,11 +245,8 @@ def files_of(network: str, photographed: str) -> dict[str, str]:
 def open_folder(
     run: TrainingRun, data: DataclassInstance, settings: DataclassInstance, free: Sequence[str] = FREE
 ) -> None:
-    """Make the folder, or check that it holds this training; settings named in `free` may differ from those that are
-    there.
-
-    Raises BadInput if it is a file or holds something else, a training that shall not be resumed, or one with other
-    settings.
+    """Make the folder, or check that it holds this training; settings named in `free` may differ from those there.
+    Raises BadInput if it is a file or holds something else, a training not to be resumed, or one with other settings.
     """
     out = run.out
     wanted = _plain({"format": "splitknit-training", "data": asdict(data), "training": asdict(settings)})
@@ -306,9 +299,8 @@ _ONE_VIEW = ("",)
 def make_data(
     run: TrainingRun, subjects: Sequence[Subject], shoot: Shoot, views: Sequence[str] = _ONE_VIEW
 ) -> list[str]:
-    """Photograph the subjects that are not there yet; return those that cannot be used, with the reason.
-
-    `views`: endings of the files' names, one for each photograph of a subject.
+    """Photograph the subjects that are not there yet; return those that cannot be used, with the reason. `views`:
+    endings of the files' names, one for each photograph.
     """
     refused = []
     for done, (kind, number) in enumerate(subjects):
@@ -393,9 +385,7 @@ class LearningCurve:
 
 
 def train_in_folder(run: TrainingRun, trainer: Trainer, end: int, curve: LearningCurve) -> None:
-    """Train to the end, in epochs or iterations, from the folder's checkpoint if there is one; keep checkpoint and
-    curve.
-    """
+    """Train to the end, from the folder's checkpoint if there is one; keep checkpoint and curve."""
     out, progress = run.out, run.progress
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
@@ -470,10 +460,8 @@ def packed(
 def write_network(
     out: Path, name: str, files: tuple[bytes, bytes], run: Callable[[FloatArray], FloatArray], probe: FloatArray
 ) -> dict[str, Any]:
-    """Write network and card, read them back, and check that onnxruntime computes what torch does on `probe` (1, n, H,
-    W).
-
-    Returns the card, the weights' bytes, and the difference relative to the output's range.
+    """Write network and card; check that onnxruntime computes what torch does on `probe` (1, n, H, W). Returns the
+    card, the weights' bytes, and the difference relative to the output's range.
     """
     file = out / f"{name}.onnx"
     for path, content in zip((file, file.with_suffix(".json")), files, strict=True):
