@@ -179,9 +179,9 @@ def test_work_of_a_batch_by_counting(
     decoded: list[str] = []
     real_read, real_decode = features.read_capture, images.StackReader.start
 
-    def read_capture(folder: Path, *rest: Any) -> Any:
+    def read_capture(folder: Path, **rest: Any) -> Any:
         read.append(folder.name)
-        return real_read(folder, *rest)
+        return real_read(folder, **rest)
 
     def start(self: Any, files: Any, *rest: Any) -> Any:
         decoded.extend(str(file) for file in files)

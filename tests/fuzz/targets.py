@@ -107,6 +107,7 @@ from splitknit.model import Band, Camera, Capture, Led, Rig, Surface
 from splitknit.networks.unet import load_network
 from splitknit.photometric.shading import Shading, read_shading, write_shading
 from splitknit.presets import preset_settings
+from splitknit.prints.fingerphoto import read_fingerphoto
 from splitknit.prints.from_file import (
     _ridge_period_px,
     minutiae_of,
@@ -301,6 +302,18 @@ def _photograph(folder: Path, files: Files) -> None:
         pixels = read_photo(folder / name).pixels
         assert pixels.ndim == 3 and pixels.shape[2] in (1, 3)
         assert pixels.dtype in (np.uint8, np.uint16, np.float32)
+
+
+def _fingerphotos() -> list[Files]:
+    from PIL import Image
+
+    row, column = np.mgrid[:260:0.5, :230:0.5]
+    aside = (column - 115) / 60
+    inside = (np.abs(aside) < 1) & ((row > 95) | (aside**2 + ((row - 95) / 60) ** 2 < 1))
+    light = np.sqrt(np.clip(1 - aside**2, 0, 1)) * (1 + 0.12 * np.cos(2 * np.pi * row / 4))
+    picture = np.where(inside[..., None], light[..., None] * (215, 160, 140), (120, 130, 140))
+    noisy = picture + np.random.default_rng(0).normal(0, 2, picture.shape)
+    return _written("x.jpg", Image.fromarray(np.clip(np.rint(noisy), 0, 255).astype(np.uint8)).save)
 
 
 def _print() -> Any:
@@ -995,6 +1008,7 @@ TARGETS = (
     Target("capture", _captures, _capture),
     Target("plain_images", _plain_images, _plain_capture),
     Target("photograph", _photographs, _photograph),
+    Target("fingerphoto", _fingerphotos, _of_files("x.jpg", lambda path: read_fingerphoto(path, 14.0))),
     Target("rig", lambda: [{"rig.json": one["rig.json"]} for one in _captures()], _of_files("rig.json", read_rig)),
     Target("npz", _results, _of_files("height.npz", read_npz)),
     Target("result", lambda: [{**one, "report.json": _REPORT} for one in _results()], _result),

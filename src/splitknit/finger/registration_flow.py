@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.finger.regions import blur
-from splitknit.imaging.geometry import read_at
+from splitknit.imaging.geometry import sampled_at
 from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
@@ -200,7 +200,7 @@ class Level:
         for k, (image, shift) in enumerate(zip(self.images, shifts_mm, strict=True)):
             columns, rows = self.columns + shift[0] * size, self.rows + shift[1] * size
             near = [np.rint(places * STEPS) / STEPS for places in (columns, rows)]
-            values[k] = read_at(image, near[0], near[1], cv2.INTER_CUBIC).T
+            values[k] = sampled_at(image, near[0], near[1], cv2.INTER_CUBIC).T
             # details vary with the shift without steps: what lies between follows from the slopes
             values[k, 0] += (values[k, 1] * (columns - near[0]) + values[k, 2] * (rows - near[1])) / size
         return values
@@ -267,7 +267,7 @@ def _at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float])
     columns = (x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32)
     rows = (y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32)
     flat = np.ascontiguousarray(field, dtype=np.float32).reshape(-1, height, width)
-    found = [read_at(part, columns, rows) for part in flat]
+    found = [sampled_at(part, columns, rows) for part in flat]
     return np.asarray(np.stack(found).reshape(*field.shape[:-2], x.size), dtype=np.float32)
 
 

@@ -126,7 +126,7 @@ _LINE = 128
 """Places in one row of what OpenCV reads, which takes no long ones."""
 
 
-def read_at(
+def sampled_at(
     field: FloatArray, columns: FloatArray, rows: FloatArray, how: int = cv2.INTER_LINEAR, outside: float | None = None
 ) -> FloatArray:
     """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import read_at
+from splitknit.imaging.geometry import sampled_at
 from splitknit.imaging.view import View, view_of
 from splitknit.model import Camera, FloatArray, Led, Rig, Shade
 
@@ -125,7 +125,7 @@ def _fraction(shade: Shade, x: FloatArray, y: FloatArray) -> FloatArray:
     for values, (first, last), count in ((x, shade.x_mm, columns), (y, shade.y_mm, rows)):
         places.append(((np.asarray(values) - first) * ((count - 1) / (last - first))).astype(np.float32))
     column, row = np.broadcast_arrays(*places)
-    return read_at(shade.fraction, column, row)
+    return sampled_at(shade.fraction, column, row)
 
 
 def surface_array(surface_mm: Any, shape: tuple[int, int]) -> FloatArray:

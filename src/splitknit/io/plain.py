@@ -508,7 +508,8 @@ def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict
         photo = read_photo(file)
         require(photo.pixels.dtype.kind == "u", f"{file} holds floats; save it as 16-bit PNG or TIFF.")
         image = linear_image(photo.pixels, encoding)
-        channels = [image[..., k] for k in range(3)] if len(files) == 1 < count else [pick_channel(image, "grey")]
+        coloured = len(files) == 1 < count and image.shape[2] == 3
+        channels = [image[..., k] for k in range(3)] if coloured else [pick_channel(image, "grey")]
         light += [naming(file, partial(coarse_flat, np.ascontiguousarray(one))) for one in channels]
         hashes[f"{folder.name}/{file.name}"] = photo.sha256
     require(

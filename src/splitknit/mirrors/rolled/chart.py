@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import read_at
+from splitknit.imaging.geometry import sampled_at
 from splitknit.mirrors.rolled.reflection import Plane, reflect_points, reflect_vectors
 from splitknit.model import Camera, FloatArray
 
@@ -105,7 +105,7 @@ def read(
     field: FloatArray, columns: FloatArray, rows: FloatArray, *, cubic: bool = False, empty: float = float("nan")
 ) -> FloatArray:
     """Values of a field (H, W) at places of any shape, `empty` outside; beside NaN they are NaN."""
-    return read_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
+    return sampled_at(field, columns, rows, cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR, empty)
 
 
 # A surface on a chart as a view sees it: heights on the view's pixels, and where on the chart they lie.
