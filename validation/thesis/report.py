@@ -19,6 +19,7 @@ from page_tables import (
     JUDGED,
     PLAIN,
     THESIS_WHOLE,
+    UNDILUTED,
     WHOLE,
     Row,
     difference_table,
@@ -61,6 +62,8 @@ def blocks(folder: Path) -> dict[str, str]:
     """All generated parts of the page."""
     runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
     tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
+    whole = {name: read(folder / "whole" / f"{name}.csv") for name in tables}
+    parts = {name: read(folder / "whole" / f"{name}_differences.csv") for name in tables}
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
     made = {
         "run": run_words(runs),
@@ -73,6 +76,12 @@ def blocks(folder: Path) -> dict[str, str]:
         "fusion_differences": difference_table(differ["fusion"], (WHOLE,)),
         "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
     }
+    made["whole"] = thesis_table(whole, UNDILUTED)
+    made["whole_order"] = order_table(whole, parts, UNDILUTED)
+    made["whole_fusion"] = rate_table(whole["fusion"], "attribute", _attribute, UNDILUTED)
+    for name in ("normals", "relief"):
+        rows = [row for row in parts["cases"] if row["attribute"] == name]
+        made[f"whole_{name}"] = difference_table(rows, UNDILUTED)
     made["fusion_minutiae"] = rate_table(
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
