@@ -16,7 +16,6 @@ from pathlib import Path
 
 from page_facts import failures_table, figures_table, run_words, sensitivity_table
 from page_tables import (
-    JUDGED,
     PLAIN,
     THESIS_WHOLE,
     UNDILUTED,
@@ -89,15 +88,10 @@ def blocks(folder: Path) -> dict[str, str]:
         (PLAIN, WHOLE),
     )
     made["fusion_minutiae_differences"] = difference_table(read(folder / "fusion_minutiae_differences.csv"), (WHOLE,))
-    for name in ("normals", "relief"):
-        rows = [row for row in tables["cases"] if row["attribute"] == name]
-        made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
-        made[f"{name}_differences"] = difference_table([r for r in differ["cases"] if r["attribute"] == name])
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
+        made[name] = rate_table(rows, "case", lambda row: row["case"])
         made[f"{name}_margin"] = margin_table(rows)
-        made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
     made["family"] = rate_table(
         read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
     )
