@@ -47,7 +47,7 @@ CLAIMS: Mapping[int, Sequence[Part]] = {
     9: [_gain("pr", "ea", "normals")],
     10: [_gain("snk", "pr", "normals")],
     11: [_rate(words, "fusion", "snk", f"all three, {words}") for words in ("linear", "mean", "trained")],
-    12: [_rate(case, "fusion", case, "shape_normals") for case in ("snk", "metric")],
+    12: [_rate("snk", "fusion", "snk", "shape_normals")],
     15: [_figure(f"n = {n}, %", "3.20", f"n = {n} power beside the ridges, %") for n in (3, 5)],
     18: [_figure(words, "3.1", f"true {words}: peak, cycles per cm") for words in ("relief", "shape")],
     25: [_figure(case, "5.9", f"{case}: error between, um") for case in ("pr", "snk", "ea")],

@@ -89,7 +89,8 @@ def run_words(runs: Mapping[str, Any]) -> str:
                 f"| {name} | {part['genuine']:,} / {part['impostors']:,} | {part['impostors_passing_everywhere']:,} | "
                 f"{part['fingers']} | {', '.join(part['missing']) or 'nothing'} | {seconds} |"
             )
-    return "\n".join([*lines, "", population_words(runs["cases"])])
+    populations = dict.fromkeys(population_words(runs[name]) for name in ("cases", "failures") if name in runs)
+    return "\n".join([*lines, "", *populations])
 
 
 def population_words(run: Mapping[str, Any]) -> str:

@@ -89,11 +89,9 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SH
     return "\n".join(lines)
 
 
-def thesis_table(
-    tables: Mapping[str, Sequence[Row]],
-    judged: Sequence[tuple[str, ...]] = (THESIS, THESIS_WHOLE, LIKE_ROLLS, PLAIN, WHOLE, PASSING),
-) -> str:
-    """Beside the thesis's own numbers: what was measured of them."""
+def thesis_table(tables: Mapping[str, Sequence[Row]]) -> str:
+    """Beside the thesis's own numbers."""
+    judged = UNDILUTED
     lines = [
         "| figure | what | FAR | thesis | " + " | ".join(JUDGED[key] for key in judged) + " |",
         "| --- " * (4 + len(judged)) + "|",
@@ -101,18 +99,12 @@ def thesis_table(
     for figure, words, far, said, place in THE_THESIS:
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
-        if not own:
-            continue
         cells = [next((gar_cell(row, far) for row in own if variant(row) == key), "not measured") for key in judged]
         lines.append(f"| {figure} | {words} | {PERCENT[far]} | {said} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def order_table(
-    tables: Mapping[str, Sequence[Row]],
-    differ: Mapping[str, Sequence[Row]],
-    judged: Sequence[tuple[str, ...]] = SHORT,
-) -> str:
+def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequence[Row]]) -> str:
     """Cases from the highest GAR down; ``>`` where the paired interval of the two neighbours leaves out zero."""
     systems = (
         ("thesis, normals", "cases", "thesis", "normals"),
@@ -125,7 +117,7 @@ def order_table(
         "| --- " * (3 + len(FARS)) + "|",
     ]
     for words, table, matcher, attribute in systems:
-        for key in judged:
+        for key in (THESIS, PLAIN, PASSING) if table == "cases" else SHORT:
 
             def mine(row: Row, key: tuple[str, ...] = key, own: tuple[str, str] = (matcher, attribute)) -> bool:
                 return variant(row) == key and (row["matcher"], row["attribute"]) == own

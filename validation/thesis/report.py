@@ -61,8 +61,6 @@ def blocks(folder: Path) -> dict[str, str]:
     """All generated parts of the page."""
     runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
     tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
-    whole = {name: read(folder / "whole" / f"{name}.csv") for name in tables}
-    parts = {name: read(folder / "whole" / f"{name}_differences.csv") for name in tables}
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
     made = {
         "run": run_words(runs),
@@ -70,17 +68,13 @@ def blocks(folder: Path) -> dict[str, str]:
         "order": order_table(tables, differ),
         "scales": rate_table(tables["scales"], "n", lambda row: row["case"].removeprefix("snk")),
         "scales_differences": difference_table(differ["scales"]),
-        "fusion": rate_table([row for row in tables["fusion"] if row["case"] == "snk"], "attribute", _attribute),
-        "fusion_metric": rate_table([r for r in tables["fusion"] if r["case"] == "metric"], "attribute", _attribute),
-        "fusion_differences": difference_table(differ["fusion"], (WHOLE,)),
+        "fusion": rate_table(tables["fusion"], "attribute", _attribute, UNDILUTED),
+        "fusion_differences": difference_table(differ["fusion"], (THESIS_WHOLE, WHOLE)),
         "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
     }
-    made["whole"] = thesis_table(whole, UNDILUTED)
-    made["whole_order"] = order_table(whole, parts, UNDILUTED)
-    made["whole_fusion"] = rate_table(whole["fusion"], "attribute", _attribute, UNDILUTED)
     for name in ("normals", "relief"):
-        rows = [row for row in parts["cases"] if row["attribute"] == name]
-        made[f"whole_{name}"] = difference_table(rows, UNDILUTED)
+        rows = [row for row in differ["cases"] if row["attribute"] == name]
+        made[f"{name}_differences"] = difference_table(rows, UNDILUTED)
     made["fusion_minutiae"] = rate_table(
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
