@@ -1,5 +1,5 @@
-"""``splitknit import``: photographs and light directions in, a capture folder out; point clouds and meshes, a result
-folder out; or prints of other systems.
+"""``splitknit import``: photographs and light directions in, a capture folder out; a view of several fingers, a capture
+folder of each; point clouds and meshes, a result folder out; or prints of other systems.
 
 ``splitknit reconstruct`` takes the same options of photographs.
 """
@@ -36,6 +36,13 @@ def add_import(verbs: Any) -> None:
     add_photo_options(verb, required=False)
     _add_rig_captures(verb)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument(
+        "--fingers",
+        metavar="WHICH",
+        help="the photographs, or the capture folder FILE, show several fingers of one hand side by side: each becomes "
+        "a capture of its own in the folder; left, right: index to little finger of that hand; auto: of the hand that "
+        "their tips show; else their names from left to right, such as right_middle,right_index",
+    )
     add_overwrite(verb)
     group = verb.add_argument_group("prints of other systems")
     group.add_argument(
@@ -282,6 +289,11 @@ def _run(options: argparse.Namespace) -> Outcome:
         "name photographs (--images DIR --lights FILE) or files of prints to import.",
     )
     clouds = [file for file in options.files if file.suffix.lower() in _CLOUDS]
+    if options.fingers is not None:
+        require(options.people is None, "--people takes photographs of one finger each; leave out --fingers.")
+        require(options.images is not None or len(options.files) == 1, "--fingers takes one capture folder.")
+    if options.fingers is not None and options.images is None:
+        return _import_fingers(options)
     if clouds:
         require(len(options.files) == 1, "point clouds are imported one at a time: each makes a result folder.")
         return _import_cloud(options, clouds[0])
@@ -289,6 +301,8 @@ def _run(options: argparse.Namespace) -> Outcome:
     if options.images is None:
         return _import_prints(options)
     _check_rig_captures(options)
+    if options.fingers is not None:
+        return _import_fingers(options)
     return _import_people(options) if options.people is not None else _import_photos(options)
 
 
@@ -298,7 +312,7 @@ def _check_rig_captures(options: argparse.Namespace) -> None:
     require(options.table is None or options.lights is None, "--table and --lights both give the lights; choose one.")
     require(options.table is None or options.px_per_mm is not None, "--table needs the scale; give --px-per-mm.")
     require(options.people is not None or not options.dry_run, "--dry-run goes with --people.")
-    if options.nir is not None or options.people is not None:
+    if (options.nir, options.people, options.fingers) != (None, None, None):
         options.material = options.material or "skin"
 
 
@@ -398,6 +412,40 @@ def _import_cloud(options: argparse.Namespace, file: Path) -> Outcome:
         f"{' '.join(f'{one:g}' for one in about['towards_viewer'])} ({about['found_by']}); written to {options.out}.",
         *(f"Please note: {note}" for note in result.warnings),
         f"Next: splitknit print {options.out} --out PRINT, splitknit view {options.out}",
+    ]
+
+
+def _import_fingers(options: argparse.Namespace) -> Outcome:
+    """Cut a view of several fingers into a capture folder of each."""
+    from splitknit.finger.hand import fingers_apart  # verbs import what they need
+    from splitknit.io.capture import read_capture, write_capture
+    from splitknit.io.targets import check_capture
+
+    check_photo_options(options)
+    of_photographs = (*_CIRCLE, "nir", "table", "dry_run", "tip_direction", "light_frame", "px_per_mm", "ridge_period")
+    if options.images is None:
+        refuse_given(options, (*of_photographs, "unit", "up", "pitch", "input_ppi"), "goes with other files.")
+    which = options.fingers if options.fingers in ("auto", "left", "right") else options.fingers.split(",")
+    with Progress(options) as progress:
+        progress.update("reading", 0.1)
+        if options.images is None:
+            capture, notes = read_capture(options.files[0]), list[str]()
+        else:
+            capture, notes = capture_of_photographs(_with_table(options, options.images))
+        progress.update("fingers", 0.4)
+        found = fingers_apart(capture, which)
+        places = {name: options.out / name for name in found}
+        for place in places.values():
+            check_capture(place, overwrite=options.overwrite, keep=options.images or options.files[0])
+        for k, (name, one) in enumerate(found.items()):
+            progress.update(name, 0.5 + 0.5 * k / len(found))
+            write_capture(one, places[name], overwrite=options.overwrite)
+    sizes = {name: list(one.shape) for name, one in found.items()}
+    facts: dict[str, Any] = {"out": str(options.out), "fingers": list(found), "image_size": sizes, "notes": notes}
+    return facts, [
+        *(f"{name}: {columns} x {rows} pixels written to {places[name]}." for name, (rows, columns) in sizes.items()),
+        *(f"Please note: {note}" for note in notes),
+        *(f"Next: splitknit reconstruct {place} --out RESULT" for place in list(places.values())[:1]),
     ]
 
 
