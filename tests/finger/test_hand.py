@@ -66,11 +66,11 @@ def test_a_neighbour_in_the_part_is_filled() -> None:
 
 
 def test_left_hand_and_names() -> None:
-    assert list(fingers_apart(view(tips_mm=TIPS_MM[::-1])))[0] == "left_index"
+    assert "left_index" in fingers_apart(view(tips_mm=TIPS_MM[::-1]))
     assert list(fingers_apart(view(), "left"))[-1] == "left_little"
     with pytest.raises(BadInput, match="equally far up"):
         fingers_apart(view(tips_mm=(30.0,) * 4))
-    with pytest.raises(BadInput, match="3 fingers stand apart in the view, but 4"):
+    with pytest.raises(BadInput, match="stand apart in the view: 3; named by `fingers`: 4"):
         fingers_apart(view((-33.0, -6.5, 6.5, 33.0)))
     with pytest.raises(BadInput, match="different names"):
         fingers_apart(view(), ["a", "b", "c", "../d"])
@@ -115,4 +115,4 @@ def test_import_writes_a_capture_of_each(tmp_path: Path, capsys: pytest.CaptureF
     assert main(order) == 2
     assert "give --overwrite" in capsys.readouterr().err
     assert main([*order[:3], "auto", *order[4:]]) == 2
-    assert "2 fingers stand apart" in capsys.readouterr().err
+    assert "stand apart in the view: 2" in capsys.readouterr().err

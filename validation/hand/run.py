@@ -5,7 +5,8 @@
 Four fingers (seeds 7001 to 7004, then 7011 to 7014, ...) lie side by side on one camera's grid: each is intersected
 with that camera's rays, the surfaces are put into one, and all are photographed together under the thesis's 14 lights,
 on a circle of ``--radius-mm``, with one skin, one exposure and one noise. Alone, the same finger in the same pose lies
-in the middle before the same lights. Not simulated: shadows and light that fingers cast on each other; how much of the
+in the middle before the same lights; beside, it lies where it lies in the view, without its neighbours, and the same
+window is cut. Not simulated: shadows and light that fingers cast on each other; how much of the
 skin a neighbour would shade under the worst light is computed from the surfaces and reported. Both captures go through
 ``metric`` (the cut ones by `fingers_apart`, the hand to be found by the tips) and are compared with their truth.
 """
@@ -23,6 +24,7 @@ import numpy as np
 import splitknit
 from splitknit.evaluation.accuracy import compare
 from splitknit.finger.hand import fingers_apart
+from splitknit.imaging.crop import cropped
 from splitknit.model import Rig, default_rig
 from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
 from splitknit.simulator.light.skin import SkinRanges
@@ -35,6 +37,7 @@ ALONE_MM = (46.0, 34.0)
 NAMES = ("right_little", "right_ring", "right_middle", "right_index")
 X_MM, YAW_DEG, INSERTION_MM = (-33.0, -11.0, 11.0, 33.0), (5.0, 2.0, -2.0, -5.0), (27.0, 36.0, 39.0, 34.0)
 FIGURES = ("surface_rms_mm", "shape_rms_mm", "normals_mean_deg", "ridge_rms_um", "ridge_correlation", "ridge_gain")
+KINDS = ("alone", "beside", "cut")
 
 
 def rig_of(px_per_mm: float, size_mm: tuple[float, float], radius_mm: float) -> Rig:
@@ -129,7 +132,12 @@ def hand(number: int, px_per_mm: float, radius_mm: float) -> dict[str, Any]:
     cut = fingers_apart(capture)
     assert tuple(cut) == NAMES, tuple(cut)
     for k, (name, own) in enumerate(cut.items()):
-        result[name]["cut"] = measured(own, cut_truth(truth, own.rig.provenance["cut_from"], surfaces[k].mask))
+        cut_from = own.rig.provenance["cut_from"]
+        result[name]["cut"] = measured(own, cut_truth(truth, cut_from, surfaces[k].mask))
+        seed = np.random.SeedSequence([seeds[k], 3])
+        beside, whole = photograph(surfaces[k], view, skin, seed, settings=settings)
+        window = (slice(*cut_from["rows"]), slice(*cut_from["columns"]))
+        result[name]["beside"] = measured(cropped(beside, window), cut_truth(whole, cut_from, surfaces[k].mask))
     return result
 
 
@@ -156,16 +164,14 @@ def main() -> None:
     for place, names in {"outer": (NAMES[0], NAMES[3]), "inner": NAMES[1:3], "all": NAMES}.items():
         table[place] = {}
         for figure in FIGURES:
-            pairs = np.array([[row[n]["alone"][figure], row[n]["cut"][figure]] for row in rows for n in names])
-            change = pairs[:, 1] - pairs[:, 0]
+            kinds = np.array([[row[n][kind][figure] for kind in KINDS] for row in rows for n in names])
+            change = kinds[:, 2] - kinds[:, 0]
             drawn = change[rng.integers(0, len(change), (2000, len(change)))].mean(axis=1)
             low, high = np.quantile(drawn, (0.025, 0.975))
-            table[place][figure] = {
-                "alone": float(pairs[:, 0].mean()), "cut": float(pairs[:, 1].mean()),
-                "change": [float(change.mean()), float(low), float(high)],
-            }  # fmt: skip
-            print(f"{place:6} {figure:18} alone {pairs[:, 0].mean():8.3f} cut {pairs[:, 1].mean():8.3f}"
-                  f" change {change.mean():7.3f} [{low:.3f}, {high:.3f}]")  # fmt: skip
+            means = dict(zip(KINDS, kinds.mean(axis=0).tolist(), strict=True))
+            table[place][figure] = means | {"change": [float(change.mean()), float(low), float(high)]}
+            words = " ".join(f"{kind} {value:7.3f}" for kind, value in means.items())
+            print(f"{place:6} {figure:18} {words} change {change.mean():7.3f} [{low:.3f}, {high:.3f}]")
     print(f"a neighbour would shade at most {100 * table['shaded_at_most']:.2f} % of a finger")
     if options.write:
         name = f"results_{options.radius_mm:g}.json"

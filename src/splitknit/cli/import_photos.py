@@ -39,9 +39,9 @@ def add_import(verbs: Any) -> None:
     verb.add_argument(
         "--fingers",
         metavar="WHICH",
-        help="the photographs, or the capture folder FILE, show several fingers of one hand side by side: each becomes "
-        "a capture of its own in the folder; left, right: index to little finger of that hand; auto: of the hand that "
-        "their tips show; else their names from left to right, such as right_middle,right_index",
+        help="--images, or the capture folder FILE, show several fingers side by side: each becomes a capture in DIR; "
+        "left, right: index to little finger of that hand; auto: the hand follows from their tips; else names from "
+        "left to right, such as right_middle,right_index",
     )
     add_overwrite(verb)
     group = verb.add_argument_group("prints of other systems")
@@ -290,9 +290,9 @@ def _run(options: argparse.Namespace) -> Outcome:
     )
     clouds = [file for file in options.files if file.suffix.lower() in _CLOUDS]
     if options.fingers is not None:
-        require(options.people is None, "--people takes photographs of one finger each; leave out --fingers.")
-        require(options.images is not None or len(options.files) == 1, "--fingers takes one capture folder.")
-    if options.fingers is not None and options.images is None:
+        one = options.people is None and len(options.files) < 2
+        require(one, "--fingers takes one capture folder, or --images of one capture.")
+        _check_rig_captures(options)
         return _import_fingers(options)
     if clouds:
         require(len(options.files) == 1, "point clouds are imported one at a time: each makes a result folder.")
@@ -301,8 +301,6 @@ def _run(options: argparse.Namespace) -> Outcome:
     if options.images is None:
         return _import_prints(options)
     _check_rig_captures(options)
-    if options.fingers is not None:
-        return _import_fingers(options)
     return _import_people(options) if options.people is not None else _import_photos(options)
 
 
@@ -422,31 +420,23 @@ def _import_fingers(options: argparse.Namespace) -> Outcome:
     from splitknit.io.targets import check_capture
 
     check_photo_options(options)
-    of_photographs = (*_CIRCLE, "nir", "table", "dry_run", "tip_direction", "light_frame", "px_per_mm", "ridge_period")
-    if options.images is None:
-        refuse_given(options, (*of_photographs, "unit", "up", "pitch", "input_ppi"), "goes with other files.")
-    which = options.fingers if options.fingers in ("auto", "left", "right") else options.fingers.split(",")
+    names = options.fingers if options.fingers in ("auto", "left", "right") else options.fingers.split(",")
     with Progress(options) as progress:
         progress.update("reading", 0.1)
         if options.images is None:
             capture, notes = read_capture(options.files[0]), list[str]()
         else:
             capture, notes = capture_of_photographs(_with_table(options, options.images))
-        progress.update("fingers", 0.4)
-        found = fingers_apart(capture, which)
-        places = {name: options.out / name for name in found}
-        for place in places.values():
+        progress.update("fingers", 0.5)
+        found = {options.out / name: one for name, one in fingers_apart(capture, names).items()}
+        for place in found:
             check_capture(place, overwrite=options.overwrite, keep=options.images or options.files[0])
-        for k, (name, one) in enumerate(found.items()):
-            progress.update(name, 0.5 + 0.5 * k / len(found))
-            write_capture(one, places[name], overwrite=options.overwrite)
-    sizes = {name: list(one.shape) for name, one in found.items()}
-    facts: dict[str, Any] = {"out": str(options.out), "fingers": list(found), "image_size": sizes, "notes": notes}
-    return facts, [
-        *(f"{name}: {columns} x {rows} pixels written to {places[name]}." for name, (rows, columns) in sizes.items()),
-        *(f"Please note: {note}" for note in notes),
-        *(f"Next: splitknit reconstruct {place} --out RESULT" for place in list(places.values())[:1]),
-    ]
+        for place, one in found.items():
+            write_capture(one, place, overwrite=options.overwrite)
+    facts = {"out": str(options.out), "fingers": {place.name: list(one.shape) for place, one in found.items()}}
+    lines = [f"{one.shape[1]} x {one.shape[0]} pixels written to {place}." for place, one in found.items()]
+    lines += [f"Please note: {note}" for note in notes]
+    return {**facts, "notes": notes}, [*lines, f"Next: splitknit reconstruct {next(iter(found))} --out RESULT"]
 
 
 def _import_prints(options: argparse.Namespace) -> Outcome:

@@ -377,8 +377,7 @@ def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
 
 
 def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray]) -> BoolArray:
-    """Cluster by chromaticity and by brightness, keep the split that is clearer and lies like a finger; `tidy`: leaves
-    what of a cluster may be one."""
+    """Cluster by chromaticity and by brightness, keep the clearer split; `tidy` leaves what of it may be a finger."""
     brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
     root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
@@ -534,32 +533,20 @@ _SMALLEST_PART = 0.2
 """Of the largest finger's area: what is smaller is none."""
 
 
-def finger_masks(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> list[BoolArray]:
-    """Find roughly where several fingers are between which the background shows, as :func:`finger_region` finds one.
+def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
+    """Find roughly where several fingers are between which the background shows: the clusters of :func:`finger_mask`.
 
-    `mean_image`: (H, W) or (H, W, 3) float32, linear. Returns a mask (H, W) for each finger; all that is narrower than
-    4 mm, or has less than a fifth of the largest finger's area, is left out. Raises BadInput if there is no finger.
+    `mean_image`: (H, W) or (H, W, 3) float32, linear. Returns a mask (H, W) for each finger; what is narrower than 4 mm
+    or has less than a fifth of the largest finger's area is left out. Raises BadInput if there is no finger.
     """
-    settings = settings or MaskSettings()
-    image = _check_image(mean_image, px_per_mm)
-    height, width = image.shape[:2]
-    scale = reduction((height, width), px_per_mm, settings.coarse_px_per_mm, 1200)
-    coarse_px = px_per_mm * scale
-    coarse = blur(reduce_image(image, scale), 0.5 * BLUR_MM * coarse_px)
-    weights = _colour_filter(coarse)
-    coarse = coarse if weights is None else _filtered(coarse, weights)
-    radius, margin = 0.5 * _MIN_WIDTH_MM * coarse_px, _EDGE_MARGIN_MM * coarse_px
+    image = blur(_check_image(mean_image, px_per_mm), 0.5 * BLUR_MM * px_per_mm)
+    weights, radius = _colour_filter(image), 0.5 * _MIN_WIDTH_MM * px_per_mm
 
     def wide(region: BoolArray) -> BoolArray:
         region = fill_holes(region)
         return region & dilate(erode(region, radius), 1.15 * radius)
 
-    mask = _seed(coarse, BLUR_MM * coarse_px, wide)
-    for _ in range(2):
-        evidence, usable = _skin_evidence(coarse, _Around.of(mask, margin), margin)
-        mask = wide(evidence > 1.0)
-        require(usable and bool(mask.any()), _NO_FINGER, NoFinger)
-    full = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(full, connectivity=4)
+    mask = _seed(image if weights is None else _filtered(image, weights), BLUR_MM * px_per_mm, wide)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
     return [np.asarray(labels == 1 + k) for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]
