@@ -72,7 +72,7 @@ def test_left_hand_and_names() -> None:
         fingers_apart(view(tips_mm=(30.0,) * 4))
     with pytest.raises(BadInput, match="stand apart in the view: 3; named by `fingers`: 4"):
         fingers_apart(view((-33.0, -6.5, 6.5, 33.0)))
-    with pytest.raises(BadInput, match="different names"):
+    with pytest.raises(BadInput, match="letters, digits and _"):
         fingers_apart(view(), ["a", "b", "c", "../d"])
 
 

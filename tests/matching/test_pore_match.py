@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from spiral_prints import spiral_print
 
+from spiral_prints import spiral_print
 from splitknit.matching.pores import PoreTemplate, pore_match, pore_template
 from splitknit.model import Surface
 

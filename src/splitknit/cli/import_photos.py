@@ -290,8 +290,7 @@ def _run(options: argparse.Namespace) -> Outcome:
     )
     clouds = [file for file in options.files if file.suffix.lower() in _CLOUDS]
     if options.fingers is not None:
-        one = options.people is None and len(options.files) < 2
-        require(one, "--fingers takes one capture folder, or --images of one capture.")
+        require(options.people is None and len(options.files) < 2, "--fingers takes one capture, or --images of one.")
         _check_rig_captures(options)
         return _import_fingers(options)
     if clouds:
@@ -310,7 +309,7 @@ def _check_rig_captures(options: argparse.Namespace) -> None:
     require(options.table is None or options.lights is None, "--table and --lights both give the lights; choose one.")
     require(options.table is None or options.px_per_mm is not None, "--table needs the scale; give --px-per-mm.")
     require(options.people is not None or not options.dry_run, "--dry-run goes with --people.")
-    if (options.nir, options.people, options.fingers) != (None, None, None):
+    if options.images is not None and (options.nir, options.people, options.fingers) != (None, None, None):
         options.material = options.material or "skin"
 
 

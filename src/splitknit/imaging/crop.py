@@ -25,7 +25,11 @@ def cropped(capture: Capture, window: Window) -> Capture:
     """
     whole = not capture.rig.mirrors and capture.shading is None
     require(whole, "captures between mirrors, or with a calibration of shading, cannot be cut.")
-    bands = {name: _band(band, capture.encoding, window) for name, band in capture.bands.items()}
+    bands = {}
+    for name, band in capture.bands.items():
+        ambient = None if band.ambient is None else band.ambient[window]
+        flat = None if band.flat is None and not band.shading else _flat(band, capture.encoding, window)
+        bands[name] = replace(band, pixels=band.pixels[:, *window], ambient=ambient, flat=flat, shading=())
     mask = None if capture.mask is None else capture.mask[window]
     return replace(capture, rig=_rig(capture.rig, window), bands=bands, mask=mask, truth=None, hashes={})
 
@@ -52,12 +56,6 @@ def _rig(rig: Rig, window: Window) -> Rig:
     cut = {"rows": list(ends[0]), "columns": list(ends[1]), "image_size": list(camera.image_size)}
     leds, provenance = tuple(moved(led) for led in rig.leds), {**rig.provenance, "cut_from": cut}
     return replace(rig, camera=small, leds=leds, films=films, provenance=provenance)
-
-
-def _band(band: Band, encoding: str, window: Window) -> Band:
-    ambient = None if band.ambient is None else band.ambient[window]
-    flat = None if band.flat is None and not band.shading else _flat(band, encoding, window)
-    return replace(band, pixels=band.pixels[:, *window], ambient=ambient, flat=flat, shading=())
 
 
 def _flat(band: Band, encoding: str, window: Window) -> PixelArray:

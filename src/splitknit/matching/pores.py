@@ -16,8 +16,6 @@ from splitknit.matching.ridge_band import RidgeBandSettings, band_places, ridge_
 from splitknit.matching.template import make_template
 from splitknit.model import Surface
 
-Places = NDArray[np.float64]
-"""(N, 2) column and row."""
 _REACH_MM = (0.4, 0.3, 0.2)
 """Within which pores are paired in each round of the alignment."""
 _NEAR_MM = 0.12
@@ -29,7 +27,7 @@ class PoreTemplate:
     """Ridges and pores of one finger."""
 
     ridges: Prepared
-    pores: Places
+    pores: NDArray[np.float64]
     """(N, 2) column and row in the template of the ridges."""
 
 
@@ -40,10 +38,9 @@ class PoreMatch:
     similarity: float
     """Pairs over the geometric mean of both numbers of pores, 0 to 1; 0 where there is nothing to compare."""
     pairs: int
-    pores: tuple[int, int]
-    """Of each side, where the other shows skin."""
+    pores: tuple[int, int]  # of each side, where the other shows skin
     ridges: float
-    """Similarity of the ridges, by which they were laid on each other (:func:`splitknit.matching.ridge.ridge_match`)."""
+    """Similarity of the ridges, by which they were laid on each other."""
 
 
 def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate:
@@ -62,9 +59,8 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
     box = bounding_box(band.valid)
     shown = np.stack([columns[box], rows[box]], axis=-1).reshape(-1, 2)
     away, near = cKDTree(shown).query(pores[:, :2], k=4)  # about bilinear between the band's four nearest pixels
-    weight = 1.0 / (away + 1e-6)
     row, column = np.divmod(near, template.valid.shape[1])
-    places = np.stack([(weight * one).sum(axis=1) / weight.sum(axis=1) for one in (column, row)], axis=1)
+    places = np.stack([np.average(one, axis=1, weights=1 / (away + 1e-6)) for one in (column, row)], axis=1)
     places = places[away[:, 0] < settings.pitch_mm / pitch]
     return PoreTemplate(Prepared(template), places[on_ridges(template.valid, places)])
 
@@ -73,37 +69,32 @@ def pore_match(a: PoreTemplate, b: PoreTemplate) -> PoreMatch:
     """Compare two fingers by their pores, where their ridges put them on each other.
 
     Alignment: that of the ridges, bent as they agree, then in three rounds as the pairs of nearest pores ask for,
-    smoothly (iterative closest points). Score: pores that are each other's nearest within 0.12 mm, one to one.
-
-    References
-    ----------
-    A. K. Jain, Y. Chen and M. Demirkus, "Pores and ridges", IEEE Trans. PAMI 29, 2007 (pores by iterative closest
-    points where ridges and minutiae agree); Q. Zhao et al., Pattern Recognition 43, 2010 (pairs, one to one).
+    smoothly. Score: pores that are each other's nearest within 0.12 mm. Source: A. K. Jain, Y. Chen and M. Demirkus,
+    "Pores and ridges", IEEE Trans. PAMI 29, 2007 (iterative closest points where the ridges agree, then pairs).
     """
     swapped = a.ridges.key > b.ridges.key
     left, right = (b, a) if swapped else (a, b)
-    ridges, grid = left.ridges, right.ridges.patches
-    if ridges.template.empty or right.ridges.template.empty:
+    if left.ridges.template.empty or right.ridges.template.empty:
         return PoreMatch(0.0, 0, (0, 0), -1.0)
-    found, affine = lay(ridges, right.ridges)
-    bend = bent(grid, compare_patches(grid, ridges.value, ridges.template.valid, affine))
-    pitch, back = ridges.template.pitch_mm, np.linalg.inv(affine[:, :2]).T
+    valid, pitch, grid = left.ridges.template.valid, left.ridges.template.pitch_mm, right.ridges.patches
+    found, affine = lay(left.ridges, right.ridges)
+    bend, back = bent(grid, compare_patches(grid, left.ridges.value, valid, affine)), np.linalg.inv(affine[:, :2]).T
     for reach in _REACH_MM:
         there = shown_in_a(grid, affine, bend, right.pores)
         one, other = _nearest(there, left.pores, reach / pitch)
         bend = bend + bent_by(grid, right.pores[one], (there[one] - left.pores[other]) @ back)
     there = shown_in_a(grid, affine, bend, right.pores)
     pairs = len(_nearest(there, left.pores, _NEAR_MM / pitch)[0])
-    here = (left.pores - affine[:, 2]) @ back
-    counts = [int(on_ridges(right.ridges.template.valid, here).sum()), int(on_ridges(ridges.template.valid, there).sum())]
+    shown = on_ridges(right.ridges.template.valid, (left.pores - affine[:, 2]) @ back), on_ridges(valid, there)
+    counts = [int(one.sum()) for one in shown]
     similarity = pairs / float(np.sqrt(max(1, counts[0] * counts[1])))
     return PoreMatch(similarity, pairs, (counts[swapped], counts[not swapped]), found.similarity)
 
 
-def _nearest(a: Places, b: Places, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of the points that are each other's nearest within a reach."""
+def _nearest(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> tuple[NDArray[np.intp], ...]:
+    """Numbers of the points (N, 2), (M, 2) that are each other's nearest within a reach."""
     if not len(a) or not len(b):
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+        return (np.zeros(0, np.intp),) * 2
     away, near = cKDTree(b).query(a)
     one = np.flatnonzero((away <= reach) & (cKDTree(a).query(b)[1][near] == np.arange(len(a))))
     return one, near[one]
