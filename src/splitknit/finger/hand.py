@@ -69,9 +69,7 @@ def _named(names: str | Sequence[str], tips_mm: Sequence[float]) -> Sequence[str
     if isinstance(names, str):
         lower, hand = tips_mm[0] - tips_mm[-1], names
         if hand == "auto":
-            require(
-                abs(lower) >= _SHORTER_MM, "the outer fingers' tips lie equally far up: give `fingers` left or right."
-            )
+            require(abs(lower) >= _SHORTER_MM, "the outer tips lie equally far up: give `fingers` left or right.")
             hand = "right" if lower < 0 else "left"
         # pads to the camera: a right hand's thumb lies to the right
         return [f"{hand}_{digit}" for digit in (_DIGITS[::-1] if hand == "right" else _DIGITS)]

@@ -527,8 +527,6 @@ def finger_outline(
     return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)
 
 
-# Several fingers side by side.
-
 _SMALLEST_PART = 0.2
 """Of the largest finger's area: what is smaller is none."""
 

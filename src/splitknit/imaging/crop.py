@@ -11,8 +11,7 @@ from splitknit.imaging.band import Window, decode_table, flat_at, flat_light
 from splitknit.imaging.view import lens_shading
 from splitknit.model import Band, Capture, Led, PixelArray, Rig, coarse_grid
 
-_BRIGHTEST = 0.9
-"""Of a flat image, in full scale."""
+_BRIGHTEST = 0.9  # of a flat image, in full scale
 
 
 def cropped(capture: Capture, window: Window) -> Capture:
