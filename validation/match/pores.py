@@ -144,7 +144,7 @@ def main() -> None:
             a, b = (first, second) if turn % 2 else (second, first)
             rows += compared([disc(one, diameter, rng) for one in a], b)
         pores = float(np.mean(np.array(rows)[:, 4]))
-        table[f"{diameter:g}"] = rates(np.array(rows)) | {"pores": pores}
+        table[f"{diameter:g}"] = rates(np.array(rows)) | {"pores_shown": pores}
         print(diameter, json.dumps(table[f"{diameter:g}"]), flush=True)
     if options.write:
         file = Path(__file__).with_name("pores_true.json" if options.true else "pores.json")

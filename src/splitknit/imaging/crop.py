@@ -67,4 +67,4 @@ def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
     exposed *= band.exposure[:, None, None].astype(np.float32)
     table, full = decode_table(np.dtype(np.uint16), encoding), np.iinfo(band.pixels.dtype).max
     black = np.interp(65535 / full * band.black_level, np.arange(table.size), table)[:, None, None]
-    return np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()).astype(np.uint16)
+    return np.asarray(np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()), dtype=np.uint16)

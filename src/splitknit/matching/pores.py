@@ -58,7 +58,8 @@ def pore_template(surface: Surface, pores: NDArray[np.floating]) -> PoreTemplate
     columns, rows, _ = band_places(mask, surface.shape_mm, transform, size, pitch_mm=pitch, settings=settings)
     box = bounding_box(band.valid)
     shown = np.stack([columns[box], rows[box]], axis=-1).reshape(-1, 2)
-    away, near = cKDTree(shown).query(pores[:, :2], k=4)  # about bilinear between the band's four nearest pixels
+    # about bilinear between the band's four nearest pixels
+    away, near = (np.asarray(one) for one in cKDTree(shown).query(pores[:, :2], k=4))
     row, column = np.divmod(near, template.valid.shape[1])
     places = np.stack([np.average(one, axis=1, weights=1 / (away + 1e-6)) for one in (column, row)], axis=1)
     places = places[away[:, 0] < settings.pitch_mm / pitch]
@@ -95,6 +96,6 @@ def _nearest(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> tu
     """Numbers of the points (N, 2), (M, 2) that are each other's nearest within a reach."""
     if not len(a) or not len(b):
         return (np.zeros(0, np.intp),) * 2
-    away, near = cKDTree(b).query(a)
-    one = np.flatnonzero((away <= reach) & (cKDTree(a).query(b)[1][near] == np.arange(len(a))))
+    (away, near), (_, back) = ((np.asarray(part) for part in cKDTree(p).query(q)) for p, q in ((b, a), (a, b)))
+    one = np.flatnonzero((away <= reach) & (back[near] == np.arange(len(a))))
     return one, near[one]
