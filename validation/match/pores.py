@@ -1,6 +1,6 @@
 """Pores beside ridges: simulated fingers in two sessions, whole and in small windows.
 
-    python validation/match/pores.py --out FOLDER [--fingers 5] [--true] [--write]
+    python validation/match/pores.py --out FOLDER [--fingers 8] [--true] [--write]
 
 One finger each of the first people of a population of its own seed, in sessions 1 and 2 (another pose, skin bent by 0.2
 to 0.5 mm, another moisture and exposure; a pore stays where it is and open), scale 0.4 (33 um), ``metric``. Pores are
@@ -106,11 +106,13 @@ def rates(rows: np.ndarray) -> dict[str, Any]:
         others = (i != finger) & (j != finger) & (i != j)
         normal = (scores - scores[others].mean(axis=0)) / scores[others].std(axis=0)
         fused[i == finger] = normal[i == finger].sum(axis=1)
+    passed = np.zeros((3, int((i == j).sum())), dtype=bool)
     result: dict[str, Any] = {"genuine": int((i == j).sum()), "impostors": int((i != j).sum())}
-    for name, score in {"ridges": scores[:, 0], "pores": scores[:, 1], "both": fused}.items():
+    for k, (name, score) in enumerate({"ridges": scores[:, 0], "pores": scores[:, 1], "both": fused}.items()):
         genuine, impostor = score[i == j], np.sort(score[i != j])
         at = impostor[int(np.ceil(0.99 * len(impostor))) - 1]
-        good, count = int((genuine > at).sum()), len(genuine)
+        passed[k] = genuine > at
+        good, count = int(passed[k].sum()), len(genuine)
         low = 0.0 if good == 0 else float(betaincinv(good, count - good + 1, 0.025))
         high = 1.0 if good == count else float(betaincinv(good + 1, count - good, 0.975))
         steps = np.concatenate([genuine, impostor])
@@ -120,6 +122,8 @@ def rates(rows: np.ndarray) -> dict[str, Any]:
             "genuine_median": float(np.median(genuine)), "genuine_least": float(genuine.min()),
             "impostor_median": float(np.median(impostor)), "impostor_largest": float(impostor[-1]),
         }  # fmt: skip
+    result["by_ridges_alone"] = int((passed[0] & ~passed[1]).sum())
+    result["by_pores_alone"] = int((passed[1] & ~passed[0]).sum())
     return result
 
 
@@ -127,7 +131,7 @@ def main() -> None:
     """Run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--fingers", type=int, default=5)
+    parser.add_argument("--fingers", type=int, default=8)
     parser.add_argument("--true", action="store_true", help="the simulator's pores instead of found ones")
     parser.add_argument("--write", action="store_true", help="write pores.json beside this file")
     options = parser.parse_args()
