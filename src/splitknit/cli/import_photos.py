@@ -1,5 +1,5 @@
-"""``splitknit import``: photographs and light directions in, a capture folder out; point clouds and meshes, a result
-folder out; or prints of other systems.
+"""``splitknit import``: photographs and light directions in, a capture folder out; a view of several fingers, a capture
+folder of each; point clouds and meshes, a result folder out; or prints of other systems.
 
 ``splitknit reconstruct`` takes the same options of photographs.
 """
@@ -36,6 +36,13 @@ def add_import(verbs: Any) -> None:
     add_photo_options(verb, required=False)
     _add_rig_captures(verb)
     verb.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write")
+    verb.add_argument(
+        "--fingers",
+        metavar="WHICH",
+        help="--images, or the capture folder FILE, show several fingers side by side: each becomes a capture in DIR; "
+        "left, right: index to little finger of that hand; auto: the hand follows from their tips; else names from "
+        "left to right, such as right_middle,right_index",
+    )
     add_overwrite(verb)
     group = verb.add_argument_group("prints of other systems")
     group.add_argument(
@@ -282,6 +289,10 @@ def _run(options: argparse.Namespace) -> Outcome:
         "name photographs (--images DIR --lights FILE) or files of prints to import.",
     )
     clouds = [file for file in options.files if file.suffix.lower() in _CLOUDS]
+    if options.fingers is not None:
+        require(options.people is None and len(options.files) < 2, "--fingers takes one capture, or --images of one.")
+        _check_rig_captures(options)
+        return _import_fingers(options)
     if clouds:
         require(len(options.files) == 1, "point clouds are imported one at a time: each makes a result folder.")
         return _import_cloud(options, clouds[0])
@@ -298,7 +309,7 @@ def _check_rig_captures(options: argparse.Namespace) -> None:
     require(options.table is None or options.lights is None, "--table and --lights both give the lights; choose one.")
     require(options.table is None or options.px_per_mm is not None, "--table needs the scale; give --px-per-mm.")
     require(options.people is not None or not options.dry_run, "--dry-run goes with --people.")
-    if options.nir is not None or options.people is not None:
+    if options.images is not None and (options.nir, options.people, options.fingers) != (None, None, None):
         options.material = options.material or "skin"
 
 
@@ -399,6 +410,32 @@ def _import_cloud(options: argparse.Namespace, file: Path) -> Outcome:
         *(f"Please note: {note}" for note in result.warnings),
         f"Next: splitknit print {options.out} --out PRINT, splitknit view {options.out}",
     ]
+
+
+def _import_fingers(options: argparse.Namespace) -> Outcome:
+    """Cut a view of several fingers into a capture folder of each."""
+    from splitknit.finger.hand import fingers_apart  # verbs import what they need
+    from splitknit.io.capture import read_capture, write_capture
+    from splitknit.io.targets import check_capture
+
+    check_photo_options(options)
+    names = options.fingers if options.fingers in ("auto", "left", "right") else options.fingers.split(",")
+    with Progress(options) as progress:
+        progress.update("reading", 0.1)
+        if options.images is None:
+            capture, notes = read_capture(options.files[0]), list[str]()
+        else:
+            capture, notes = capture_of_photographs(_with_table(options, options.images))
+        progress.update("fingers", 0.5)
+        found = {options.out / name: one for name, one in fingers_apart(capture, names).items()}
+        for place in found:
+            check_capture(place, overwrite=options.overwrite, keep=options.images or options.files[0])
+        for place, one in found.items():
+            write_capture(one, place, overwrite=options.overwrite)
+    facts = {"out": str(options.out), "fingers": {place.name: list(one.shape) for place, one in found.items()}}
+    lines = [f"{one.shape[1]} x {one.shape[0]} pixels written to {place}." for place, one in found.items()]
+    lines += [f"Please note: {note}" for note in notes]
+    return {**facts, "notes": notes}, [*lines, f"Next: splitknit reconstruct {next(iter(found))} --out RESULT"]
 
 
 def _import_prints(options: argparse.Namespace) -> Outcome:

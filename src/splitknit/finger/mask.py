@@ -6,6 +6,7 @@ the full grid: finer than the skin's own blur, and a tenth of the work.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -274,7 +275,7 @@ def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings
 def _coarse_mask(image: FloatArray, px_per_mm: float, samples: int = SAMPLES) -> BoolArray:
     """The finger on the coarse copy."""
     margin = _EDGE_MARGIN_MM * px_per_mm
-    mask = _seed(image, BLUR_MM * px_per_mm)
+    mask = _seed(image, BLUR_MM * px_per_mm, lambda part: remove_spurs(fill_holes(part), _SPUR_FRACTION))
     for _ in range(2):
         around = _Around.of(mask, margin)
         evidence, usable = _skin_evidence(image, around, margin, samples=samples)
@@ -375,8 +376,8 @@ def _check_image(mean_image: FloatArray, px_per_mm: float) -> FloatArray:
     return image
 
 
-def _seed(image: FloatArray, sigma: float) -> BoolArray:
-    """Cluster by chromaticity and by brightness, keep the split that is clearer and lies like a finger."""
+def _seed(image: FloatArray, sigma: float, tidy: Callable[[BoolArray], BoolArray]) -> BoolArray:
+    """Cluster by chromaticity and by brightness, keep the clearer split; `tidy` leaves what of it may be a finger."""
     brightness = _brightness(image)
     ceiling = max(float(np.percentile(brightness, 99.5)), 1e-12)
     root = np.sqrt(np.clip(brightness / np.float32(ceiling), 0.0, 1.0)).astype(np.float32)
@@ -388,7 +389,7 @@ def _seed(image: FloatArray, sigma: float) -> BoolArray:
     for features in candidates:
         second, separation = _two_means(features.reshape(-1, features.shape[2]))
         cluster = _finger_cluster(second.reshape(brightness.shape), brightness)
-        region = remove_spurs(fill_holes(cluster), _SPUR_FRACTION)
+        region = tidy(cluster)
         purity = float(region.sum()) / max(float(cluster.sum()), 1.0)
         if separation * purity > clearest:
             best, clearest = region, separation * purity
@@ -524,3 +525,26 @@ def finger_outline(
     scale = reduction((height, width), px_per_mm, settings.fine_px_per_mm, 1200)
     fine = reduce_image(image, scale)
     return _fine_outline(fine, rough, (height, width), px_per_mm * scale, FEW_SAMPLES)
+
+
+_SMALLEST_PART = 0.2
+"""Of the largest finger's area: what is smaller is none."""
+
+
+def finger_masks(mean_image: FloatArray, px_per_mm: float) -> list[BoolArray]:
+    """Find roughly where several fingers are between which the background shows: the clusters of :func:`finger_mask`.
+
+    `mean_image`: (H, W) or (H, W, 3) float32, linear. Returns a mask (H, W) for each finger; what is narrower than 4 mm
+    or has less than a fifth of the largest finger's area is left out. Raises BadInput if there is no finger.
+    """
+    image = blur(_check_image(mean_image, px_per_mm), 0.5 * BLUR_MM * px_per_mm)
+    weights, radius = _colour_filter(image), 0.5 * _MIN_WIDTH_MM * px_per_mm
+
+    def wide(region: BoolArray) -> BoolArray:
+        region = fill_holes(region)
+        return region & dilate(erode(region, radius), 1.15 * radius)
+
+    mask = _seed(image if weights is None else _filtered(image, weights), BLUR_MM * px_per_mm, wide)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    return [np.asarray(labels == 1 + k) for k in np.flatnonzero(areas >= _SMALLEST_PART * areas.max())]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
@@ -32,7 +33,7 @@ def box_around(mask: BoolArray, margin: float) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def blanked(image: FloatArray, inside: BoolArray, px_per_mm: float) -> FloatArray:
+def blanked(image: NDArray[Any], inside: BoolArray, px_per_mm: float) -> NDArray[Any]:
     """The image whose pixels outside `inside` look like the background beside them."""
     if inside.all():
         return image

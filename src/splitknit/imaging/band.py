@@ -291,7 +291,7 @@ def _lit_light(  # noqa: PLR0917
         corner = tuple(part.indices(n)[0] for part, n in zip(window, band.pixels.shape[1:3], strict=True))
         flat = flat_light(band, encoding)
         own = flat[k] / flat.mean() if band.promised is None else flat[k] / flat.mean() / band.promised[k]
-        light /= _flat_at(own, band.pixels.shape[1:3], corner, binning, light.shape)[..., None]
+        light /= flat_at(own, band.pixels.shape[1:3], corner, binning, light.shape)[..., None]
     if band.transmission is not None:
         light /= band.transmission[k].astype(np.float32)
     return light
@@ -329,10 +329,10 @@ def over_flat(images: FloatArray, flat: FloatArray) -> FloatArray:
     """
     count, shape = len(images), images.shape[1:]
     require(len(flat) == count, f"there are {len(flat)} flat photographs for {count} of the object; give one a light.")
-    return np.stack([image / _flat_at(one, shape, (0, 0), 1, shape) for image, one in zip(images, flat, strict=True)])
+    return np.stack([image / flat_at(one, shape, (0, 0), 1, shape) for image, one in zip(images, flat, strict=True)])
 
 
-def _flat_at(
+def flat_at(
     flat: FloatArray, size: tuple[int, ...], corner: tuple[int, ...], binning: float, shape: tuple[int, ...]
 ) -> FloatArray:
     """A coarse flat image (h, w) of images of `size` on the pixels of a window that begins at `corner`."""

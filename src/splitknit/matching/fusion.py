@@ -188,9 +188,9 @@ def _of(side: Prepared) -> tuple[Places, NDArray[np.float64]]:
 def _minutiae_on(a: Prepared, b: Prepared, affine: Affine, there: NDArray[np.float64]) -> tuple[float, float]:
     """How many minutiae agree where those of B lie at `there` in A, and of how many (geometric mean of both sides)."""
     turn = math.atan2(affine[1, 0] - affine[0, 1], affine[0, 0] + affine[1, 1])
-    seen_b = _inside(a.template.valid, there)
+    seen_b = on_ridges(a.template.valid, there)
     back = (_pixels(a, _of(a)[0]) - affine[:, 2]) @ np.linalg.inv(affine[:, :2]).T
-    seen_a = _inside(b.template.valid, back)
+    seen_a = on_ridges(b.template.valid, back)
     middle = (np.array(a.template.valid.shape[::-1]) - 1) / 2
     laid = (there - middle) * a.template.pitch_mm
     count = agreeing(((laid[:, 0] - 1j * laid[:, 1])[seen_b], (_of(b)[1] - turn)[seen_b]), _of(a))
@@ -204,7 +204,7 @@ def _pixels(side: Prepared, place: Places) -> NDArray[np.float64]:
     return np.stack([(columns - 1) / 2 + place.real / pitch, (rows - 1) / 2 - place.imag / pitch], axis=1)
 
 
-def _inside(valid: BoolArray, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+def on_ridges(valid: BoolArray, place: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(N,) whether columns and rows lie on a template's ridges."""
     columns, rows = np.rint(place).astype(np.int64).T
     inside = (rows >= 0) & (columns >= 0) & (rows < valid.shape[0]) & (columns < valid.shape[1])

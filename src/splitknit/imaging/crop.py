@@ -1,0 +1,70 @@
+"""A part of a capture's picture as a capture of its own, with the camera and the lights in that part's frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from splitknit.errors import require
+from splitknit.imaging.band import Window, decode_table, flat_at, flat_light
+from splitknit.imaging.view import lens_shading
+from splitknit.model import Band, Capture, Led, PixelArray, Rig, coarse_grid
+
+_BRIGHTEST = 0.9  # of a flat image, in full scale
+
+
+def cropped(capture: Capture, window: Window) -> Capture:
+    """The capture as if its camera had only the rows and columns of a window (slices with both ends).
+
+    Under parallel rays the origin moves to the window's middle, and near LEDs move against it; a perspective camera
+    keeps its axis, and its principal point moves. The lens's fall-off, which has its middle in the whole picture,
+    becomes a flat image. `rig.provenance` gets ``cut_from``; the truth stays behind. Raises BadInput beside mirrors,
+    and where a calibration of shading belongs to the whole picture.
+    """
+    whole = not capture.rig.mirrors and capture.shading is None
+    require(whole, "captures between mirrors, or with a calibration of shading, cannot be cut.")
+    bands = {}
+    for name, band in capture.bands.items():
+        ambient = None if band.ambient is None else band.ambient[window]
+        flat = None if band.flat is None and not band.shading else _flat(band, capture.encoding, window)
+        bands[name] = replace(band, pixels=band.pixels[:, *window], ambient=ambient, flat=flat, shading=())
+    mask = None if capture.mask is None else capture.mask[window]
+    return replace(capture, rig=_rig(capture.rig, window), bands=bands, mask=mask, truth=None, hashes={})
+
+
+def _rig(rig: Rig, window: Window) -> Rig:
+    camera, films, matrix = rig.camera, rig.films, rig.camera.matrix
+    (top, bottom), (left, right) = ends = [(part.start, part.stop) for part in window]
+    away = (np.array([left + right, top + bottom]) - camera.image_size[::-1]) / 2  # middle from middle: columns, rows
+    x_mm, y_mm = away * camera.pitch_mm * (1, -1) if camera.model == "orthographic" else (0.0, 0.0)
+    if matrix is not None:
+        matrix = matrix - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
+    if films is not None:
+        sideways, down = (films.scale - 1) * away + films.shift_px
+        films = replace(films, shift_px=(float(sideways), float(down)))
+
+    def moved(led: Led) -> Led:
+        if led.position_mm is None or camera.model == "perspective":
+            return led
+        x, y, z = led.position_mm
+        ax, ay, az = led.axis.tolist()
+        return replace(led, position_mm=(float(x - x_mm), float(y - y_mm), z), aim=(ax, ay, az))
+
+    small = replace(camera, image_size=(bottom - top, right - left), matrix=matrix, shading=())
+    cut = {"rows": list(ends[0]), "columns": list(ends[1]), "image_size": list(camera.image_size)}
+    leds, provenance = tuple(moved(led) for led in rig.leds), {**rig.provenance, "cut_from": cut}
+    return replace(rig, camera=small, leds=leds, films=films, provenance=provenance)
+
+
+def _flat(band: Band, encoding: str, window: Window) -> PixelArray:
+    """(L, h, w) flat images of the window, the lens's fall-off in them, as stored."""
+    size, corner = band.pixels.shape[1:3], (window[0].start, window[1].start)
+    shape = (window[0].stop - corner[0], window[1].stop - corner[1])
+    lens = lens_shading(band.shading, size, *corner, shape=shape)
+    light = np.ones((len(band.pixels), 2, 2), np.float32) if band.flat is None else flat_light(band, encoding)
+    exposed = np.stack([coarse_grid(flat_at(one, size, corner, 1, shape) * lens) for one in light])
+    exposed *= band.exposure[:, None, None].astype(np.float32)
+    table, full = decode_table(np.dtype(np.uint16), encoding), np.iinfo(band.pixels.dtype).max
+    black = np.interp(65535 / full * band.black_level, np.arange(table.size), table)[:, None, None]
+    return np.asarray(np.searchsorted(table, black + (_BRIGHTEST - black) * exposed / exposed.max()), dtype=np.uint16)
