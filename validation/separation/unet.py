@@ -1,6 +1,7 @@
 """The network for direct light on palms and fingers that it was not trained on, against doing nothing and a projector.
 
     python validation/separation/unet.py [--smoke] [--network NAME]
+    python validation/separation/unet.py --fingers 30     # equalised grey of so many fingers only: unet_fingers.json
 
 takes about three minutes on one free core (``--smoke`` seconds), writes ``unet.json`` and ``unet.md`` beside this file
 and prints the latter. Truth: direct light through 25 shifted checkerboards of 0.42 mm and the separation code, without
@@ -55,7 +56,10 @@ def main() -> int:
     parser.add_argument("--network", default="direct", help="shipped network, or path of an .onnx file")
     parser.add_argument("--count", type=int, default=6, help="palms, and as many fingers (default: 6)")
     parser.add_argument("--card", type=Path, default=None, help="card to write the network's figures into")
+    parser.add_argument("--fingers", type=int, default=0, help="judge only so many fingers' equalised images")
     options = parser.parse_args()
+    if options.fingers:
+        return many_fingers(options.fingers, load_network(options.network))
     count = 1 if options.smoke else options.count
     data = SeparationData(labels="stack", patches=1)
     network = load_network(options.network)
@@ -82,6 +86,40 @@ def main() -> int:
         (HERE / "unet.md").write_text(table, encoding="utf-8")
     if options.card is not None:
         note(options.card, result)
+    return 0
+
+
+def many_fingers(count: int, network: Network) -> int:
+    """The network on equalised images of fingers, and the constant fraction: PSNR and paired difference."""
+    data = SeparationData(labels="stack", patches=1)
+    fraction = np.float32(constant_fractions(replace(data, labels="truth"), 4)[3])
+    rows = []
+    for index in range(FIRST, FIRST + count):
+        photograph = photographs("finger", index, SEED, data, enhanced_contrast)[0]
+        image, truth = (part[3:] for part in channels(photograph))
+        mask = truth[0] > 0
+        ways = {
+            "network": direct_light(image, network),
+            "network on the colours, their fraction": direct_of_enhanced(
+                image, channels(photograph)[0][None, :3], network
+            ),
+            "constant fraction": image * fraction,
+        }
+        made = [figures(("finger", index), way, one, truth, mask, names=CHANNELS[3:])[0] for way, one in ways.items()]
+        rows.append({row["method"]: row["psnr_db"] for row in made})
+        print(f"finger {index - FIRST + 1} of {count}", file=sys.stderr, flush=True)
+    drawn = np.random.default_rng(1).integers(0, count, (2000, count))
+
+    def mean(values: np.ndarray) -> list[float]:
+        return [round(float(v), 2) for v in (values.mean(), *np.percentile(values[drawn].mean(axis=1), [2.5, 97.5]))]
+
+    columns = {way: np.array([row[way] for row in rows]) for way in rows[0]}
+    result = {"fingers": count, "psnr_db": {way: mean(column) for way, column in columns.items()}}
+    result["above_the_constant_db"] = {
+        way: mean(columns[way] - columns["constant fraction"]) for way in list(columns)[:2]
+    }
+    (HERE / "unet_fingers.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(result, indent=1))
     return 0
 
 
