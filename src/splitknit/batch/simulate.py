@@ -47,19 +47,13 @@ def simulate_population(
     workers: int = 2,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Simulate what is not there yet; return the facts.
+    """Simulate what is not there yet; return the facts. Raises BadInput if the folder holds something else or a
+    population with other settings, another run writes it, the plan would shrink, or `prints` holds no usable prints or
+    not those that the population began with.
 
-    Raises BadInput if the folder holds something else or a population with other settings, another run writes it, the
-    plan would shrink, or `prints` holds no usable prints or not those that the population began with.
-
-    Parameters
-    ----------
-    out : folder of the population: a new one, or one with the same settings
-    settings : of the population
     subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis (17, 4, all ten)
     prints : folder of real prints, of whose ridges :func:`splitknit.simulator.population.prints.choose_prints` gives a
         third of the fingers; fingers that are planned later have none
-    workers : processes; the captures do not depend on their number
     """
     started = time.perf_counter()
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")

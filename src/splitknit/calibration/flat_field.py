@@ -1,12 +1,9 @@
 """Flat field: the lens's fall-off and every LED's brightness, beam and aim, from a white card under each LED.
 
 An image of a card, divided into the images of a finger, is a flat field for the plane of the card alone: a finger's pad
-lies up to a centimetre above it, nearer to the LEDs and elsewhere in their beams. A model of the light holds at every
-height, needs a handful of numbers where a picture has millions, and does not carry the card's dust into every finger.
-
-What separates the parts: the lens's fall-off is the same in all images and lies about the image's centre; the inverse
-square and the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with
-the LED.
+lies up to a centimetre above it. A model of the light holds at every height and does not carry the card's dust into
+every finger. The lens's fall-off is the same in all images and lies about the image's centre; the inverse square and
+the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with the LED.
 """
 
 from __future__ import annotations

@@ -76,11 +76,9 @@ def tips_of_photos(
 
 
 def _nail_files(folder: Path) -> Files:
-    """Return the images of a folder: subfolders, one for each nail position, of white_0.png ... nir_6.png.
-
-    A folder without subfolders is one position. ``nails.json`` may list the files instead: ``{"nails": [{"white": [7
-    names], "nir": [7 names]}, ...]}``, names relative to the folder. Raises BadInput if an image of a band that occurs
-    is missing, or there are none.
+    """Return the images of a folder: subfolders, one for each nail position (none: one position), of white_0.png ...
+    nir_6.png; or those that ``nails.json`` lists: ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``,
+    relative to the folder. Raises BadInput if an image of a band that occurs is missing, or there are none.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
     if (folder / LISTING).is_file():

@@ -74,9 +74,8 @@ def _hull_distance(places: Points, other: Points, radius: float, other_radius: f
 def _fit_shape(
     darkness: FloatArray, usable: BoolArray, start: _Shape, px_per_mm: float, common: tuple[float, float] | None = None
 ) -> _Shape:
-    """Fit the shape to the darkness (H, W) about its outer part, by least squares. `darkness`: missing fraction of the
-    light; `usable`: (H, W), false on the nail; `start`: near the truth; `common`: radius of the tip's shadow and of the
-    penumbra, where known.
+    """Fit the shape to the darkness (H, W), the missing fraction of the light, about its outer part, by least squares.
+    `usable`: (H, W), false on the nail; `common`: radius of the tip's shadow and of the penumbra, where known.
     """
     shape = start
     for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
@@ -172,10 +171,7 @@ class NailView:
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
     """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear light: an LED an image, the nail in one
-    place.
-
-    `px_per_mm` is that of the finger plane. Raises BadInput if there is no nail, or an image without its shadow
-    (named).
+    place. Raises BadInput if there is no nail, or an image without its shadow (named).
     """
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)

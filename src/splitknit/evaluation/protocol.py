@@ -203,10 +203,9 @@ def by_session_pair(scores: Scores) -> dict[tuple[str, str], Scores]:
 
 
 def pair_up(first: Scores, second: Scores) -> Scores | None:
-    """The comparisons of `second` in the order of `first`, or None if they are not of the same pairs.
-
-    Pairs are known by fingers (or subjects) and sessions where both have them, each pair once, in any order of sides;
-    otherwise by their place, if labels, and ids where both have them, agree.
+    """The comparisons of `second` in the order of `first`, or None if they are not of the same pairs. Pairs are known
+    by fingers (or subjects) and sessions where both have them, each pair once, in any order of sides; otherwise by
+    their place, if labels, and ids where both have them, agree.
     """
     if first.label.size != second.label.size:
         return None

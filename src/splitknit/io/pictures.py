@@ -1,7 +1,4 @@
-"""Small pictures for people: resampled upright, coloured, outlined, encoded.
-
-Everything here is a preview. The data themselves are written by :mod:`splitknit.report.result`.
-"""
+"""Small pictures for people: resampled upright, coloured, outlined, encoded."""
 
 from __future__ import annotations
 
@@ -80,10 +77,8 @@ def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
 
 
 def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
-    """Average `field` (H, W) or (H, W, C) over the picture's pixels, `mask` aware.
-
-    Returns `values`, (h, w) or (h, w, C) float32, zero where the weight is zero; `weight`, (h, w) float32 in [0, 1],
-    the fraction of the pixel inside the mask.
+    """Average `field` (H, W) or (H, W, C) over the picture's pixels inside `mask`. Returns (h, w) or (h, w, C) float32,
+    zero where nothing is inside; and (h, w), the fraction of each pixel inside the mask.
     """
     (values,), weight = fields_to_frame([field], mask, frame)
     return values, weight

@@ -495,11 +495,8 @@ def _flat_of(
 
 
 def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
-    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s.
-
-    `folder`: of the photographs, in the order of the lights by their names; `count`: of lights; one colour photograph
-    serves three; `encoding`: of the photographs. Raises BadInput if they are missing, too few or many, or black in
-    places.
+    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s. One
+    colour photograph serves three lights. Raises BadInput if they are missing, not `count`, or black in places.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
     files, _, _ = photographs_in(folder, folder / "lights.txt")

@@ -1,6 +1,4 @@
-"""The fields of a reconstruction as files, and back.
-
-Fields stay on the input's pixel grid; the mesh is turned upright by its coordinates
+"""The fields of a reconstruction as files, and back: fields on the input's pixel grid, the mesh upright
 (``docs/explain/conventions.md``, frames of the results).
 """
 
