@@ -187,11 +187,17 @@ def run_batch(
             stack.callback(sweep, folder)  # of a worker that an interrupt ended
         run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
         facts = _reconstruct(run) | {"scores": _match(run)}
-        written = _export(run, tables)
+        for (case, name), file in tables.items():
+            progress(f"{case}: {name}, CSV", 1.0)
+            _write_csv(file, run.store.scores(case, name))
     return (
         {"out": str(out)}
         | facts
-        | {"csv": written, "peak_memory_mb": max(run.peaks_mb, default=None), "seconds": time.perf_counter() - started}
+        | {
+            "csv": [str(file) for file in tables.values()],
+            "peak_memory_mb": max(run.peaks_mb, default=None),
+            "seconds": time.perf_counter() - started,
+        }
     )
 
 
@@ -238,13 +244,6 @@ def _match(run: _Run) -> list[dict[str, Any]]:
     READY.forget()
     drop_cached()
     return facts
-
-
-def _export(run: _Run, tables: Mapping[tuple[str, str], Location]) -> list[str]:
-    for (case, name), file in tables.items():
-        run.progress(f"{case}: {name}, CSV", 1.0)
-        _write_csv(file, run.store.scores(case, name))
-    return [str(file) for file in tables.values()]
 
 
 # One run at a time writes a store.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -77,7 +76,8 @@ def simulate_population(
     enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
     if not (out / POPULATION_FILE).is_file():
         write_file(out / POPULATION_FILE, json_text(document).encode("ascii"))
-    with _alone(out / POPULATION_FILE):
+    with (out / POPULATION_FILE).open("rb") as stream:
+        hold(stream, f"another run is simulating into '{out}'; wait for it, or stop it.")
         sweep(out)
         waiting = enrolment.waiting()
         before = enrolment.plan.total - len(waiting)
@@ -129,14 +129,6 @@ def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, fol
     return len(job)
 
 
-def _jobs_of(waiting: Sequence[PlannedCapture]) -> list[_Job]:
-    """The waiting captures by finger, subject by subject."""
-    by_finger: dict[tuple[str, str], list[PlannedCapture]] = {}
-    for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
-        by_finger.setdefault((place.subject, place.finger), []).append(place)
-    return [tuple(places) for places in by_finger.values()]
-
-
 def _simulated(
     enrolment: Enrolment,
     settings: PopulationSettings,
@@ -144,8 +136,11 @@ def _simulated(
     waiting: Sequence[PlannedCapture],
     workers: int,
 ) -> Iterator[tuple[int, str]]:
-    """Do all jobs; yield how many captures are done, and which finger was the last."""
-    jobs = _jobs_of(waiting)
+    """Do all jobs, each a finger; yield how many captures are done, and which finger was the last."""
+    by_finger: dict[tuple[str, str], list[PlannedCapture]] = {}
+    for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
+        by_finger.setdefault((place.subject, place.finger), []).append(place)
+    jobs: list[_Job] = [tuple(places) for places in by_finger.values()]
     work: Callable[[_Job], int] = partial(_simulate_job, settings=settings, real=real, folder=enrolment.folder)
     done = 0
     for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):
@@ -195,28 +190,16 @@ def _check_settings(out: Path, earlier: dict[str, Any], document: dict[str, Any]
     )
 
 
-@contextmanager
-def _alone(file: Path) -> Iterator[None]:
-    """Hold the population for this run; a killed run lets go."""
-    with file.open("rb") as stream:
-        hold(stream, f"another run is simulating into '{file.parent}'; wait for it, or stop it.")
-        yield
-
-
 def _write_table(enrolment: Enrolment) -> None:
     """One line for each finished capture: its folder and the facts of its ``impression.json``."""
     rows: list[dict[str, Any]] = []
     for place in enrolment.places():
         file = enrolment.path(place) / IMPRESSION_FILE
         if file.is_file():
-            rows.append({"folder": place.folder} | _facts_of(file))
+            damaged = f"'{file}' is damaged; remove its folder and run the same again."
+            facts, _ = read_json(file, damaged)
+            require(isinstance(facts, dict), damaged)
+            rows.append({"folder": place.folder} | facts)
     names = list(rows[0]) if rows else []
     text = csv_text([names, *([row.get(name, "") for name in names] for row in rows)] if rows else [])
     write_file(enrolment.folder / TABLE_FILE, text.encode("utf-8"))
-
-
-def _facts_of(file: Path) -> dict[str, Any]:
-    damaged = f"'{file}' is damaged; remove its folder and run the same again."
-    facts, _ = read_json(file, damaged)
-    require(isinstance(facts, dict), damaged)
-    return dict(facts)

@@ -231,7 +231,8 @@ def fit_flat_field(
     model = CardModel(camera, leds, places, plane)
     floor = 1e-4 * float(np.median(images))
     logarithm = np.log(np.maximum(images, max(floor, 1e-12)))
-    start = _start(model, logarithm)
+    level = np.exp(np.median(logarithm - model.known, axis=1))
+    start = Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
     _check_lit(leds, start)
     scale = 0.01 * _ROBUST_PERCENT
     fits: list[_CardFit] = []
@@ -267,11 +268,6 @@ def fit_flat_field(
         gloss_error=100 * gloss_error,
         card=plane,
     )
-
-
-def _start(model: CardModel, logarithm: Array) -> Answer:
-    level = np.exp(np.median(logarithm - model.known, axis=1))
-    return Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
 
 
 def _check_lit(leds: Sequence[Led], start: Answer) -> None:

@@ -20,6 +20,7 @@ from splitknit.io.fields import Fields, read_json
 from splitknit.io.images import MAX_BYTES, decode_image, write_image
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
+from splitknit.io.plain import natural_order
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Camera, FloatArray, Progress, no_progress
 
@@ -83,7 +84,7 @@ def _nail_files(folder: Path) -> Files:
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
     if (folder / LISTING).is_file():
         return _listed(folder)
-    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: _natural(path.name))
+    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural_order(path.name))
     places = [place for place in places if _bands(place)] or [folder]
     files: Files = {}
     for nail, place in enumerate(places, start=1):
@@ -164,10 +165,6 @@ def _listed(folder: Path) -> Files:
             files[nail, band] = paths
     require(bool(files), f"{folder / LISTING} lists no images.")
     return files
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
 
 
 def _small(image: FloatArray, longest: int = 480) -> FloatArray:

@@ -240,7 +240,8 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
     step = max(1, int(np.sqrt(image.size / 20_000)))
     rows, columns = np.mgrid[0:height:step, 0:width:step]
     keep = usable[::step, ::step]
-    terms = _terms(rows[keep] / height - 0.5, columns[keep] / width - 0.5)
+    r, c = rows[keep] / height - 0.5, columns[keep] / width - 0.5
+    terms = np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
     values = image[::step, ::step][keep].astype(np.float64)
     good = np.ones(values.size, dtype=np.bool_)
     for _ in range(8):
@@ -252,10 +253,6 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
     surface = weights[0] + weights[1] * r + weights[2] * c
     surface = surface + weights[3] * r * r + weights[4] * r * c + weights[5] * c * c
     return np.asarray(surface, dtype=np.float32)
-
-
-def _terms(r: Points, c: Points) -> Points:
-    return np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
 
 
 def _nail_among(dark: BoolArray, shadows: NDArray[np.bool_], px_per_mm: float, names: Sequence[str]) -> BoolArray:

@@ -212,7 +212,8 @@ def _check_first(record: Any, name: str) -> None:
         date = datetime.datetime.strptime(texts["DAT"], "%Y%m%d").date()
         TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
     except ValueError as error:  # BadInput is one
-        raise BadInput(f"{name} has a Type-1 record that cannot be read: {_short(error)}") from error
+        words = ascii((" ".join(str(error).split()) or type(error).__name__)[:120])[1:-1]
+        raise BadInput(f"{name} has a Type-1 record that cannot be read: {words}") from error
 
 
 def _print(record: Any, name: str) -> PrintFile:
@@ -260,8 +261,3 @@ def _number(record: Any, key: str, name: str) -> int:
         f"{name} has {text[:20]!a} for {key}, where a whole number of at most 5 digits is expected.",
     )
     return int(text)
-
-
-def _short(error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    return ascii(text[:120])[1:-1]

@@ -312,7 +312,7 @@ def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]
     if folder != _home(folder):
         return _of_pattern(folder), []
     try:
-        files = sorted(folder.iterdir(), key=lambda file: _words(file.name))
+        files = sorted(folder.iterdir(), key=lambda file: natural_order(file.name))
     except OSError as error:
         raise BadInput(f"{folder} cannot be read ({error.strerror}).") from error
     for file in files:
@@ -340,7 +340,8 @@ def _of_pattern(pattern: Path) -> list[Path]:
     return [found[number] for number in sorted(found)]
 
 
-def _words(name: str) -> list[tuple[int, str]]:
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Key by which photo_2 comes before photo_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name[:300])]
 
 
