@@ -129,6 +129,14 @@ def _simulate_job(job: _Job, settings: PopulationSettings, real: RealPrints, fol
     return len(job)
 
 
+def _jobs_of(waiting: Sequence[PlannedCapture]) -> list[_Job]:
+    """The waiting captures by finger, subject by subject."""
+    by_finger: dict[tuple[str, str], list[PlannedCapture]] = {}
+    for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
+        by_finger.setdefault((place.subject, place.finger), []).append(place)
+    return [tuple(places) for places in by_finger.values()]
+
+
 def _simulated(
     enrolment: Enrolment,
     settings: PopulationSettings,
@@ -136,11 +144,8 @@ def _simulated(
     waiting: Sequence[PlannedCapture],
     workers: int,
 ) -> Iterator[tuple[int, str]]:
-    """Do all jobs, each a finger; yield how many captures are done, and which finger was the last."""
-    by_finger: dict[tuple[str, str], list[PlannedCapture]] = {}
-    for place in sorted(waiting, key=lambda place: int(place.subject.removeprefix("S"))):
-        by_finger.setdefault((place.subject, place.finger), []).append(place)
-    jobs: list[_Job] = [tuple(places) for places in by_finger.values()]
+    """Do all jobs; yield how many captures are done, and which finger was the last."""
+    jobs = _jobs_of(waiting)
     work: Callable[[_Job], int] = partial(_simulate_job, settings=settings, real=real, folder=enrolment.folder)
     done = 0
     for job, captures in run_jobs(work, jobs, workers, f"what is finished in '{enrolment.folder}'"):

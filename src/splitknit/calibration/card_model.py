@@ -80,6 +80,11 @@ def _squared_radius(image_size: Sequence[int], pixels: Any) -> Array:
     return np.asarray((x * x + y * y) / (0.25 * (rows**2 + columns**2)))
 
 
+def _lens_fall_off(camera: Camera, pixels: Any) -> Array:
+    """(N,) brightness of the lens at `pixels` relative to the image's centre."""
+    return shading_at(camera.shading, _squared_radius(camera.image_size, pixels))
+
+
 def rays_to_led(led: Led, points_mm: Any) -> tuple[Array, Array]:
     """Unit vectors (N, 3) from points to a near LED, and their distances (N,) in mm; BadInput if the LED is distant."""
     require(led.position_mm is not None, "a flat field needs LEDs with position_mm; this rig has distant ones.")
@@ -97,8 +102,7 @@ def card_light(camera: Camera, led: Led, pixels: Any, card: CardPlane | None = N
     towards, distance = rays_to_led(led, points)
     along = np.maximum(-(towards @ led.axis), 1e-12)
     facing = np.asarray(led.intensity * UNIT_MM2 * along**led.lobe_exponent / distance**2)
-    lens = shading_at(camera.shading, _squared_radius(camera.image_size, pixels))
-    return np.asarray(facing * (towards @ plane.normal) * lens / np.pi)
+    return np.asarray(facing * (towards @ plane.normal) * _lens_fall_off(camera, pixels) / np.pi)
 
 
 _MIN_EXPONENT = 0.02

@@ -145,7 +145,9 @@ class HeightMeter:
         height = trusted_height(gradient[0], gradient[1], trust)
         lap("integration")
         height *= np.float32(self._pitch_um)
-        height -= np.float32(_edge_median(height))
+        band = [max(1, round(_EDGE * side)) for side in height.shape]
+        edges = height[: band[0]], height[-band[0] :], height[:, : band[1]], height[:, -band[1] :]
+        height -= np.float32(np.median(np.concatenate([edge.ravel() for edge in edges])))
         lap("zero")
         return LiveHeights(height, gradient, deviation, markers, albedo, self._pitch_um / 1000.0, times)
 
@@ -163,9 +165,3 @@ class HeightMeter:
         light = linear_colours(pixels, self._encoding)
         found = self._marker_px > 0
         return light, find_markers(light, self._marker_px) if found else np.zeros(self._size, np.bool_)
-
-
-def _edge_median(height: FloatArray) -> float:
-    band = [max(1, round(_EDGE * side)) for side in height.shape]
-    edges = height[: band[0]], height[-band[0] :], height[:, : band[1]], height[:, -band[1] :]
-    return float(np.median(np.concatenate([edge.ravel() for edge in edges])))

@@ -333,7 +333,8 @@ class PiCamera(Closing):
             request = camera.capture_request()
             try:
                 metadata = request.get_metadata()
-                if self._as_locked(metadata) and _began_ns(metadata) >= since_ns:
+                began_ns = int(metadata.get("SensorTimestamp", 0)) - 1000 * int(metadata.get("ExposureTime", 0))
+                if self._as_locked(metadata) and began_ns >= since_ns:
                     return self._read(request, metadata, discarded, whole=whole)
             finally:
                 request.release()
@@ -395,11 +396,6 @@ class PiCamera(Closing):
         values = np.ascontiguousarray(request.make_array("raw")).view(np.uint16)
         top, left = (whole[0] - rows) // 4 * 2, (whole[1] - columns) // 4 * 2
         return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16), order, int(bits)
-
-
-def _began_ns(metadata: Mapping[str, Any]) -> int:
-    """When the exposure of the frame's first row began, at the earliest."""
-    return int(metadata.get("SensorTimestamp", 0)) - 1000 * int(metadata.get("ExposureTime", 0))
 
 
 # Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.

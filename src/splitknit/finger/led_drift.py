@@ -124,13 +124,6 @@ def _project_surface(samples: _Samples, gain: Array, weight: Array) -> _SurfaceS
     return _SurfaceState(residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0))
 
 
-def _robust_weights(samples: _Samples, state: _SurfaceState) -> Array:
-    """(L, P) Cauchy's weights by the residuals, as long as an image lights the pixel."""
-    lit = samples.lit.T
-    scale = _robust_deviation(state.residual[lit])
-    return np.asarray((lit / (1 + (state.residual / (_ROBUST_SIGMAS * scale)) ** 2)).T)
-
-
 def _robust_deviation(residual: Array) -> float:
     """Standard deviation by the median, never zero."""
     return max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
@@ -204,7 +197,8 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
     weight = samples.lit.astype(np.float64)
     for _ in range(_ROUNDS):
         state = _project_surface(samples, gain, weight)
-        weight = _robust_weights(samples, state)
+        scale = _ROBUST_SIGMAS * _robust_deviation(state.residual[samples.lit.T])
+        weight = np.asarray((samples.lit.T / (1 + (state.residual / scale) ** 2)).T)  # Cauchy's
         state = _project_surface(samples, gain, weight)
         patterns, fractions = _gain_patterns(state)
         step = _gain_solver(patterns, fractions) @ state.score.sum(axis=0)

@@ -305,7 +305,8 @@ def _along_lines(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
     height, width = response.shape
-    centre = _middle(inside)
+    shown = np.flatnonzero(inside.any(axis=0))
+    centre = float(shown.mean()) if len(shown) else 0.5 * inside.shape[1]
     x = np.arange(width, dtype=np.float32)
     shift = (-(x - np.float32(centre)) * np.float32(np.tan(tilt))).astype(np.float32)
     rows = np.arange(height, dtype=np.float32)[:, None] + shift[None, :]
@@ -319,11 +320,6 @@ def _along_lines(
     hits = ((values > 0.4 * _MIN_DEPTH) & valid).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)
-
-
-def _middle(inside: BoolArray) -> float:
-    columns = np.flatnonzero(inside.any(axis=0))
-    return float(columns.mean()) if len(columns) else 0.5 * inside.shape[1]
 
 
 def _width(inside: BoolArray) -> float:

@@ -156,7 +156,8 @@ def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, it
 
 def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array) -> Array:
     """(M,) change of one shot's parameters; `sampled` (3, N) are its details and their derivatives."""
-    gain = _gain(level.weight, expected, sampled[0])
+    power = float((expected * expected * level.weight).sum(dtype=np.float64))
+    gain = float((expected * sampled[0] * level.weight).sum(dtype=np.float64)) / max(power, 1e-30)
     residual = sampled[0] - np.float32(gain) * expected
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
@@ -164,11 +165,6 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     force, normal = normal[:-1, -1], normal[:-1, :-1]
     normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
-
-
-def _gain(weight: FloatArray, expected: FloatArray, image: FloatArray) -> float:
-    power = float((expected * expected * weight).sum(dtype=np.float64))
-    return float((expected * image * weight).sum(dtype=np.float64)) / max(power, 1e-30)
 
 
 def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> NDArray[np.float64]:

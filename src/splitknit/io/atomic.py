@@ -56,8 +56,7 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
             new.mkdir(0o700)
             _AT_WORK.add(new)
             yield new
-            document = {"format": "splitknit-folder", "version": 1, "files": _files(new)}
-            (new / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            _write_manifest(new)
             _make_private(new)
             _swap(new, target, overwrite)
         finally:
@@ -324,6 +323,11 @@ def _files(folder: Path) -> list[str]:
     """Names of everything in `folder` that is not a folder itself; a link to a folder counts."""
     found = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
     return sorted(path.relative_to(folder).as_posix() for path in found)
+
+
+def _write_manifest(folder: Path) -> None:
+    document = {"format": "splitknit-folder", "version": 1, "files": _files(folder)}
+    (folder / MANIFEST).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def manifest_of(folder: Path) -> frozenset[str]:

@@ -68,9 +68,9 @@ def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
     return np.stack([upright.min(axis=1), upright.max(axis=1)])
 
 
-def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
+def upright_turn(input_from_upright: NDArray[np.floating]) -> NDArray[np.float64]:
     """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to the tip)."""
-    turn = np.linalg.inv(result.input_from_upright[:2, :2])
+    turn = np.linalg.inv(input_from_upright[:2, :2])
     turn = turn / np.sqrt(abs(np.linalg.det(turn)))
     flip = np.diag([1.0, -1.0])  # rows run down, y runs up
     return np.asarray(flip @ turn @ flip)

@@ -180,7 +180,7 @@ def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatA
     """Vertices (n, 3) in mm, normals (n, 3) and intensity (n,) of the mask's pixels `valid`, by rows, tip along +y."""
     rows, columns = bounding_box(result.mask)
     height, width = result.mask.shape
-    turn = upright_turn(result)
+    turn = upright_turn(result.input_from_upright)
     albedo = _albedo_bytes(result)
     x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
     y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]

@@ -73,7 +73,9 @@ def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
 def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
     turned = small.normals.copy()
-    turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), turned[..., :2])
+    turned[..., :2] = np.einsum(
+        "ij,hwj->hwi", upright_turn(result.input_from_upright).astype(np.float32), turned[..., :2]
+    )
     picture = on_paper(normal_colours(turned), small.weight)
     return captioned(
         "Surface normals",

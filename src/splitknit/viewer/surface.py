@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
+from splitknit.io.pictures import upright_turn
 from splitknit.io.results import read_fields
 from splitknit.model import BoolArray, FloatArray
 
@@ -175,7 +176,7 @@ def read_surface(folder: Path) -> ResultSurface:
     require(bool(mask.any()), f"{again} (it holds no heights).")
     box = bounding_box(mask)
     inside = np.ascontiguousarray(mask[box])
-    turn = _turn(matrix)
+    turn = upright_turn(matrix)
     require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is no rotation).")
     with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
         x, y = _places(arrays, shape, box, pitch_mm, turn)
@@ -201,13 +202,6 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
     path = folder / "height.npz"
     require(path.is_file() and not path.is_symlink(), f"'{folder}' is not a result: it holds no height.npz.")
     return read_fields(path, names, optional, unscaled=unscaled)
-
-
-def _turn(input_from_upright: _Values) -> _Values:
-    """See :func:`splitknit.io.pictures.upright_turn`."""
-    turn = np.linalg.inv(input_from_upright[:2, :2])
-    flip = np.diag([1.0, -1.0])
-    return np.asarray(flip @ (turn / np.sqrt(abs(np.linalg.det(turn)))) @ flip)
 
 
 def _places(
