@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from script_folder import scripts_of
 from splitknit.errors import BadInput
 from splitknit.model import BoolArray, FloatArray
 from splitknit.networks.unet import network_of, run_network
@@ -246,3 +248,16 @@ def test_the_export_computes_what_torch_does(torch: Any, tmp_path: Path) -> None
     assert direct_light(images, network).shape == images.shape
     parameters = sum(p.numel() for p in trainer.network.parameters())
     assert len(weights) < 2.0 * parameters + 20_000  # stored in half precision
+
+
+@pytest.mark.slow
+def test_learning_curve_over_width_and_patches_runs(torch: Any, tmp_path: Path) -> None:
+    with scripts_of(Path(__file__).resolve().parents[2] / "validation" / "separation") as named:
+        curve = named("curve")
+        assert curve.main(["--scratch", str(tmp_path), "--smoke"]) == 0
+        width, count = np.array([*curve.SIZES, curve.THESIS], dtype=float).T
+        gains = -10 * np.log10(0.5 + 0.4 * (width / 4) ** -0.7 + 0.2 * (count / 500) ** -0.4)
+        fitted = curve.continued(curve.SIZES, gains[:-1])
+    result = json.loads((tmp_path / "curve.json").read_text(encoding="utf-8"))
+    assert result["kinds"]["finger"]["gain_db"]["2 x 80"][0] < 0  # after few steps it is worse than the constant
+    assert fitted == pytest.approx((gains[-1], 10 * np.log10(2)), abs=0.1)

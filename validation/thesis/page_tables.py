@@ -24,6 +24,9 @@ JUDGED = {
 THESIS, PLAIN, PASSING = ("gate", "averaged", "all"), ("none", "single", "all"), ("passing", "single", "all")
 THESIS_WHOLE, WHOLE = ("gate", "averaged", "whole"), ("none", "single", "whole")
 SHORT = (THESIS, THESIS_WHOLE, PLAIN, WHOLE, PASSING)
+LIKE_ROLLS = ("gate", "averaged", "fingers")
+UNDILUTED = (THESIS, LIKE_ROLLS, ("gate", "single", "all"), PLAIN, PASSING)
+"""How the population without partial views is judged."""
 ROUGH_BELOW = 10
 """False accepts behind a FAR below which a figure is marked."""
 Row = dict[str, str]
@@ -86,9 +89,11 @@ def difference_table(rows: Sequence[Row], judged: Sequence[tuple[str, ...]] = SH
     return "\n".join(lines)
 
 
-def thesis_table(tables: Mapping[str, Sequence[Row]]) -> str:
-    """Beside the thesis's own numbers."""
-    judged = (THESIS, THESIS_WHOLE, ("gate", "averaged", "fingers"), PLAIN, WHOLE, PASSING)
+def thesis_table(
+    tables: Mapping[str, Sequence[Row]],
+    judged: Sequence[tuple[str, ...]] = (THESIS, THESIS_WHOLE, LIKE_ROLLS, PLAIN, WHOLE, PASSING),
+) -> str:
+    """Beside the thesis's own numbers: what was measured of them."""
     lines = [
         "| figure | what | FAR | thesis | " + " | ".join(JUDGED[key] for key in judged) + " |",
         "| --- " * (4 + len(judged)) + "|",
@@ -96,12 +101,18 @@ def thesis_table(tables: Mapping[str, Sequence[Row]]) -> str:
     for figure, words, far, said, place in THE_THESIS:
         table, case, attribute = place.split(":")
         own = [row for row in tables[table] if (row["case"], row["attribute"]) == (case, attribute)]
+        if not own:
+            continue
         cells = [next((gar_cell(row, far) for row in own if variant(row) == key), "not measured") for key in judged]
         lines.append(f"| {figure} | {words} | {PERCENT[far]} | {said} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequence[Row]]) -> str:
+def order_table(
+    tables: Mapping[str, Sequence[Row]],
+    differ: Mapping[str, Sequence[Row]],
+    judged: Sequence[tuple[str, ...]] = SHORT,
+) -> str:
     """Cases from the highest GAR down; ``>`` where the paired interval of the two neighbours leaves out zero."""
     systems = (
         ("thesis, normals", "cases", "thesis", "normals"),
@@ -114,7 +125,7 @@ def order_table(tables: Mapping[str, Sequence[Row]], differ: Mapping[str, Sequen
         "| --- " * (3 + len(FARS)) + "|",
     ]
     for words, table, matcher, attribute in systems:
-        for key in SHORT:
+        for key in judged:
 
             def mine(row: Row, key: tuple[str, ...] = key, own: tuple[str, str] = (matcher, attribute)) -> bool:
                 return variant(row) == key and (row["matcher"], row["attribute"]) == own

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from page_facts import failures_table, figures_table, run_words, sensitivity_table
 from page_tables import (
-    JUDGED,
     PLAIN,
     THESIS_WHOLE,
+    UNDILUTED,
     WHOLE,
     Row,
     difference_table,
@@ -61,6 +61,8 @@ def blocks(folder: Path) -> dict[str, str]:
     """All generated parts of the page."""
     runs = json.loads((folder / "runs.json").read_text(encoding="utf-8"))
     tables = {name: read(folder / f"{name}.csv") for name in ("fusion", "cases", "matchers", "scales")}
+    whole = {name: read(folder / "whole" / f"{name}.csv") for name in tables}
+    parts = {name: read(folder / "whole" / f"{name}_differences.csv") for name in tables}
     differ = {name: read(folder / f"{name}_differences.csv") for name in tables}
     made = {
         "run": run_words(runs),
@@ -73,6 +75,12 @@ def blocks(folder: Path) -> dict[str, str]:
         "fusion_differences": difference_table(differ["fusion"], (WHOLE,)),
         "failures": failures_table(read(folder / "failures.csv"), runs["failures"]["roll"]),
     }
+    made["whole"] = thesis_table(whole, UNDILUTED)
+    made["whole_order"] = order_table(whole, parts, UNDILUTED)
+    made["whole_fusion"] = rate_table(whole["fusion"], "attribute", _attribute, UNDILUTED)
+    for name in ("normals", "relief"):
+        rows = [row for row in parts["cases"] if row["attribute"] == name]
+        made[f"whole_{name}"] = difference_table(rows, UNDILUTED)
     made["fusion_minutiae"] = rate_table(
         read(folder / "fusion_minutiae.csv"),
         "case, joined",
@@ -80,15 +88,10 @@ def blocks(folder: Path) -> dict[str, str]:
         (PLAIN, WHOLE),
     )
     made["fusion_minutiae_differences"] = difference_table(read(folder / "fusion_minutiae_differences.csv"), (WHOLE,))
-    for name in ("normals", "relief"):
-        rows = [row for row in tables["cases"] if row["attribute"] == name]
-        made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
-        made[f"{name}_differences"] = difference_table([r for r in differ["cases"] if r["attribute"] == name])
     for name in ("ridge", "minutiae"):
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
-        made[name] = rate_table(rows, "case", lambda row: row["case"], tuple(JUDGED))
+        made[name] = rate_table(rows, "case", lambda row: row["case"])
         made[f"{name}_margin"] = margin_table(rows)
-        made[f"{name}_differences"] = difference_table([r for r in differ["matchers"] if r["matcher"] == name])
     made["family"] = rate_table(
         read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
     )

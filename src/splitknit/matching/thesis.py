@@ -272,8 +272,6 @@ def thesis_match(
     if laid.ratio < settings.gate or laid.ratio <= 0.0:
         gated = float(np.exp(2.0 - laid.ratio))  # above e: worse than any pair that is compared
         return _ThesisMatch(1.0 - gated, dict.fromkeys(settings.attributes, gated), {}, laid.ratio, laid.right, False)
-    from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
-
     box = database.mask.shape[0], database.mask.shape[1]
     extract = _extractor(settings, database.px_per_mm)
 
@@ -281,8 +279,13 @@ def thesis_match(
         known = extract(database.channels[name]) if features is None else features[name]
         return float(np.linalg.norm(known - extract(to_box(query.channels[name], box))))
 
-    with ThreadPoolExecutor(min(2, cv2.getNumThreads())) as pool:  # one in the workers of a batch
-        distances = dict(zip(needed, pool.map(distance, needed), strict=True))
+    if cv2.getNumThreads() > 1:
+        from concurrent.futures import ThreadPoolExecutor  # 6 ms of every other comparison
+
+        with ThreadPoolExecutor(2) as pool:
+            distances = dict(zip(needed, pool.map(distance, needed), strict=True))
+    else:  # in the workers of a batch a pool takes longer than it saves
+        distances = {name: distance(name) for name in needed}
     scores = {
         attribute: dissimilarity(laid.ratio, [distances[name] for name in ATTRIBUTES[attribute]])
         for attribute in settings.attributes

@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -152,19 +153,10 @@ def train_separation(run: TrainingRun, data: SeparationData, settings: Separatio
     views = [f"_{view:02d}" for view in range(data.views)]
     subjects = _subjects(data)
     refused = make_data(run, subjects, lambda kind, index: _shoot(kind, index, data, settings.seed), views)
-
-    def patches(held_out: bool) -> Patches:
-        chosen = [subject for subject in subjects if (subject[1] >= HELD_OUT_FROM) is held_out]
-        loaded = [load_data(run.out, kind, [number], _fits, views).get(number, []) for kind, number in chosen]
-        found = [
-            Photograph(pixels, np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2), facts)
-            for photographed in loaded
-            for pixels, facts in photographed
-        ]
-        require_subjects(len(found), "judge the network on" if held_out else "train on", refused)
-        return Patches(found)
-
-    train, held_out = patches(False), patches(True)
+    stored = [stored_photographs(run.out, data, held_out) for held_out in (False, True)]
+    for found, purpose in zip(stored, ("train on", "judge the network on"), strict=True):
+        require_subjects(len(found), purpose, refused)
+    train, held_out = map(Patches, stored)
     trainer = SeparationTrainer(settings, train)
     lines = {
         "training": lambda entry: _psnr(entry["loss"]),
@@ -194,6 +186,17 @@ def train_separation(run: TrainingRun, data: SeparationData, settings: Separatio
     probe = np.random.default_rng(0).random((1, 3, side, side + settings.stride), dtype=np.float32)
     written = write_network(run.out, NETWORK.name, trainer.packed(facts), trainer.run, probe)
     return {**written, "refused": len(refused), "out": str(run.out), "total_s": time.perf_counter() - started}
+
+
+def stored_photographs(folder: Path, data: SeparationData, held_out: bool) -> list[Photograph]:
+    """The photographs that a training keeps in `folder`: those trained on, or those held out."""
+    views = [f"_{view:02d}" for view in range(data.views)]
+    found = []
+    for kind, number in _subjects(data):
+        if (number >= HELD_OUT_FROM) is held_out:
+            for pixels, facts in load_data(folder, kind, [number], _fits, views).get(number, []):
+                found.append(Photograph(pixels, np.asarray(facts["corners"], dtype=np.int32).reshape(-1, 2), facts))
+    return found
 
 
 def _subjects(data: SeparationData) -> list[Subject]:
