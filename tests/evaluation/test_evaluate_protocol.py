@@ -10,7 +10,6 @@ import pytest
 from splitknit.errors import BadInput
 from splitknit.evaluation.protocol import (
     Exclusion,
-    _session_pairs,
     average_sessions,
     by_session_pair,
     comparisons,
@@ -32,7 +31,6 @@ def small(score: list[float] | None = None) -> Scores:
 
 
 def test_the_thesis_has_six_pairs_of_sessions() -> None:
-    assert _session_pairs([3, 1, 2, 4, 1]) == [(1, 2), (1, 3), (1, 4), (2, 3), (2, 4), (3, 4)]
     finger, session = np.tile(np.arange(170), 4), np.repeat(np.arange(4), 170)
     pairs = comparisons(finger, session)
     assert (int(pairs.genuine.sum()), int((~pairs.genuine).sum())) == (1020, 172_380)

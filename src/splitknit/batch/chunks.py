@@ -34,10 +34,7 @@ _REMEDY = "delete it and run the same again: only what it holds is done anew"
 
 
 def write_chunk(path: Location, columns: Mapping[str, Sequence[Any]], schema: Any, origin: Mapping[str, Any]) -> None:
-    """Write a table; `origin` goes into the file's metadata.
-
-    Equal columns and origin give equal bytes.
-    """
+    """Write a table; `origin` goes into the file's metadata. Equal columns and origin give equal bytes."""
     pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
     described = schema.with_metadata({_KEY: canonical_json(origin).encode("ascii")})
     table = pa.table({name: pa.array(columns[name], type=schema.field(name).type) for name in schema.names}, described)
@@ -64,15 +61,8 @@ def column_type(name: str) -> Any:
 
 
 def read_chunk(path: Location, columns: Sequence[str] | None = None, needed: Sequence[str] = ()) -> Any:
-    """Read a chunk as a ``pyarrow.Table`` without metadata; sizes are checked before it is read.
-
+    """Read a chunk as a ``pyarrow.Table`` without metadata: `columns`, or else whatever is there, among it `needed`.
     Raises BadInput if it is damaged, too large, or a column is missing or of another type.
-
-    Parameters
-    ----------
-    path : the chunk
-    columns : to read, all of which must be there; None for whatever is there
-    needed : names that must be there where `columns` is None
     """
     pa, pq = load("pyarrow", "batch"), load("pyarrow.parquet", "batch")
     with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):

@@ -51,15 +51,8 @@ _CSV_BEGINS = b"label,score,finger_a,finger_b,subject_a,subject_b,session_a,sess
 
 
 def to_scores(table: Any, column: str = "similarity", name: str | None = None) -> Scores:
-    """Comparisons of the store, ready to be evaluated.
-
-    The result has NaN where nothing was compared, with the names of fingers, subjects and sessions.
-
-    Parameters
-    ----------
-    table : ``pyarrow.Table`` of :meth:`splitknit.batch.store.Store.scores`
-    column : what is the score; of a ``dissimilarity...``, 1 - its value, as everywhere in the library
-    name : of the scores; that of the column where it is missing
+    """Comparisons of the store, a ``pyarrow.Table`` of :meth:`splitknit.batch.store.Store.scores`, to be evaluated.
+    `column`: what is the score; of a ``dissimilarity...``, 1 - its value; NaN where nothing was compared.
     """
     require(column in table.column_names, f"the scores hold no column '{column}'; they have {table.column_names}.")
     score = np.array(table.column(column).to_numpy(), dtype=np.float64)
@@ -158,15 +151,11 @@ def run_batch(
     something else, damaged or being written by another run, a worker is killed, or the cluster cannot be reached or
     must not be used.
 
-    Parameters
-    ----------
     population : folder of ``splitknit simulate population`` or of an enrolment, or the URL of its objects
     out : folder of the store, or the URL of its objects
-    jobs : processes; nothing but time depends on their number
-    cluster : Cluster or its address; its workers do it instead, and must see both places under the same names
+    cluster : its workers do it instead, and must see both places under the same names
     csv : folder for score files that ``splitknit evaluate --scores`` reads; ``csv`` in the store where it is missing
     device : on which networks run, see :func:`splitknit.networks.unet.use_device`
-    progress : called with words and the fraction that is done
     """
     started = time.perf_counter()
     settings = settings or BatchSettings()
@@ -198,11 +187,17 @@ def run_batch(
             stack.callback(sweep, folder)  # of a worker that an interrupt ended
         run = _Run(open_store(folder, there, settings), there, settings, jobs, client, device, progress)
         facts = _reconstruct(run) | {"scores": _match(run)}
-        written = _export(run, tables)
+        for (case, name), file in tables.items():
+            progress(f"{case}: {name}, CSV", 1.0)
+            _write_csv(file, run.store.scores(case, name))
     return (
         {"out": str(out)}
         | facts
-        | {"csv": written, "peak_memory_mb": max(run.peaks_mb, default=None), "seconds": time.perf_counter() - started}
+        | {
+            "csv": [str(file) for file in tables.values()],
+            "peak_memory_mb": max(run.peaks_mb, default=None),
+            "seconds": time.perf_counter() - started,
+        }
     )
 
 
@@ -251,13 +246,6 @@ def _match(run: _Run) -> list[dict[str, Any]]:
     return facts
 
 
-def _export(run: _Run, tables: Mapping[tuple[str, str], Location]) -> list[str]:
-    for (case, name), file in tables.items():
-        run.progress(f"{case}: {name}, CSV", 1.0)
-        _write_csv(file, run.store.scores(case, name))
-    return [str(file) for file in tables.values()]
-
-
 # One run at a time writes a store.
 
 _FILE = ".lock"
@@ -265,9 +253,8 @@ _FILE = ".lock"
 
 @contextmanager
 def alone(store: Path) -> Iterator[None]:
-    """Hold the store for this run; a killed run lets go.
-
-    Raises BadInput if another run holds it, or the folder cannot be written.
+    """Hold the store for this run; a killed run lets go. Raises BadInput if another run holds it, or the folder cannot
+    be written.
     """
     try:
         stream = os.fdopen(open_at_once(store / _FILE, os.O_CREAT | os.O_WRONLY, private_modes()[0]), "wb")

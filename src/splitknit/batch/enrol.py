@@ -51,12 +51,10 @@ def enroll_population(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what is in the gallery.
-
-    Every finished capture is kept at once: the same call goes on where an earlier one was stopped. A capture in which
-    no finger is found is kept as a failure to acquire, a template of zero bytes. Raises BadInput if there are no
-    captures, or one was enrolled from other files before (unless it may be replaced). Raises Refused if files of some
-    captures cannot be read; the others are enrolled then.
+    """Enrol ``folder/S01/session_1/right_index`` (or ``right_index.png``) and so on, but for what is in the gallery;
+    every finished capture is kept at once. A capture in which no finger is found is a failure to acquire, a template of
+    zero bytes. Raises BadInput if there are no captures, or one was enrolled from other files before (unless it may be
+    replaced). Raises Refused if files of some captures cannot be read; the others are enrolled then.
     """
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
     progress("looking", 0.0)

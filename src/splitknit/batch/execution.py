@@ -36,10 +36,8 @@ PATIENCE_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """A Dask scheduler, and the certificates by which it and this computer recognise each other.
-
-    Raises BadInput if the address is none, or anyone in the network could send code to the workers and `insecure` is
-    not set.
+    """A Dask scheduler, and the certificates by which it and this computer recognise each other. Raises BadInput if the
+    address is none, or anyone in the network could send code to the workers and `insecure` is not set.
     """
 
     address: str
@@ -78,9 +76,8 @@ class Cluster:
 
 @contextlib.contextmanager
 def connected(cluster: Cluster) -> Iterator[Any]:
-    """Connect to a cluster that has a worker; give the client.
-
-    Raises BadInput if the cluster cannot be reached, the certificates do not fit, or there is no worker.
+    """Connect to a cluster that has a worker; give the client. Raises BadInput if the cluster cannot be reached, the
+    certificates do not fit, or there is no worker.
     """
     distributed = load("distributed", "cluster")
     security = _security(distributed, cluster)
@@ -107,15 +104,9 @@ def run_tasks(
 ) -> Iterator[Done]:
     """Do all tasks, by several processes on one thread each; yield each result once, in the order of their ends.
 
-    Raises BadInput if a process is killed, the cluster is lost, or one of its own from `work`.
-
-    Parameters
-    ----------
-    work : function of a module, so that processes find it; doing a task twice must leave what doing it once leaves
-    tasks : in the order in which they are begun
-    jobs : processes; 1: in this process
-    client : of :func:`connected`: the cluster's workers do the tasks instead
-    device : on which networks run
+    `work`: function of a module, so that processes find it; doing a task twice must leave what doing it once leaves;
+    `jobs`: 1: in this process; `client`: of :func:`connected`, whose workers do the tasks instead; `device`: on which
+    networks run. Raises BadInput if a process is killed, the cluster is lost, or one of its own from `work`.
     """
     require(1 <= jobs <= 1024, f"jobs must be 1 to 1024, but it is {jobs}.")
     if not tasks:
@@ -238,9 +229,8 @@ def _cause(error: BaseException) -> str:
 
 
 def _on_cluster(work: Callable[[Task], Done], tasks: Sequence[Task], client: Any, device: str) -> Iterator[Done]:
-    """Tasks of a worker that dies are done by another; a task's result is yielded once.
-
-    The scheduler holds a few tasks for each thread of its workers, however many there are in all.
+    """Tasks of a worker that dies are done by another; a task's result is yielded once. The scheduler holds a few tasks
+    for each thread of its workers, however many there are in all.
     """
     distributed = load("distributed", "cluster")
     version = provenance()["version"]

@@ -60,20 +60,15 @@ class _Held:
 def forget(people: Sequence[str], places: Sequence[Path], *, key: Key | None = None, erase: bool) -> dict[str, Any]:
     """Find all that is kept of a person below `places`, and erase it: what is removed is overwritten with zeros first.
 
-    Raises BadInput if a place is missing, or nothing of the person is there. Raises Refused if something could not be
-    looked into or erased; the rest is erased then.
+    Returns ``found`` (what, path and number of records), ``shards`` made anew, ``unreached`` (with reasons),
+    ``mentions`` (files that still hold a name), ``unnamed`` (files of fingers that state no person). Raises BadInput if
+    a place is missing, or nothing of the person is there. Raises Refused if something could not be looked into or
+    erased; the rest is erased then.
 
-    Parameters
-    ----------
     people : names of one person, as galleries and captures have them
     places : galleries, and folders that are searched with all that is in them
     key : of encrypted galleries
     erase : False: nothing is changed
-
-    Returns
-    -------
-    Facts: ``found`` (what, path and number of records), ``shards`` made anew, ``unreached`` (with reasons),
-    ``mentions`` (files that still hold a name), ``unnamed`` (files of fingers that state no person).
     """
     require(len(people) > 0 and len(places) > 0, "name a person, and the galleries and folders to look in.")
     names = frozenset(check_person(one) for one in people)

@@ -1,7 +1,5 @@
-"""The matchers of a batch: each makes a side ready once, and compares two sides.
-
-What is ready is kept in two bounded stores: the sides of a block's database, and one query. A process that goes on with
-the same database finds it ready.
+"""The matchers of a batch: each makes a side ready once, and compares two sides. What is ready is kept in two bounded
+stores: the sides of a block's database, and one query.
 """
 
 from __future__ import annotations

@@ -108,10 +108,7 @@ def location(name: str | os.PathLike[str] | Objects) -> Location:
 
 
 def stored_bytes(place: Location, max_bytes: int) -> bytes:
-    """Read a whole file or object of at most `max_bytes`.
-
-    Raises BadInput if it is missing, too large, or cannot be read.
-    """
+    """Read a whole file or object; BadInput if it is missing, larger than `max_bytes`, or cannot be read."""
     if isinstance(place, Path):
         return read_bytes(place, max_bytes)
     with stored_file(place, max_bytes) as stream:
@@ -120,9 +117,8 @@ def stored_bytes(place: Location, max_bytes: int) -> bytes:
 
 @contextlib.contextmanager
 def stored_file(place: Location, max_bytes: int) -> Iterator[IO[bytes]]:
-    """Open a file or an object of at most `max_bytes`; of an object only what is asked for is read.
-
-    Raises BadInput if it is missing, too large, or cannot be read.
+    """Open a file or an object of at most `max_bytes`; of an object only what is asked for is read. Raises BadInput if
+    it is missing, too large, or cannot be read.
     """
     if isinstance(place, Path):
         with open_file(place, max_bytes) as (stream, _):
@@ -180,9 +176,8 @@ class _Ranges(io.RawIOBase):
 
 @contextlib.contextmanager
 def whole_file(place: Location) -> Iterator[BinaryIO]:
-    """Yield a binary file that becomes `place`, as a whole, when the block ends without exception.
-
-    Raises BadInput if it cannot be written.
+    """Yield a binary file that becomes `place`, as a whole, when the block ends without exception. Raises BadInput if
+    it cannot be written.
     """
     if isinstance(place, Path):
         with atomic_file(place) as stream:
@@ -227,11 +222,10 @@ def _sizes(place: Objects, *, deep: bool) -> dict[str, int]:
 
 @contextlib.contextmanager
 def captures_at_hand(population: Location, names: Sequence[str]) -> Iterator[Iterator[Path]]:
-    """Yield, for each capture in turn, a folder of this computer below which it lies under its name.
-
-    Objects are copied into a private temporary folder, the next capture while the present one is worked on; what is not
-    read (truth) is not copied. A copy is removed as soon as the next capture is asked for. Raises BadInput if objects
-    cannot be read, or the name of one leads out of its capture: that is no failure of the capture.
+    """Yield, for each capture in turn, a folder of this computer below which it lies under its name, until the next one
+    is asked for. Objects are copied into a private temporary folder, the next capture while the present one is worked
+    on, without what is not read (truth). Raises BadInput if objects cannot be read, or the name of one leads out of its
+    capture: that is no failure of the capture.
     """
     if isinstance(population, Path):
         for name in names:

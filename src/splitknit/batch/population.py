@@ -49,9 +49,8 @@ class Population:
 
 
 def read_population(folder: Location) -> Population:
-    """List the complete captures of an enrolment or a simulated population, even while it is still being filled.
-
-    Raises BadInput if it is neither, its plan is damaged, or it holds no complete capture.
+    """List the complete captures of an enrolment or a simulated population, even while it is still being filled. Raises
+    BadInput if it is neither, its plan is damaged, or it holds no complete capture.
     """
     if isinstance(folder, Path):
         return _population(folder, folder, lambda name: (folder / name).is_file())
@@ -126,10 +125,8 @@ class Block:
 
 
 def all_pairs(captures: Sequence[CaptureRef], impostors: float, seed: int) -> Comparisons:
-    """Every finger of a session with every finger of every later one; of different fingers a fraction only.
-
-    The fraction is drawn by pairs of fingers, all sessions of a pair together, so that scores can be averaged over
-    sessions. Raises BadInput if the captures are of one session.
+    """Every finger of a session with every finger of every later one; of different fingers a fraction only, drawn by
+    pairs of fingers, all sessions of a pair together. Raises BadInput if the captures are of one session.
     """
     return comparisons(
         [one.finger for one in captures],

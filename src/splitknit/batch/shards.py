@@ -35,19 +35,10 @@ def search_shards(
     jobs: int = 1,
     client: Any = None,
 ) -> Hits:
-    """As :meth:`splitknit.gallery.shards.Shards.search`, whose result this is, with the shards shared out.
-
-    A worker is given the transformed probe, never the key. What a worker that died was to do is done by another. Raises
-    BadInput if the probe is a failure to acquire, k is less than 1, a shard cannot be read, or the cluster is lost.
-
-    Parameters
-    ----------
-    shards : whose files all workers find under the same names
-    template : of the probe, not empty
-    k : fingers to find
-    settings : of the probe's variants
-    jobs : processes of this computer
-    client : of :func:`splitknit.batch.execution.connected`, in whose place the workers of a cluster scan
+    """As :meth:`splitknit.gallery.shards.Shards.search`, whose result this is, with the shards shared out to `jobs`
+    processes, or to the workers of `client` (:func:`splitknit.batch.execution.connected`), which find the files under
+    the same names. A worker is given the transformed probe, never the key. Raises BadInput if the probe is a failure to
+    acquire, k is less than 1, a shard cannot be read, or the cluster is lost.
     """
     require(k >= 1, f"k must be at least 1, but it is {k}.")
     probe, count = shards.probe(template, settings), rescored_count(len(shards))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -47,19 +46,13 @@ def simulate_population(
     workers: int = 2,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Simulate what is not there yet; return the facts.
+    """Simulate what is not there yet; return the facts. Raises BadInput if the folder holds something else or a
+    population with other settings, another run writes it, the plan would shrink, or `prints` holds no usable prints or
+    not those that the population began with.
 
-    Raises BadInput if the folder holds something else or a population with other settings, another run writes it, the
-    plan would shrink, or `prints` holds no usable prints or not those that the population began with.
-
-    Parameters
-    ----------
-    out : folder of the population: a new one, or one with the same settings
-    settings : of the population
     subjects, sessions, fingers : how many and which; None as planned earlier, else as in the thesis (17, 4, all ten)
     prints : folder of real prints, of whose ridges :func:`splitknit.simulator.population.prints.choose_prints` gives a
         third of the fingers; fingers that are planned later have none
-    workers : processes; the captures do not depend on their number
     """
     started = time.perf_counter()
     require(1 <= workers <= 256, f"workers must be 1 to 256, but it is {workers}.")
@@ -83,7 +76,8 @@ def simulate_population(
     enrolment = open_enrolment(out, subjects=subjects, sessions=sessions, fingers=fingers)
     if not (out / POPULATION_FILE).is_file():
         write_file(out / POPULATION_FILE, json_text(document).encode("ascii"))
-    with _alone(out / POPULATION_FILE):
+    with (out / POPULATION_FILE).open("rb") as stream:
+        hold(stream, f"another run is simulating into '{out}'; wait for it, or stop it.")
         sweep(out)
         waiting = enrolment.waiting()
         before = enrolment.plan.total - len(waiting)
@@ -201,28 +195,16 @@ def _check_settings(out: Path, earlier: dict[str, Any], document: dict[str, Any]
     )
 
 
-@contextmanager
-def _alone(file: Path) -> Iterator[None]:
-    """Hold the population for this run; a killed run lets go."""
-    with file.open("rb") as stream:
-        hold(stream, f"another run is simulating into '{file.parent}'; wait for it, or stop it.")
-        yield
-
-
 def _write_table(enrolment: Enrolment) -> None:
     """One line for each finished capture: its folder and the facts of its ``impression.json``."""
     rows: list[dict[str, Any]] = []
     for place in enrolment.places():
         file = enrolment.path(place) / IMPRESSION_FILE
         if file.is_file():
-            rows.append({"folder": place.folder} | _facts_of(file))
+            damaged = f"'{file}' is damaged; remove its folder and run the same again."
+            facts, _ = read_json(file, damaged)
+            require(isinstance(facts, dict), damaged)
+            rows.append({"folder": place.folder} | facts)
     names = list(rows[0]) if rows else []
     text = csv_text([names, *([row.get(name, "") for name in names] for row in rows)] if rows else [])
     write_file(enrolment.folder / TABLE_FILE, text.encode("utf-8"))
-
-
-def _facts_of(file: Path) -> dict[str, Any]:
-    damaged = f"'{file}' is damaged; remove its folder and run the same again."
-    facts, _ = read_json(file, damaged)
-    require(isinstance(facts, dict), damaged)
-    return dict(facts)

@@ -57,9 +57,8 @@ _Found = tuple[str, bool, bytes]
 
 
 def extract_features(task: ExtractionTask) -> TaskDone:
-    """Find the features of one kind of all captures of a chunk and write them under the same name.
-
-    Raises BadInput if the store holds no surfaces where they are needed, or they are damaged.
+    """Find the features of one kind of all captures of a chunk and write them under the same name. Raises BadInput if
+    the store holds no surfaces where they are needed, or they are damaged.
     """
     case = task.case.name
     file = task.store / "features" / case / f"{task.name}{SUFFIX}"

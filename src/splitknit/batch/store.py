@@ -69,10 +69,9 @@ class Store:
         return found
 
     def features(self, case: str, columns: Sequence[str] | None = None) -> Any:
-        """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, each once.
-
-        Columns as in ``docs/reference/files.md``; ``seconds``, which is kept apart from the chunks, only where it is
-        named. Raises BadInput if there is nothing of this case, or a chunk is damaged.
+        """Rows of all captures of a case as a ``pyarrow.Table``, ordered by capture, with columns as in
+        ``docs/reference/files.md``; ``seconds`` only where it is named. Raises BadInput if there is nothing of this
+        case, or a chunk is damaged.
         """
         files = self.files("features", case)
         require(len(files) > 0, f"the store '{self.folder}' holds nothing of case '{case}'.")
@@ -89,9 +88,8 @@ class Store:
         return table.select(list(columns))
 
     def scores(self, case: str, matcher: str) -> Any:
-        """Comparisons of a case by a matcher as a ``pyarrow.Table``, ordered by both captures, every pair once.
-
-        Raises BadInput if there are none, or a chunk is damaged.
+        """Comparisons of a case by a matcher as a ``pyarrow.Table``, ordered by both captures, every pair once. Raises
+        BadInput if there are none, or a chunk is damaged.
         """
         files = self.files(f"scores/{case}", matcher)
         require(
@@ -106,9 +104,8 @@ class Store:
         return table
 
     def images(self, case: str, capture: str) -> FingerImages:
-        """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them.
-
-        Raises BadInput if the store holds no surface of it.
+        """Channels of a capture for the thesis's matcher, exactly as the reconstruction gives them. Raises BadInput if
+        the store holds no surface of it.
         """
         place = stored_places(self.files("features", case)).get(capture)
         found = None if place is None else images_of(place)
@@ -150,9 +147,8 @@ def _joined(tables: Sequence[Any], keys: list[str]) -> Any:
 
 
 def open_store(folder: Location, population: Population, settings: BatchSettings) -> Store:
-    """Open a store for writing, or start one; the caller holds its lock.
-
-    Raises BadInput if the folder holds something else, or a store of another population or with other settings.
+    """Open a store for writing, or start one; the caller holds its lock. Raises BadInput if the folder holds something
+    else, or a store of another population or with other settings.
     """
     document: dict[str, Any] = {
         "format": FORMAT,

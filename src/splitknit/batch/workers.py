@@ -25,17 +25,9 @@ _GRACE_S = 1.0
 
 
 def run_jobs(work: Callable[[Job], Done], jobs: Sequence[Job], workers: int, kept: str) -> Iterator[tuple[Job, Done]]:
-    """Do all jobs; yield each with its result: in order by one worker (this process), as they come by several.
-
-    Raises BadInput if a process is killed, or one of its own from `work`; the other jobs are then given up, as by an
-    interrupt.
-
-    Parameters
-    ----------
-    work : function of a module, so that processes find it
-    jobs : in the order in which they are begun
-    workers : processes
-    kept : what stays if a process is killed, for the message
+    """Do all jobs; yield each with its result: in order by one worker (this process), as they come by several. `work`:
+    function of a module, so that processes find it; `kept`: what stays if a process is killed, for the message. Raises
+    BadInput if a process is killed, or one of its own from `work`; the other jobs are then given up.
     """
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
@@ -81,9 +73,8 @@ def _whole(work: Callable[[Job], Done], job: Job) -> Done:
 
 @contextlib.contextmanager
 def _interrupts_for_us_alone() -> Iterator[None]:
-    """Start processes that Ctrl-C does not reach: each would show a traceback, and we end them ourselves.
-
-    Blocked signals stay blocked in a new process; one that reaches this process meanwhile is delivered at the end.
+    """Start processes that Ctrl-C does not reach: each would show a traceback, and we end them ourselves. A signal that
+    reaches this process meanwhile is delivered at the end.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield

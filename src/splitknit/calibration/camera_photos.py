@@ -127,8 +127,9 @@ def _find_camera(job: CameraJob, base: Rig | None, progress: Progress) -> Measur
         *marks[file.name], size = _plane_marks(file, board, expected)
         expected = expected or (size, file.name)
     if job.disc is not None:
-        *marks[job.disc.name], size = _disc_marks(job.disc, job.dot_mm, expected)
-        expected = expected or (size, job.disc.name)
+        pixels, _ = _read_photo(job.disc, expected)
+        marks[job.disc.name] = [*naming(job.disc, partial(find_disc, pixels, job.dot_mm))]
+        expected = expected or ((pixels.shape[0], pixels.shape[1]), job.disc.name)
     for file in (*job.plane, *([job.disc] if job.disc is not None else [])):
         hashes[file.name] = file_hash(file)
     assert expected is not None
@@ -292,13 +293,6 @@ def _plane_marks(file: Path, board: Board, expected: _Expected | None) -> tuple[
             "lay the board flat on the finger plane, evenly lit, and photograph it again."
         )
     return board.points_mm, corners, (pixels.shape[0], pixels.shape[1])
-
-
-def _disc_marks(file: Path, spacing_mm: float, expected: _Expected | None) -> tuple[Points, Points, tuple[int, int]]:
-    """Places of the disc's dots in mm and in the image, and the image's size."""
-    pixels, _ = _read_photo(file, expected)
-    places_mm, places_px = naming(file, partial(find_disc, pixels, spacing_mm))
-    return places_mm, places_px, (pixels.shape[0], pixels.shape[1])
 
 
 def _refuse_other_size(files: Sequence[Path], board: Board) -> None:

@@ -83,10 +83,9 @@ def led_name(leds: Sequence[Led], index: int) -> str:
 
 
 def card_images(capture: Capture, rig: Rig, black_level: float | None = None) -> CardImages:
-    """Condense a capture of a white card, each LED of the rig alone in one image.
-
-    `black_level`: stored value of no light, for images where the capture does not state it. Raises BadInput if capture
-    and rig do not fit, an LED has no image or several, or an image is black or clipped.
+    """Condense a capture of a white card, each LED of the rig alone in one image. `black_level`: stored value of no
+    light, where the capture does not state it. Raises BadInput if capture and rig do not fit, an LED has no image or
+    several, or an image is black or clipped.
     """
     _check_fit(capture, rig)
     bands = [_with_black(band, black_level) for band in capture.bands.values()]

@@ -1,12 +1,9 @@
 """Flat field: the lens's fall-off and every LED's brightness, beam and aim, from a white card under each LED.
 
 An image of a card, divided into the images of a finger, is a flat field for the plane of the card alone: a finger's pad
-lies up to a centimetre above it, nearer to the LEDs and elsewhere in their beams. A model of the light holds at every
-height, needs a handful of numbers where a picture has millions, and does not carry the card's dust into every finger.
-
-What separates the parts: the lens's fall-off is the same in all images and lies about the image's centre; the inverse
-square and the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with
-the LED.
+lies up to a centimetre above it. A model of the light holds at every height and does not carry the card's dust into
+every finger. The lens's fall-off is the same in all images and lies about the image's centre; the inverse square and
+the card's cosine follow from the LEDs' places, which are known; what is left is the beam, which moves with the LED.
 """
 
 from __future__ import annotations
@@ -234,7 +231,8 @@ def fit_flat_field(
     model = CardModel(camera, leds, places, plane)
     floor = 1e-4 * float(np.median(images))
     logarithm = np.log(np.maximum(images, max(floor, 1e-12)))
-    start = _start(model, logarithm)
+    level = np.exp(np.median(logarithm - model.known, axis=1))
+    start = Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
     _check_lit(leds, start)
     scale = 0.01 * _ROBUST_PERCENT
     fits: list[_CardFit] = []
@@ -270,11 +268,6 @@ def fit_flat_field(
         gloss_error=100 * gloss_error,
         card=plane,
     )
-
-
-def _start(model: CardModel, logarithm: Array) -> Answer:
-    level = np.exp(np.median(logarithm - model.known, axis=1))
-    return Answer(level, np.ones(model.count), np.zeros((model.count, 2)), np.zeros(2))
 
 
 def _check_lit(leds: Sequence[Led], start: Answer) -> None:

@@ -49,10 +49,9 @@ def name_of_led(band: str, led: int) -> str:
 
 
 def read_tips(text: str, name: str = "the table") -> tuple[Tip, ...]:
-    """Read the rows of a table in CSV, in the order white before NIR, LED, nail; `name`: of the file, for messages.
-
-    Lines that are empty or begin with ``#`` are skipped, other columns ignored. Raises BadInput naming the line: a
-    column is missing, something is no number, a band or LED is not known, or the same band, LED and nail come twice.
+    """Read the rows of a table in CSV, in the order white before NIR, LED, nail; lines that are empty or begin with
+    ``#`` are skipped. Raises BadInput naming the line: a column is missing, something is no number, a band or LED is
+    not known, or the same band, LED and nail come twice.
     """
     lines = [(k, line) for k, line in enumerate(text.lstrip("\ufeff").splitlines(), start=1)]
     lines = [(k, line) for k, line in lines if line.strip(" \t,") and not line.lstrip().startswith("#")]

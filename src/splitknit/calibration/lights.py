@@ -97,11 +97,9 @@ def nail_points(camera: Camera, nail_px: Points, height_mm: float, seen: str = "
 def by_circle(
     tips: Sequence[Tip], camera: Camera, circle: Circle, *, known_height_mm: float | None = None, seen: str = "tip"
 ) -> tuple[tuple[LedEstimate, ...], float]:
-    """Find every LED by the thesis's construction; return them in the order of the rows, and the nail's height in mm.
-
-    `known_height_mm` of the nail: found from the lengths of the shadows where it is None; `seen`: ``tip`` or ``base``,
-    what of the nail the table gives (of no matter to an orthographic camera). Raises BadInput naming LED and nail
-    position: there is no shadow, or the nail stands outside the circle.
+    """Find every LED by the thesis's construction; return them in the order of the rows, and the nail's height in mm,
+    found from the lengths of the shadows unless known. `seen`: ``tip`` or ``base``, what of the nail the table gives.
+    Raises BadInput naming LED and nail position: there is no shadow, or the nail stands outside the circle.
     """
     nail_px, tip_px = pixels(tips)
     ends = plane_points(camera, tip_px)

@@ -1,18 +1,15 @@
 """The LEDs from nail and shadow tips by least squares: all rows at once, the nail's height unknown.
 
-The unknowns in one vector: the LEDs (L, 3), the places of the nail on the finger plane (P, 2), its height, and how far
-the LED circle is from where it was measured: its centre (2), radius and height. All in mm.
-
 Seen from above, an LED at (p, z), a nail that stands at n with its tip at the height h, and the tip t of its shadow on
 the finger plane obey
 
     t = n + (n - p) h / (z - h).
 
-Unknown are every LED's p and z, where the nail stood, its height (one for all positions, as it is one nail), and by how
-much the circle's centre, radius and height are other than measured. Known are the tips and the nail in pixels, which
-the calibrated camera turns into places, and, softly, that the LEDs sit on the circle. The height of the nail and that
-of the LEDs cannot both be found from shadows (a nail and a rig of twice the height cast the same ones), so that the
-measured height of the circle sets the scale; where the nail's height is known, it does, and the circle is not needed.
+Unknown are every LED's p and z (L, 3), where the nail stood (P, 2), its height (one for all positions), and by how much
+the circle's centre (2), radius and height are other than measured, all in mm. Known are the tips and the nail in
+pixels, which the calibrated camera turns into places, and, softly, that the LEDs sit on the circle. The height of the
+nail and that of the LEDs cannot both be found from shadows (a nail and a rig of twice the height cast the same ones):
+the measured height of the circle sets the scale, or that of the nail where it is known.
 
 Tips that lie far from where all others put them lose their weight (Geman and McClure's) and are named.
 

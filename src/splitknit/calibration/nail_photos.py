@@ -20,6 +20,7 @@ from splitknit.io.fields import Fields, read_json
 from splitknit.io.images import MAX_BYTES, decode_image, write_image
 from splitknit.io.photos import decode_photo, encoding_of
 from splitknit.io.pictures import ORANGE, PAPER, SKY, ColourArray
+from splitknit.io.plain import natural_order
 from splitknit.io.targets import check_file, check_picture
 from splitknit.model import Camera, FloatArray, Progress, no_progress
 
@@ -76,16 +77,14 @@ def tips_of_photos(
 
 
 def _nail_files(folder: Path) -> Files:
-    """Return the images of a folder: subfolders, one for each nail position, of white_0.png ... nir_6.png.
-
-    A folder without subfolders is one position. ``nails.json`` may list the files instead: ``{"nails": [{"white": [7
-    names], "nir": [7 names]}, ...]}``, names relative to the folder. Raises BadInput if an image of a band that occurs
-    is missing, or there are none.
+    """Return the images of a folder: subfolders, one for each nail position (none: one position), of white_0.png ...
+    nir_6.png; or those that ``nails.json`` lists: ``{"nails": [{"white": [7 names], "nir": [7 names]}, ...]}``,
+    relative to the folder. Raises BadInput if an image of a band that occurs is missing, or there are none.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder with the photographs of the nail.")
     if (folder / LISTING).is_file():
         return _listed(folder)
-    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: _natural(path.name))
+    places = sorted((path for path in folder.iterdir() if path.is_dir()), key=lambda path: natural_order(path.name))
     places = [place for place in places if _bands(place)] or [folder]
     files: Files = {}
     for nail, place in enumerate(places, start=1):
@@ -166,10 +165,6 @@ def _listed(folder: Path) -> Files:
             files[nail, band] = paths
     require(bool(files), f"{folder / LISTING} lists no images.")
     return files
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name) if part]
 
 
 def _small(image: FloatArray, longest: int = 480) -> FloatArray:

@@ -62,11 +62,9 @@ class PlaneScale:
 
 
 def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) -> PlanePose:
-    """Pose of a plane with five known `marks_mm` (N, 2) or more that appear at `pixels` (N, 2; column, row).
-
-    Infinitesimal plane-based pose estimation (T. Collins, A. Bartoli, IJCV 109, 2014; ``SOLVEPNP_IPPE``), then refined
-    by Levenberg and Marquardt's least squares on the reprojection. Raises BadInput if there are too few marks, they lie
-    on one line, or no pose explains them.
+    """Pose of a plane with five known `marks_mm` (N, 2) or more that appear at `pixels` (N, 2; column, row), by T.
+    Collins and A. Bartoli, IJCV 109, 2014 (``SOLVEPNP_IPPE``), then Levenberg and Marquardt's least squares on the
+    reprojection. Raises BadInput if there are too few marks, they lie on one line, or no pose explains them.
     """
     marks, places = _marks(marks_mm, pixels, least=5)
     camera = np.asarray(matrix, dtype=np.float64)
@@ -110,10 +108,8 @@ def mean_pose(poses: Sequence[PlanePose], focal_px: float) -> PlanePose:
 
 
 def plane_scale(marks_mm: Any, pixels: Any) -> PlaneScale:
-    """Scale of a plane with four known `marks_mm` (N, 2) or more under an orthographic camera: the best similarity.
-
-    `pixels` (N, 2): column and row at which they appear. Raises BadInput if there are too few marks, or they lie on one
-    line.
+    """Scale of a plane with four known `marks_mm` (N, 2) or more at `pixels` (N, 2; column, row) under an orthographic
+    camera: the best similarity. Raises BadInput if there are too few marks, or they lie on one line.
     """
     marks, places = _marks(marks_mm, pixels, least=4)
     a = marks - marks.mean(axis=0)

@@ -52,10 +52,8 @@ def films_to_file(
     residuals: Path | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Measure the films and write them into a rig file; return the facts.
-
-    `folder` holds the capture folders ``card`` and ``ball``, and ``ball_DEG`` for further angles of the analyser;
-    `rig_file`: the card's own by default; `residuals`: picture of what is left of the card under every light. Raises
+    """Measure the films and write them into a rig file; return the facts. `folder` holds the capture folders ``card``
+    and ``ball``, and ``ball_DEG`` for further angles of the analyser; `rig_file`: the card's own by default. Raises
     BadInput naming the folder at fault; nothing is written then.
     """
     check_rig_file(out)
@@ -132,7 +130,6 @@ def _clipped(band: Band, k: int) -> BoolArray:
 def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     """Image shift and brightness behind films, of a printed matt card: the films, their leak not yet known; errors and
     residuals; and L arrays (h, w) of what the brightness leaves of crossed over parallel, NaN where the card is dark.
-
     Raises BadInput if the card has no print, is clipped, or moved.
     """
     near, far = card.bands["white"], card.bands["white_crossed"]
@@ -257,10 +254,8 @@ class Spot:
 
 def measure_ball(ball: Capture, films: Films, electrons: float = np.inf) -> tuple[list[Spot], Array]:
     """Highlights on a glossy black ball: where the L lights are mirrored in the parallel images, and (L, 2, 2) the
-    light of parallel and crossed highlights and its deviation.
-
-    `electrons`: at full scale of a pixel, for the errors. Raises BadInput if an image (numbered) shows no highlight, or
-    a clipped one, or the series are swapped.
+    light of parallel and crossed highlights and its deviation. `electrons`: at full scale of a pixel, for the errors.
+    Raises BadInput if an image (numbered) shows no highlight, or a clipped one, or the series are swapped.
     """
     near, far = ball.bands["white"], ball.bands["white_crossed"]
     matrix = crossed_place(films, ball.shape)

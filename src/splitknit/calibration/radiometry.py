@@ -1,8 +1,4 @@
-"""Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a later card.
-
-Flat field: :mod:`splitknit.calibration.flat_field`. The camera's response and noise:
-:mod:`splitknit.calibration.sensor`. Drift in photographs of anything matt: :mod:`splitknit.finger.led_drift`.
-"""
+"""Radiometric calibration: a rig's lens, the brightness and beams of its LEDs; and the check of a later card."""
 
 from __future__ import annotations
 
@@ -64,10 +60,8 @@ def fit_radiometry(
     settings: RadiometrySettings | None = None,
 ) -> RadiometricCalibration:
     """Calibrate the light of a rig with calibrated camera and LEDs' places from a white card under each of its LEDs.
-
-    An ambient image a band takes ambient light and black level off; `card` lies on the finger plane by default;
-    `black_level`: stored value of no light, for images where the capture does not state it. Raises BadInput, naming
-    what and where, if the images do not show an even, matt card under each LED alone.
+    `card` lies on the finger plane by default; `black_level`: stored value of no light, where the capture does not
+    state it. Raises BadInput, naming what and where, if the images do not show an even, matt card under each LED alone.
     """
     chosen, plane = settings or RadiometrySettings(), card or CardPlane()
     images = card_images(capture, rig, black_level)

@@ -57,11 +57,9 @@ def calibrate_to_file(
     residuals: Path | None = None,
     progress: Progress = no_progress,
 ) -> RadiometricCalibration:
-    """Calibrate the rig with the card in `folder` and write it to `out`.
-
-    `rig_file`: the folder's own by default; `card`: its height in mm and tilt in deg, None for the tilt of the base in
-    the rig file; `limit_percent`: largest rms of an LED's residuals; `residuals`: picture to write. Raises BadInput
-    naming the folder or file at fault; nothing is written then.
+    """Calibrate the rig with the card in `folder` and write it to `out`. `rig_file`: the folder's own by default;
+    `card`: its height in mm and tilt in deg, None for the tilt of the base in the rig file. Raises BadInput naming the
+    folder or file at fault; nothing is written then.
     """
     check_rig_file(out)
     check_picture(residuals, folder)

@@ -607,10 +607,9 @@ def _covariance(data: _Data, balls: Array, model: _Model, units: Sequence[_Unit]
 
 
 def fall_off_between(stacks: Sequence[FloatArray], outlines: Sequence[Array]) -> Array:
-    """(L, 15) as :func:`fall_off_terms`, of the gel between pressed balls, where no photograph of the flat gel is.
-
-    A least-absolute fit, within two radii of the field of balls: dust, dents and other balls stay out of it. `stacks`:
-    images (L, H, W); `outlines`: of each, balls (N, 3): column, row, radius in pixels.
+    """(L, 15) as :func:`fall_off_terms`, of the gel between pressed balls, where no photograph of the flat gel is: a
+    least-absolute fit to `stacks` (L, H, W) within two radii of the field of balls, from which dust, dents and other
+    balls stay out. `outlines`: of each stack, balls (N, 3): column, row, radius in pixels.
     """
     size = stacks[0].shape[1:]
     terms, light = [], []

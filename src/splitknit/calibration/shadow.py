@@ -74,9 +74,8 @@ def _hull_distance(places: Points, other: Points, radius: float, other_radius: f
 def _fit_shape(
     darkness: FloatArray, usable: BoolArray, start: _Shape, px_per_mm: float, common: tuple[float, float] | None = None
 ) -> _Shape:
-    """Fit the shape to the darkness (H, W) about its outer part, by least squares. `darkness`: missing fraction of the
-    light; `usable`: (H, W), false on the nail; `start`: near the truth; `common`: radius of the tip's shadow and of the
-    penumbra, where known.
+    """Fit the shape to the darkness (H, W), the missing fraction of the light, about its outer part, by least squares.
+    `usable`: (H, W), false on the nail; `common`: radius of the tip's shadow and of the penumbra, where known.
     """
     shape = start
     for _ in range(2 if common is None else 1):  # the pixels are chosen again once the outline is better known
@@ -172,10 +171,7 @@ class NailView:
 
 def find_nail(stack: FloatArray, px_per_mm: float, names: Sequence[str]) -> NailView:
     """Tips of the nail and its shadows in `stack` (L, H, W), L >= 3, linear light: an LED an image, the nail in one
-    place.
-
-    `px_per_mm` is that of the finger plane. Raises BadInput if there is no nail, or an image without its shadow
-    (named).
+    place. Raises BadInput if there is no nail, or an image without its shadow (named).
     """
     images = check_stack(stack, least=3, name="the photographs of the nail")
     usual = np.median(images, axis=0).astype(np.float32)
@@ -244,7 +240,8 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
     step = max(1, int(np.sqrt(image.size / 20_000)))
     rows, columns = np.mgrid[0:height:step, 0:width:step]
     keep = usable[::step, ::step]
-    terms = _terms(rows[keep] / height - 0.5, columns[keep] / width - 0.5)
+    r, c = rows[keep] / height - 0.5, columns[keep] / width - 0.5
+    terms = np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
     values = image[::step, ::step][keep].astype(np.float64)
     good = np.ones(values.size, dtype=np.bool_)
     for _ in range(8):
@@ -256,10 +253,6 @@ def _smooth(image: FloatArray, usable: BoolArray) -> FloatArray:
     surface = weights[0] + weights[1] * r + weights[2] * c
     surface = surface + weights[3] * r * r + weights[4] * r * c + weights[5] * c * c
     return np.asarray(surface, dtype=np.float32)
-
-
-def _terms(r: Points, c: Points) -> Points:
-    return np.stack([np.ones_like(r), r, c, r * r, r * c, c * c], axis=1)
 
 
 def _nail_among(dark: BoolArray, shadows: NDArray[np.bool_], px_per_mm: float, names: Sequence[str]) -> BoolArray:

@@ -81,11 +81,9 @@ def _ball_in(mask: BoolArray, small: str) -> tuple[Ball, Points]:
 
 
 def chrome_directions(stack: Any, ball: Ball) -> Points:
-    """Directions (L, 3) from the highlights on a chrome ball in `stack` (L, H, W), linear light.
-
-    The mirror image of a light is seen where the normal n halves the angle between light and view v = (0, 0, 1), so
-    that l = 2 (n . v) n - v. The highlight is the centroid of the brightest spot; BadInput if an image (numbered) has
-    none.
+    """Directions (L, 3) from the highlights on a chrome ball in `stack` (L, H, W), linear light: the mirror image of a
+    light is seen where the normal n halves the angle between light and view v, so that l = 2 (n . v) n - v. Raises
+    BadInput if an image (numbered) has no highlight.
     """
     images = check_stack(stack, name="the photographs of the ball")
     inside = np.isfinite(ball.normals(images.shape[1:])[..., 2])

@@ -135,10 +135,8 @@ class Enrolment:
 def open_enrolment(
     folder: Path, *, subjects: int | None = None, sessions: int | None = None, fingers: Sequence[str] | None = None
 ) -> Enrolment:
-    """Open an enrolment, or start one; what is not given is as the plan has it, or as in the thesis.
-
-    A plan may grow. It never shrinks: what was planned may have been captured. Raises BadInput if the folder holds
-    something else, its plan is damaged, or the plan would shrink.
+    """Open an enrolment, or start one; what is not given is as the plan has it, or as in the thesis. Raises BadInput if
+    the folder holds something else, its plan is damaged, or the plan would shrink: what was planned may be captured.
     """
     planned = plan_enrolment(folder, subjects=subjects, sessions=sessions, fingers=fingers)
     file = folder / PLAN_FILE

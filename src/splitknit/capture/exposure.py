@@ -99,7 +99,6 @@ def _above_black(frame: Frame, stored: np.floating) -> float:
 
 def survey(look: Look, leds: Sequence[int], camera: ExposureRange, settings: ExposureSettings) -> Survey:
     """Look at a band under each of its LEDs, with one exposure at which none clips and the brightest is not dark.
-
     Raises BadInput if it is too bright or too dark at every exposure.
     """
     product = _START_S
@@ -137,10 +136,8 @@ def find_exposure(
     camera: ExposureRange,
     settings: ExposureSettings,
 ) -> Exposure:
-    """Find the exposure of a band, without what it promises, see :meth:`Exposure.promising`.
-
-    `look` takes a preview; `region` (h, w): the finger in previews; `camera`: what can be set. Raises BadInput if the
-    finger stays too dark or too bright.
+    """Find the exposure of a band, before :meth:`Exposure.promising`, by previews `look` in which `region` (h, w) is
+    the finger. Raises BadInput if the finger stays too dark or too bright.
     """
     levels = {led: _level_of(frame, region) for led, frame in seen.frames.items()}
     brightest = max(levels, key=lambda led: levels[led])
@@ -204,12 +201,9 @@ def measure_focus(image: NDArray[np.floating], region: BoolArray, px_per_mm: flo
     """Measure the focus of one picture (H, W) of linear light; `region` (H, W): the finger, without its outline.
 
     The variance of the Laplacian of Gaussian of the relative brightness inside the region, less what the noise
-    contributes. The noise is found at the finest scale: the skin, whose light is blurred over tenths of a millimetre,
-    has next to nothing there.
-
-    Pech-Pacheco, J. L. et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000 (variance of the Laplacian).
-    Immerkaer, J., "Fast noise variance estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the
-    noise).
+    contributes, which is found at the finest scale, where blurred skin shows next to nothing. Source: Pech-Pacheco, J.
+    L. et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000. Immerkaer, J., "Fast noise variance
+    estimation", Computer Vision and Image Understanding 64, 1996 (the mask of the noise).
     """
     light = check_image(image)
     inside = check_mask(region, (light.shape[0], light.shape[1]))

@@ -1,7 +1,5 @@
-"""A capture session on the devices, and a capture folder where its verdict is good.
-
-Beside what every capture folder holds lies ``session.json``: exposure, focus, what was checked of every shot, times,
-settings.
+"""A capture session on the devices, and a capture folder where its verdict is good; ``session.json`` beside it holds
+exposure, focus, what was checked of every shot, times and settings.
 """
 
 from __future__ import annotations
@@ -67,10 +65,8 @@ class CaptureOptions:
 def capture_to_folder(
     devices: Opened, out: Path, options: CaptureOptions, *, subject: Mapping[str, Any], progress: Progress = no_progress
 ) -> dict[str, Any]:
-    """Capture a finger into the folder `out`; return the facts of ``session.json`` and more.
-
-    Raises BadInput if the finger must be captured again, with the verdict: nothing is written then unless
-    `options.keep`.
+    """Capture a finger into the folder `out`; return the facts of ``session.json`` and more. Raises BadInput, with the
+    verdict, if the finger must be captured again: nothing is written then unless `options.keep`.
     """
     check_capture(out, overwrite=options.overwrite)
     with atomic_folder(out, overwrite=options.overwrite) as target:
@@ -133,10 +129,9 @@ def capture_enrolment(
     options: CaptureOptions,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Capture the waiting fingers `places` of an enrolment, one after the other, each with devices of its own.
-
-    Returns what was captured and skipped, how many of how many are finished, and what is next. Raises BadInput with the
-    finger and the verdict; what was finished before is kept.
+    """Capture the waiting fingers `places` of an enrolment, one after the other, each with devices of its own; return
+    what was captured and skipped, how many of how many are finished, and what is next. Raises BadInput with the finger
+    and the verdict; what was finished before is kept.
     """
     captured: list[str] = []
     skipped: list[str] = []

@@ -54,18 +54,9 @@ def open_frames(
 ) -> FrameSource:
     """Open a camera by its number, or a folder of photographs or a film, which are played over and over.
 
+    `encoding`: how files store light, ``linear`` or ``srgb``; `size` (rows, columns), `exposure_s`: to set on a camera.
     Raises BadInput if there is no such camera, it may not be used, or nothing there can be read.
 
-    Parameters
-    ----------
-    source : ``0``, ``1`` ... or a path.
-    encoding : {'linear', 'srgb'}
-        How files store light; a camera states it.
-    size : (rows, columns), optional; to ask of a camera
-    exposure_s : float, optional; to set on a camera; by default as it is
-
-    Examples
-    --------
     >>> import numpy as np, tempfile, pathlib
     >>> from splitknit.io.images import write_image
     >>> folder = pathlib.Path(tempfile.mkdtemp())
@@ -117,8 +108,6 @@ def _open_film(path: Path, encoding: str) -> FrameSource:
 def linear_colours(pixels: PixelArray, encoding: str) -> FloatArray:
     """Linear light (3, H, W) float32 in [0, 1] of a stored frame (H, W, 3).
 
-    Examples
-    --------
     >>> import numpy as np
     >>> linear_colours(np.full((2, 4, 3), 255, np.uint8), "srgb").shape
     (3, 2, 4)
@@ -146,8 +135,6 @@ class LiveFrame(Generic[T]):
 class Live(Generic[T]):
     """Measures the newest frame of a source, again and again, in two threads; a context manager.
 
-    Examples
-    --------
     >>> import itertools
     >>> import numpy as np
     >>> source = FrameSource("still", itertools.repeat(np.zeros((2, 2, 3), np.uint8)), "linear", 0.01)
@@ -183,9 +170,8 @@ class Live(Generic[T]):
         self.source.close()
 
     def newest(self, after: int, patience_s: float) -> LiveFrame[T] | None:
-        """Return the newest measured frame whose number exceeds `after`; None if none comes in time.
-
-        Raises BadInput if frames end, with the reason.
+        """Return the newest measured frame whose number exceeds `after`; None if none comes in time. Raises BadInput,
+        with the reason, if frames end.
         """
         with self._changed:
             self._asked_s = time.monotonic()

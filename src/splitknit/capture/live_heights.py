@@ -86,8 +86,6 @@ class LiveHeights:
 class HeightMeter:
     """Measures frames of one camera; give it to :class:`splitknit.capture.live.Live`.
 
-    Examples
-    --------
     >>> import numpy as np
     >>> def slopes(images):  # of a sensor whose red and green rise with the slope
     ...     return images[:2] - 1, np.zeros(images.shape[1:], np.float32)
@@ -107,9 +105,8 @@ class HeightMeter:
         self._over_flat: FloatArray | None = None
 
     def take_flat(self, pixels: PixelArray) -> None:
-        """Take a frame (H, W, 3) of the gel with nothing on it, by which others are divided.
-
-        Raises BadInput if its sides have another ratio than the calibration's, or it is dark.
+        """Take a frame (H, W, 3) of the gel with nothing on it, by which others are divided. Raises BadInput if its
+        sides have another ratio than the calibration's, or it is dark.
         """
         light, markers = self._light(pixels)
         flat = bridge(light, markers, self._marker_px / 2) if markers.any() else light
@@ -124,9 +121,8 @@ class HeightMeter:
         self._over_flat = np.asarray(1.0 / np.maximum(flat, np.float32(_DARK)), dtype=np.float32)
 
     def __call__(self, pixels: PixelArray) -> LiveHeights:
-        """Measure a frame (H, W, 3) as stored; the first one is the flat one unless one was taken.
-
-        Raises BadInput as :meth:`take_flat`.
+        """Measure a frame (H, W, 3) as stored; the first one is the flat one unless one was taken. Raises BadInput as
+        :meth:`take_flat`.
         """
         if self._over_flat is None:
             self.take_flat(pixels)
@@ -149,7 +145,9 @@ class HeightMeter:
         height = trusted_height(gradient[0], gradient[1], trust)
         lap("integration")
         height *= np.float32(self._pitch_um)
-        height -= np.float32(_edge_median(height))
+        band = [max(1, round(_EDGE * side)) for side in height.shape]
+        edges = height[: band[0]], height[-band[0] :], height[:, : band[1]], height[:, -band[1] :]
+        height -= np.float32(np.median(np.concatenate([edge.ravel() for edge in edges])))
         lap("zero")
         return LiveHeights(height, gradient, deviation, markers, albedo, self._pitch_um / 1000.0, times)
 
@@ -167,9 +165,3 @@ class HeightMeter:
         light = linear_colours(pixels, self._encoding)
         found = self._marker_px > 0
         return light, find_markers(light, self._marker_px) if found else np.zeros(self._size, np.bool_)
-
-
-def _edge_median(height: FloatArray) -> float:
-    band = [max(1, round(_EDGE * side)) for side in height.shape]
-    edges = height[: band[0]], height[-band[0] :], height[:, : band[1]], height[:, -band[1] :]
-    return float(np.median(np.concatenate([edge.ravel() for edge in edges])))

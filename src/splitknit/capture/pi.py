@@ -86,11 +86,9 @@ SENSORS: Mapping[str, _Sensor] = {
         14.815e-6, 0.0166, True, 15.8, (0.0, 0.0116, 0.0), "imx296.json", 10_700.0, 2.2,
     ),
 }  # fmt: skip
-"""By the name that libcamera lists them under.
-
-Modes, times and gains are those of the sensors' drivers in Linux and libcamera. Electrons are of published
-measurements and makers' sheets of the same sensor, rounded, for simulations (``sensor.full_well_e``); none was measured
-here, and none of these modules has been run by this program.
+"""By the name that libcamera lists them under. Modes, times and gains are those of the sensors' drivers in Linux and
+libcamera. Electrons are of published measurements and makers' sheets of the same sensor, rounded, for simulations
+(``sensor.full_well_e``); none of these modules has been run by this program.
 """
 SETTLE_S = 0.02
 """Far above what an LED (microseconds), its phosphor (under a millisecond) and its supply (milliseconds) need."""
@@ -107,10 +105,8 @@ class PiLightBank(GuardedLights):
         settle_s: float = SETTLE_S,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs.
-
-        `make_line`: ``gpiozero.DigitalOutputDevice``, or what behaves like it; `settle_s`: from the switch to full
-        brightness.
+        """Take the lines `pins`, BCM numbers in the order of the rig file's LEDs, by `make_line`, which is
+        ``gpiozero.DigitalOutputDevice`` or alike; `settle_s`: from the switch to full brightness.
         """
         self._lines: list[Any] = []
         self._sleep = sleep
@@ -224,10 +220,7 @@ class PiCamera(Closing):
     def __init__(
         self, picamera2: Any, settings: PiCameraSettings | None = None, *, now_ns: Callable[[], int] | None = None
     ) -> None:
-        """Open and start a camera of the class ``picamera2.Picamera2``; BadInput if there is none, or it is in use.
-
-        `now_ns`: the clock of the sensor's timestamps (CLOCK_BOOTTIME).
-        """
+        """Open and start a camera of the class ``picamera2.Picamera2``; BadInput if there is none, or it is in use."""
         self._settings = settings or PiCameraSettings()
         self._sensor = self._settings.sensor
         self._size = self._settings.image_size or self._sensor.image_size
@@ -340,7 +333,8 @@ class PiCamera(Closing):
             request = camera.capture_request()
             try:
                 metadata = request.get_metadata()
-                if self._as_locked(metadata) and _began_ns(metadata) >= since_ns:
+                began_ns = int(metadata.get("SensorTimestamp", 0)) - 1000 * int(metadata.get("ExposureTime", 0))
+                if self._as_locked(metadata) and began_ns >= since_ns:
                     return self._read(request, metadata, discarded, whole=whole)
             finally:
                 request.release()
@@ -389,9 +383,8 @@ class PiCamera(Closing):
         )
 
     def _raw(self, request: Any) -> tuple[NDArray[np.uint16], str, int]:
-        """(H, W) raw values of the middle of the sensor, their colours' order (as at the sensor's corner) and bits.
-
-        The Pi 5 gives what it was asked for in 16 bits, the Pi 4 in the sensor's own.
+        """(H, W) raw values of the middle of the sensor, their colours' order (as at the sensor's corner) and bits: 16
+        of the Pi 5, the sensor's own of the Pi 4.
         """
         (rows, columns), whole = self._size, self._sensor.size
         name = str(self._camera.camera_configuration()["raw"]["format"])
@@ -405,20 +398,12 @@ class PiCamera(Closing):
         return np.asarray(values[top : top + rows, left : left + columns], dtype=np.uint16), order, int(bits)
 
 
-def _began_ns(metadata: Mapping[str, Any]) -> int:
-    """When the exposure of the frame's first row began, at the earliest."""
-    return int(metadata.get("SensorTimestamp", 0)) - 1000 * int(metadata.get("ExposureTime", 0))
-
-
 # Pictures in proportion to light: the Pi's image processor straightened, or its sensor's raw values developed.
 
 
 def _linear_tuning(tuning: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a tuning of the Pi's image processor without what bends light: tone curve, colour mixing, shading.
-
-    Tuning files are lists of algorithms (version 2). The tone curve becomes the identity, the colour matrix the unit
-    matrix, and the correction of lens shading, which would differ between captures, goes: the rig file has the lens's
-    fall-off.
+    """Return a tuning (version 2) of the Pi's image processor without what bends light: tone curve and colour matrix
+    become identities, and the correction of lens shading goes, which would differ between captures.
     """
     algorithms: list[dict[str, Any]] = []
     for entry in tuning.get("algorithms", []):

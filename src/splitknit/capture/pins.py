@@ -43,10 +43,8 @@ USABLE = range(2, 28)
 
 
 def pins_of(rig: Rig) -> tuple[int, ...]:
-    """BCM lines of the rig's LEDs, in the order of the rig file.
-
-    LED number k of a band has the k-th line of that band, from the rig file or else by default. Raises BadInput if the
-    map has too few lines, a line twice, or one that cannot be used.
+    """BCM lines of the rig's LEDs, in the order of the rig file: LED k of a band has the band's k-th line. Raises
+    BadInput if the map has too few lines, a line twice, or one that cannot be used.
     """
     given = rig.provenance.get("pins", DEFAULT_PINS)
     require(

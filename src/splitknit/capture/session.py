@@ -128,11 +128,9 @@ def run_session(
     turn: Turn | None = None,
     progress: Progress = no_progress,
 ) -> Session:
-    """Photograph one finger under all LEDs; look at the verdict before anything else.
-
-    `camera`, `lights`: devices that fit the rig; `watch_focus`: shown live measurements until it returns stop, None
-    measures once; `turn`: of the analyser, where the rig has one that turns. Raises BadInput if nothing can be
-    captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the analyser.
+    """Photograph one finger under all LEDs; look at the verdict before anything else. `watch_focus`: shown live
+    measurements until it returns stop; `turn`: of the analyser, where the rig has one that turns. Raises BadInput if
+    nothing can be captured: wrong rig, no finger, a dead LED, no exposure that fits, nothing that turns the analyser.
     """
     settings = settings or SessionSettings()
     bands = _check_fit(camera, lights, rig)

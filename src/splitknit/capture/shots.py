@@ -66,9 +66,8 @@ class Examiner:
     """Looks at shots: knows where the finger is and how dark it is without LEDs."""
 
     def __init__(self, region: BoolArray, px_per_mm: float, settings: CheckSettings, typical: float = MEDIAN) -> None:
-        """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole picture.
-
-        `px_per_mm`: of full-size shots; `typical`: percentile of the finger's pixels that is its level.
+        """Prepare for the finger's `region` (h, w), on a grid of any size that covers the whole picture; `px_per_mm` of
+        full-size shots; `typical`: percentile of the finger's pixels that is its level.
         """
         self.settings, self._typical = settings, typical
         self.region = region

@@ -176,11 +176,9 @@ BAYER: Mapping[str, int] = {
 def developed(
     raw: NDArray[np.uint16], bits: int, black: int, order: str, gains: tuple[float, float] = (1.0, 1.0)
 ) -> NDArray[np.uint16]:
-    """Return white-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), from `raw` values (H, W) of up to 16
-    `bits`.
-
-    `black`: value of no light on the scale of 16 bits; it stays so, in order that noise is not clipped; `order`: of the
-    colours, one of :data:`BAYER`, another where there are none; `gains`: of red and blue.
+    """Return white-balanced linear colours (H, W, 3) uint16, or grey (H, W, 1), from `raw` values (H, W) of `bits`.
+    `black`: value of no light, on the scale of 16 bits, which stays; `order`: one of :data:`BAYER`, else there are no
+    colours; `gains`: of red and blue.
     """
     shift = 16 - bits
     if order not in BAYER:

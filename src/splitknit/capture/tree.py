@@ -12,6 +12,7 @@ from typing import Any
 from splitknit.capture.enrolment import FINGERS, PlannedCapture
 from splitknit.errors import require
 from splitknit.io.photos import SUFFIXES
+from splitknit.io.plain import some_of
 
 _SIDE, _DIGIT = "right|left|r|l", "thumb|index|fore|middle|ring|little|pinky|small|10|[1-9]"
 _FIELDS = {
@@ -73,8 +74,9 @@ def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
         have = [found.get(key, {}) for found in series]
         for band, wanted, there in zip(("white", "NIR"), lights, have, strict=False):
             twice = [name for files in there.values() for name in files[1:]]
-            wrong += [f"lacks {band} {_some(map(str, sorted(wanted - set(there))))}"] if wanted - set(there) else []
-            wrong += [f"has a second file for a {band} light, {_some(twice)}"] if twice else []
+            lacking = [str(one) for one in sorted(wanted - set(there))]
+            wrong += [f"lacks {band} {some_of(lacking)}"] if lacking else []
+            wrong += [f"has a second file for a {band} light, {some_of(twice)}"] if twice else []
         if wrong:
             faults.append(f"{place.words} ({source}) {' and '.join(wrong)}.")
         else:
@@ -83,10 +85,10 @@ def read_tree(root: Path, patterns: Sequence[str]) -> PhotographTree:
     people, days = range(1, max(subjects.values()) + 1), range(1, max(sessions.values()) + 1)
     planned = [PlannedCapture(f"S{who:02d}", day, one) for day in days for who in people for one in known]
     absent = [place.words for place in planned if place not in taken]
-    faults += [f"nothing is there of {_some(absent)}."] if absent else []
+    faults += [f"nothing is there of {some_of(absent)}."] if absent else []
     used = {name for found in series for one in found.values() for files in one.values() for name in files}
     left = [name for name in names if name not in used and Path(name).name != "lights.txt"]
-    faults += [f"{len(left)} files fit no pattern: {_some(left)}."] if left else []
+    faults += [f"{len(left)} files fit no pattern: {some_of(left)}."] if left else []
     captures = tuple((place, complete[place]) for place in planned if place in complete)
     plan = {"subjects": len(people), "sessions": len(days), "fingers": known}
     return PhotographTree(captures, plan, tuple(faults))
@@ -142,8 +144,3 @@ def _numbers(names: Iterable[str]) -> dict[str, int]:
     own = {name: found[-1] for name, found in parts.items() if found and 1 <= found[-1] <= 2 * len(parts)}
     order = sorted(parts, key=lambda name: (re.sub(r"\d+", "", name), parts[name], name))
     return own if len(set(own.values())) == len(parts) else {name: k for k, name in enumerate(order, start=1)}
-
-
-def _some(names: Iterable[str], most: int = 8) -> str:
-    every = list(names)
-    return ", ".join(every[:most]) + (f" and {len(every) - most} more" if len(every) > most else "")

@@ -1,7 +1,5 @@
 """``splitknit import``: photographs and light directions in, a capture folder out; a view of several fingers, a capture
 folder of each; point clouds and meshes, a result folder out; or prints of other systems.
-
-``splitknit reconstruct`` takes the same options of photographs.
 """
 
 from __future__ import annotations

@@ -16,9 +16,8 @@ _MAX_BYTES = 64_000
 
 
 def read_changes(file: Path | None, assignments: Sequence[str]) -> dict[str, Any]:
-    """Return all changed settings as ``stage.field`` and value; assignments win over the file.
-
-    Raises BadInput if the file cannot be read or an assignment is not ``stage.field=value``.
+    """Return all changed settings as ``stage.field`` and value; assignments win over the file. Raises BadInput if the
+    file cannot be read or an assignment is not ``stage.field=value``.
     """
     changes = {} if file is None else _read_settings_file(file)
     for assignment in assignments:

@@ -101,7 +101,7 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     require(bool(common.any()), "the reconstruction and the truth have no pixel in common.")
     box = bounding_box(common)
     inside, pitch = common[box], result.pitch_mm
-    surface = _eroded(inside, EROSION_MM / pitch)
+    surface = eroded(inside, EROSION_MM / pitch)
     require(bool(surface.any()), "the surface common to the truth and the reconstruction is too narrow to measure.")
 
     height, true_height = _clean(result.height_mm[box], inside), _clean(truth["height_mm"][box], inside)
@@ -110,7 +110,8 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
     height_error = _centred(height - true_height, surface)
     shape_error = _centred(shape - true_shape, surface)
 
-    band = surface & (_slant_deg(true_shape, inside, pitch) < MAX_SLANT_DEG)
+    slopes = height_gradients(np.where(inside, true_shape, np.float32(np.nan)), pitch)
+    band = surface & (np.rad2deg(np.arctan(np.hypot(*slopes))) < MAX_SLANT_DEG)
     sigma = BAND_SIGMA_MM / pitch
     true_band = high_passed(true_height - true_shape, inside, sigma)
     ridge_band = high_passed(relief, inside, sigma)
@@ -172,17 +173,13 @@ def _band_figures(
     }
 
 
-def _slant_deg(shape: FloatArray, mask: BoolArray, pitch_mm: float) -> FloatArray:
-    gradient_x, gradient_y = height_gradients(np.where(mask, shape, np.float32(np.nan)), pitch_mm)
-    return np.asarray(np.rad2deg(np.arctan(np.hypot(gradient_x, gradient_y))), dtype=np.float32)
-
-
 def _normals_error_deg(estimate: NDArray[Any], truth: NDArray[Any]) -> float:
     cosine = np.sum(estimate.astype(np.float64) * truth.astype(np.float64), axis=1)
     return float(np.mean(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))))
 
 
-def _eroded(mask: BoolArray, distance_px: float) -> BoolArray:
+def eroded(mask: BoolArray, distance_px: float) -> BoolArray:
+    """Pixels of `mask` (H, W) further than a distance from its edge; the image's border is one."""
     padded = np.pad(mask, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return np.asarray(distance > distance_px)

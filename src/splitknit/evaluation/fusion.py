@@ -15,6 +15,8 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import minimize
+from scipy.special import expit
 
 from splitknit.errors import BadInput, require
 from splitknit.evaluation.protocol import mismatch, pair_up
@@ -337,26 +339,20 @@ def fit_logistic(scores: Table, genuine: NDArray[np.bool_], penalty: float = 1e-
 
 
 def _newton(x: Table, y: Table, fraction: Table, hold: Table) -> Table:
-    """Weights that make the penalised logistic loss least; steps are halved until it falls."""
-    answer = np.zeros(x.shape[1])
+    """Weights that make the penalised logistic loss least."""
 
-    def loss(w: Table) -> float:
-        return float(fraction @ np.logaddexp(0.0, -y * (x @ w)) + 0.5 * hold @ w**2)
+    def loss(w: Table) -> tuple[float, Table]:
+        rate = fraction * y * expit(-y * (x @ w))
+        return float(fraction @ np.logaddexp(0.0, -y * (x @ w)) + 0.5 * hold @ w**2), -x.T @ rate + hold * w
 
-    least = loss(answer)
-    for _ in range(200):
-        rate = 0.5 * (1.0 - np.tanh(0.5 * y * (x @ answer)))  # of the wrong class
-        slope = -x.T @ (fraction * y * rate) + hold * answer
-        bend = (x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12)
-        step = np.linalg.solve(bend, slope)
-        factor = 1.0
-        while factor > 1e-8 and loss(answer - factor * step) > least - 1e-4 * factor * float(slope @ step):
-            factor /= 2
-        if factor <= 1e-8 or float(np.abs(step).max()) < 1e-9:
-            break
-        answer = answer - factor * step
-        least = loss(answer)
-    return answer
+    def bend(w: Table) -> Table:
+        rate = expit(x @ w)
+        return np.asarray((x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12))
+
+    options = {"gtol": 1e-12}
+    return np.asarray(
+        minimize(loss, np.zeros(x.shape[1]), jac=True, hess=bend, method="trust-exact", options=options).x
+    )
 
 
 def _spread(scores: Table) -> tuple[Table, Table]:

@@ -1,6 +1,5 @@
-"""Scores from a gallery: every finger of a session with every other finger and with itself in each later session.
-
-By ridges, or, where templates of prints hold minutiae, by ridges and minutiae: on the same scale without them.
+"""Scores from a gallery: every finger of a session with every other finger and with itself in each later session, by
+ridges, or, where templates of prints hold minutiae, by both on the same scale.
 """
 
 from __future__ import annotations

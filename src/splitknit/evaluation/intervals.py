@@ -189,10 +189,8 @@ def bootstrap(
     scores: Scores, method: str = "plain", settings: BootstrapSettings = DEFAULTS, progress: Progress | None = None
 ) -> Intervals:
     """Percentile intervals of all rates; `method`, what is drawn with replacement: ``plain``, ``finger``, ``subject``.
-
-    Intervals hold the value itself, and are wider where it rests on less than five fingers (subjects, comparisons): see
-    :mod:`splitknit.evaluation.intervals`. `progress` is called with the fraction done. Raises BadInput if the ids are
-    missing that `method` needs, or there are fewer than three to draw from.
+    They hold the value itself, and are wider where it rests on less than five fingers (subjects, comparisons). Raises
+    BadInput if the ids are missing that `method` needs, or there are fewer than three to draw from.
     """
     values = _figure_values(scores, settings.targets)
     layout = _Layout(settings.targets, _curve(scores, settings))
@@ -217,11 +215,9 @@ def differences(
     settings: BootstrapSettings = DEFAULTS,
     progress: Progress | None = None,
 ) -> dict[str, Interval]:
-    """Figures of `first` minus figures of `second`, which scored the same pairs in the same order.
-
-    Both get the same replicates, so that what is hard for both cancels: the interval is narrower than the two intervals
-    suggest. A difference is beyond chance where its interval leaves out zero. Raises BadInput if the systems differ in
-    number or labels, or `method` lacks its ids.
+    """Figures of `first` minus figures of `second`, which scored the same pairs in the same order. Both get the same
+    replicates, so that what is hard for both cancels; a difference is beyond chance where its interval leaves out zero.
+    Raises BadInput if the systems differ in number or labels, or `method` lacks its ids.
     """
     same = first.label.shape == second.label.shape and bool((first.label == second.label).all())
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")

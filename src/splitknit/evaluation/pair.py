@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.spatial.transform import Rotation
 
 from splitknit.errors import require
+from splitknit.evaluation.accuracy import eroded
 from splitknit.evaluation.intervals import CONFIDENCE
 from splitknit.imaging.geometry import bounding_box, height_gradients, smoothed
 from splitknit.io.results import read_result
@@ -138,8 +138,9 @@ def compare_results(
         require(bool((side.mask & np.isfinite(side.height_mm)).any()), "a result holds no surface.")
     one, two = (_Side(side, max(STEP_MM, *(side.pitch_mm for side in sides))) for side in sides)
     similarity, affine = _ridges_on_each_other(one, two)
-    start = _rigid_start(one, two, affine)
-    rotation, shift = _rigid_fit(one, two, *start)
+    turn, centres = _turn_of(*_matched_points(one, two, affine))
+    start = turn.as_matrix()
+    rotation, shift = _rigid_fit(one, two, start, centres[0] - start @ centres[1])
     scale = float(np.sqrt(abs(np.linalg.det(affine[:, :2]))))
     if fit == "rigid":
         fields = _rigid_fields(one, two, rotation, shift)
@@ -213,7 +214,7 @@ class _Side:
         relief = np.where(known, result.height_mm, np.float32(0.0)) - _form(result.height_mm, known)
         relief = relief - smoothed(relief, known, _SIGMA * ELASTIC_MM / result.pitch_mm)
         place = [self.places[1], self.places[0]]
-        inside = _inside(_eroded(known, 3 * _EDGE_MM / result.pitch_mm), place)  # unrolling errs beside the edge
+        inside = _inside(eroded(known, 3 * _EDGE_MM / result.pitch_mm), place)  # unrolling errs beside the edge
         flat = _sampled(relief, known, place, self.step / result.pitch_mm) * cosine
         return flat, inside & (cosine > 0.5), np.rad2deg(np.arccos(np.clip(cosine, 0.0, 1.0)))
 
@@ -300,13 +301,6 @@ def _turn_of(one: Array, two: Array, firm: Array) -> tuple[Rotation, Sequence[Ar
     return turn, centres
 
 
-def _rigid_start(a: _Side, b: _Side, affine: Affine) -> tuple[Array, Array]:
-    """Rotation and shift from B to A by the middles of patches of ridges, robustly."""
-    turn, centres = _turn_of(*_matched_points(a, b, affine))
-    rotation = turn.as_matrix()
-    return rotation, centres[0] - rotation @ centres[1]
-
-
 def roll_between(a: Reconstruction, b: Reconstruction) -> tuple[float, float]:
     """Roll of a finger between two captures, from their surfaces: its turn about its own axis.
 
@@ -360,7 +354,7 @@ def _rigid_fields(a: _Side, b: _Side, rotation: Array, shift: Array) -> _Fields:
     place = [a.middle[1] - points[..., 1] / a.step, a.middle[0] + points[..., 0] / a.step]
     cosine = ndimage.map_coordinates(a.cosine, place, order=1, mode="nearest")
     height = _sampled(a.height, a.mask, place)
-    valid = _eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
+    valid = eroded(_inside(a.mask, place) & b.mask, _EDGE_MM / a.step)
     valid &= (cosine > 0.5) & (b.cosine > 0.5)  # up to 60 deg
     require(bool(valid.any()), "A and B have no surface in common that is seen at less than 60 deg.")
     return _Fields((height, points[..., 2].astype(np.float32)), valid, cosine, np.rad2deg(np.arccos(cosine)))
@@ -490,11 +484,6 @@ def _band(values: FloatArray, valid: BoolArray, limits: tuple[float, float], ste
     fine = smoothed(values, valid, _SIGMA * limits[0] / step) if limits[0] > 0 else values
     coarse = smoothed(values, valid, _SIGMA * limits[1] / step) if np.isfinite(limits[1]) else values[valid].mean()
     return np.where(valid, fine - coarse, np.float32(0.0)).astype(np.float32)
-
-
-def _eroded(mask: BoolArray, distance_px: float) -> BoolArray:
-    padded = np.pad(mask, 1).astype(np.uint8)
-    return np.asarray(cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1] > distance_px)
 
 
 def _by_slant(fields: _Fields, limits: tuple[float, float], step: float) -> dict[str, dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -25,11 +25,6 @@ class Comparisons:
     genuine: NDArray[np.bool_]
 
 
-def _session_pairs(sessions: Iterable[Any]) -> list[tuple[Any, Any]]:
-    """All pairs of different sessions, the earlier first: six of four."""
-    return list(combinations(sorted(set(sessions)), 2))
-
-
 def comparisons(
     finger: Sequence[Any],
     session: Sequence[Any],
@@ -50,7 +45,7 @@ def comparisons(
     require(fingers.ndim == 1 and fingers.shape == sessions.shape, "fingers and sessions must be lists of one length.")
     captures = list(zip(fingers.tolist(), sessions.tolist(), strict=True))
     require(len(set(captures)) == len(captures), "a finger has two captures in one session; keep one of them.")
-    pairs = _session_pairs(sessions.tolist())
+    pairs = list(combinations(sorted(set(sessions.tolist())), 2))  # the earlier first: six of four
     require(len(pairs) > 0, "captures of two sessions at least are needed.")
     names, number = np.unique(fingers, return_inverse=True)
     wanted = np.ones((names.size, names.size), dtype=np.bool_)
@@ -203,10 +198,9 @@ def by_session_pair(scores: Scores) -> dict[tuple[str, str], Scores]:
 
 
 def pair_up(first: Scores, second: Scores) -> Scores | None:
-    """The comparisons of `second` in the order of `first`, or None if they are not of the same pairs.
-
-    Pairs are known by fingers (or subjects) and sessions where both have them, each pair once, in any order of sides;
-    otherwise by their place, if labels, and ids where both have them, agree.
+    """The comparisons of `second` in the order of `first`, or None if they are not of the same pairs. Pairs are known
+    by fingers (or subjects) and sessions where both have them, each pair once, in any order of sides; otherwise by
+    their place, if labels, and ids where both have them, agree.
     """
     if first.label.size != second.label.size:
         return None

@@ -33,10 +33,8 @@ def rule_of_three(trials: int) -> float:
 
 
 def error_bound(rate: float, trials: int, confidence: float = 0.95) -> float:
-    """Upper bound of a rate from a few errors in independent trials: the rule of three, continued.
-
-    ``rate * trials`` errors were seen, not necessarily a whole number. The bound is that of Clopper and Pearson.
-    Source: C. J. Clopper, E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
+    """Upper bound of a rate from ``rate * trials`` errors in independent trials: the rule of three, continued by the
+    bound of C. J. Clopper and E. S. Pearson, "The use of confidence or fiducial limits illustrated in the case of the
     binomial", Biometrika 26(4), 1934.
     """
     errors = rate * trials

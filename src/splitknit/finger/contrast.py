@@ -48,22 +48,12 @@ class ClaheSettings(Checked):
 def clahe(
     image: FloatArray, px_per_mm: float, settings: ClaheSettings | None = None, *, mask: BoolArray | None = None
 ) -> FloatArray:
-    """Equalise `image` in cells of 64 x 64 pixels (at 75.7 px/mm), or as the settings say, with limited contrast.
+    """Equalise `image` (H, W), linear, in cells of 64 x 64 pixels (at 75.7 px/mm), or as the settings say, to [0, 1].
 
-    Every cell's histogram, taken over the finger's pixels only, is clipped, the excess spread evenly, and summed to a
-    grey-value mapping; a pixel takes the bilinear mean of the mappings of the four cells around it. Cells with little
-    finger in them borrow from their neighbours. Source: Zuiderveld, K., "Contrast limited adaptive histogram
-    equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
-
-    Parameters
-    ----------
-    image : (H, W) float32 linear, any scale
-    mask : (H, W) bool, optional
-        The finger; the result is zero outside. Default: everything.
-
-    Returns
-    -------
-    (H, W) float32 in [0, 1]
+    Every cell's histogram, taken over the pixels of `mask` (H, W), all where None, is clipped, the excess spread
+    evenly, and summed to a grey-value mapping; a pixel takes the bilinear mean of the mappings of the four cells around
+    it. Cells with little finger in them borrow from their neighbours. Outside the mask the result is zero. Source:
+    Zuiderveld, K., "Contrast limited adaptive histogram equalization", Graphics Gems IV, 1994; the thesis, 3.3.1.3.
     """
     settings = settings or ClaheSettings()
     image = check_image(image)

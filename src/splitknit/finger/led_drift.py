@@ -124,22 +124,14 @@ def _project_surface(samples: _Samples, gain: Array, weight: Array) -> _SurfaceS
     return _SurfaceState(residual, predicted * trust * residual, information, (predicted**2 * trust).sum(axis=0))
 
 
-def _robust_weights(samples: _Samples, state: _SurfaceState) -> Array:
-    """(L, P) Cauchy's weights by the residuals, as long as an image lights the pixel."""
-    lit = samples.lit.T
-    scale = _robust_deviation(state.residual[lit])
-    return np.asarray((lit / (1 + (state.residual / (_ROBUST_SIGMAS * scale)) ** 2)).T)
-
-
 def _robust_deviation(residual: Array) -> float:
     """Standard deviation by the median, never zero."""
     return max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
 
 
 def _gain_patterns(state: _SurfaceState) -> tuple[Array, Array]:
-    """Eigenpatterns of relative gains in the rows of (L, L), and the fraction of information each keeps, ascending.
-
-    Patterns p obey M p = fraction M_0 p and p^T M_0 p = 1.
+    """Eigenpatterns p of relative gains, M p = fraction M_0 p and p^T M_0 p = 1, in the rows of (L, L), and the
+    fraction of information each keeps, ascending.
     """
     root = 1.0 / np.sqrt(np.maximum(state.known, 1e-12 * float(state.known.max())))
     fractions, vectors = np.linalg.eigh(root[:, None] * state.information * root[None, :])
@@ -185,33 +177,28 @@ class _LedDrift:
 def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = None) -> _LedDrift:
     """Relative brightness of every LED against its calibration, from one capture of any matt surface.
 
-    Raises BadInput if shapes disagree, the lights are fewer than five (four without a degree of freedom to spare), or
-    hardly any pixel is lit by all of them. Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the
-    variable projection method", Inverse Problems 19 (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The
-    bas-relief ambiguity", IJCV 35 (1999), for what lights of unknown strength leave open.
-
-    Parameters
-    ----------
-    stack : (L, H, W) linear light, five images at least
-    light_vectors : (L, 3) or (L, 3, H, W), towards the lights, of the length of their calibrated irradiance
-    mask : (H, W) bool, optional
-    normals : (H, W, 3), optional
-        Where the surface is known. All patterns but the common factor are then determined.
-
-    Notes
-    -----
     Minimises sum w_kp (I_kp - g_k l_kp . b_p)^2, pixels by their mean brightness, over all b_p and g: b_p in closed
     form, g by Gauss and Newton's steps on what is left (variable projection). With A_p = (g_k l_kp), W_p = diag(w_kp)
     and m_p = A_p b_p the matrix of information of the relative gains is
     M = sum_p diag(m_p) (W_p - W_p A_p (A_p^T W_p A_p)^-1 A_p^T W_p) diag(m_p), against M_0 = sum_p diag(m_p^2 w_p) for
-    a known surface; the eigenvalues of M_0^-1/2 M M_0^-1/2 are the fractions of information.
+    a known surface; the eigenvalues of M_0^-1/2 M M_0^-1/2 are the fractions of information. Raises BadInput if shapes
+    disagree, the lights are fewer than five (four without a degree of freedom to spare), or hardly any pixel is lit by
+    all of them. Source: G. Golub and V. Pereyra, "Separable nonlinear least squares: the variable projection method",
+    Inverse Problems 19 (2003). P. N. Belhumeur, D. J. Kriegman and A. L. Yuille, "The bas-relief ambiguity", IJCV 35
+    (1999), for what lights of unknown strength leave open.
+
+    stack : (L, H, W) linear light, five images at least
+    light_vectors : (L, 3) or (L, 3, H, W), towards the lights, of the length of their calibrated irradiance
+    mask : (H, W) bool
+    normals : (H, W, 3) where the surface is known: all patterns but the common factor are then determined
     """
     samples = _drift_samples(stack, light_vectors, mask, normals)
     gain = np.ones(len(samples.light))
     weight = samples.lit.astype(np.float64)
     for _ in range(_ROUNDS):
         state = _project_surface(samples, gain, weight)
-        weight = _robust_weights(samples, state)
+        scale = _ROBUST_SIGMAS * _robust_deviation(state.residual[samples.lit.T])
+        weight = np.asarray((samples.lit.T / (1 + (state.residual / scale) ** 2)).T)  # Cauchy's
         state = _project_surface(samples, gain, weight)
         patterns, fractions = _gain_patterns(state)
         step = _gain_solver(patterns, fractions) @ state.score.sum(axis=0)
@@ -223,10 +210,7 @@ def led_drift(stack: Any, light_vectors: Any, mask: Any = None, normals: Any = N
 
 
 def drift_words(drift: _LedDrift, names: Sequence[str]) -> list[str]:
-    """Report in sentences what departs; none where nothing does.
-
-    `drift`: _LedDrift; `names`: of the LEDs, such as ``white 3``.
-    """
+    """What departs, in sentences; none where nothing does. `names`: of the LEDs, such as ``white 3``."""
     limit = _LIMIT_PERCENT
     if drift.suspect is not None:
         change = 100 * abs(drift.suspect_gain - 1)

@@ -93,9 +93,8 @@ class Finger:
 
 
 def prepared_capture(capture: Capture, settings: FingerSettings) -> tuple[Capture, tuple[str, ...]]:
-    """The capture under the camera model and the lights that the settings require, and notes on it.
-
-    Raises BadInput if coloured exposures are to be composed from white images that are grey or too few.
+    """The capture under the camera model and the lights that the settings require, and notes on it. Raises BadInput if
+    coloured exposures are to be composed from white images that are grey or too few.
     """
     bands = {name: grey_as_grey(band) for name, band in capture.bands.items()}
     if any(band is not capture.bands[name] for name, band in bands.items()):

@@ -80,9 +80,8 @@ def _least(image: FloatArray) -> FloatArray:
 
 
 def _signals(image: FloatArray) -> list[FloatArray]:
-    """The two quantities that separate skin from a dark neutral background: brightness and the coloured light.
-
-    The coloured part, the sum of I - I_min, ignores neutral light: specular reflection, white dust, leaked infra-red.
+    """What separates skin from a dark neutral background: brightness, and the sum of I - I_min, which ignores neutral
+    light (specular reflection, white dust, leaked infra-red).
     """
     brightness = _brightness(image)
     return [brightness] if image.ndim == 2 else [brightness, brightness - np.float32(3.0) * _least(image)]
@@ -148,10 +147,8 @@ def _rise_at_edge(image: FloatArray, around: _Around, reach: float) -> float:
 
 
 def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tuple[FloatArray, float]:
-    """Robust quadratic surface through `signal` outside the finger, and the noise about it.
-
-    What does not belong to the background (a shadowed part of the finger that the seed missed, dust) is brighter, so
-    the fit starts from the darker pixels, and the noise is measured on residuals below the surface.
+    """Robust quadratic surface through `signal` outside the finger, and the noise about it. What does not belong to the
+    background is brighter: the fit starts from the darker pixels, the noise is measured below the surface.
     """
     height, width = signal.shape
     x = np.linspace(-1.0, 1.0, width)
@@ -180,9 +177,8 @@ def _fit_background(signal: FloatArray, outside: BoolArray, samples: int) -> tup
 
 
 def _below(residual: NDArray[np.float64]) -> tuple[NDArray[np.bool_], float]:
-    """Residuals that belong to the background, and the scatter of those below it.
-
-    The larger of a robust and a plain standard deviation: the latter counts a shadow's edge that the fit cannot follow.
+    """Residuals that belong to the background, and the scatter of those below it: the larger of a robust and a plain
+    standard deviation, since the latter counts a shadow's edge that the fit cannot follow.
     """
     negative = -residual[residual <= 0.0]
     if negative.size == 0:
@@ -226,27 +222,16 @@ class MaskSettings(Checked):
 
 
 def finger_mask(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
-    """Find the finger on a dark background, or on an even, coloured one.
+    """Find the finger, (H, W) bool, one component without holes, on a dark background, or on an even, coloured one.
 
-    Seed: k-means (k = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that
-    separates better (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's
-    border: a finger enters through a part of one side, the background surrounds it. Then the background is fitted
-    outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not lost; spurs are cut,
-    the largest component kept and its holes (specular reflection) filled. Before a bright,
+    `mean_image`: (H, W, 3) or (H, W), mean of the white frames, linear, ambient removed, at any scale. Seed: k-means (k
+    = 2) on the blurred chromaticity of the modified specular-free image, or on brightness where that separates better
+    (grey images, strong infra-red leakage). The finger is the cluster that holds less of the image's border. Then the
+    background is fitted outside the seed and the seed grows to whatever rises from it, so that a shadowed part is not
+    lost; spurs are cut, the largest component kept and its holes (specular reflection) filled. Before a bright,
     coloured background all this is done on the sum of the channels in which the background's own colour vanishes.
-
     Raises BadInput if there is no finger, or it touches three borders of the image. Source: the thesis, section
-    3.3.1.1, eqs. 3.58-3.63 (3.61 corrected). Lloyd's algorithm has a fixed start, so the same image gives the same
-    mask.
-
-    Parameters
-    ----------
-    mean_image : (H, W, 3) or (H, W) float32
-        Mean of the white frames, linear, ambient removed; any scale. Small negative values are noise and harmless.
-
-    Returns
-    -------
-    mask : (H, W) bool, one component without holes
+    3.3.1.1, eqs. 3.58-3.63 (3.61 corrected).
     """
     settings = settings or MaskSettings()
     image = _check_image(mean_image, px_per_mm)
@@ -333,10 +318,8 @@ def touched_borders(mask: BoolArray) -> tuple[str, ...]:
 
 
 def check_borders(mask: BoolArray) -> tuple[str, ...]:
-    """Return the borders that `mask` touches; three or more are refused.
-
-    A finger enters through one side, or across a corner through two. With three, too much of it is out of view. Raises
-    BadInput if `mask` touches three or four borders.
+    """Return the borders that `mask` touches: one where the finger enters, or two across a corner. Raises BadInput if
+    it touches three or four: too much of the finger is out of view.
     """
     touched = touched_borders(mask)
     require(
@@ -484,10 +467,8 @@ FEW_SAMPLES = 2000
 
 
 def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettings | None = None) -> BoolArray:
-    """Find roughly where the finger is: what :func:`finger_mask` does first, in a fraction of its time.
-
-    Parameters, result and what is refused are those of :func:`finger_mask`; the outline is good to the pitch of the
-    coarse copy (``coarse_px_per_mm``). :func:`finger_outline` makes it exact.
+    """Find roughly where the finger is: what :func:`finger_mask` does first, in a fraction of its time, to the pitch of
+    the coarse copy (``coarse_px_per_mm``). Raises BadInput as it does.
     """
     settings = settings or MaskSettings()
     image = _check_image(mean_image, px_per_mm)
@@ -503,20 +484,11 @@ def finger_region(mean_image: FloatArray, px_per_mm: float, settings: MaskSettin
 def finger_outline(
     mean_image: FloatArray, rough: BoolArray, px_per_mm: float, settings: MaskSettings | None = None
 ) -> BoolArray:
-    """Find the outline of a finger that is roughly known, as :func:`finger_mask` does in the end.
+    """Find the outline of a finger that is roughly known, (H, W) bool, as :func:`finger_mask` does in the end.
 
+    `mean_image`: (H, W, 3) or (H, W), the finger and at least three times ``edge_margin_mm`` of background around it,
+    save where it leaves the image; `rough`: (h, w) bool, the finger on the same piece of the scene, at any scale.
     Raises BadInput if nothing stands out from the background there.
-
-    Parameters
-    ----------
-    mean_image : (H, W, 3) or (H, W) float32
-        The finger and at least three times ``edge_margin_mm`` of background around it, save where it leaves the image.
-    rough : (h, w) bool, the finger on the same piece of the scene, at any scale
-    px_per_mm : of `mean_image`
-
-    Returns
-    -------
-    mask : (H, W) bool, one component without holes
     """
     settings = settings or MaskSettings()
     image = _check_image(mean_image, px_per_mm)

@@ -66,23 +66,14 @@ class _ShotMotion:
 
 
 def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMotion:
-    """Measure by how much the finger shifted in each shot against the others.
+    """Measure by how much the finger shifted in each shot of `stack` (L, H, W), linear, against the others.
 
     Each shot, divided by its local brightness and band-passed, is registered to the mean of the others (Lucas-Kanade
     with a gain, robustly weighted), coarse to fine. The shifts are then regressed on where the light falls in each shot
-    (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion. At
-    least five shots are needed to separate the two, and a drift that happens to follow the lights around the ring is
-    underestimated. Source: Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI 1981.
-
-    Parameters
-    ----------
-    stack : (L, H, W) float32 linear
-    mask : (H, W) bool
-
-    Returns
-    -------
-    _ShotMotion
-        With fewer than five shots all zero, reliability zero.
+    (the centroid of its brightness); what a linear function of it explains is illumination, the rest is motion. With
+    fewer than five shots, which do not separate the two, all is zero; a drift that happens to follow the lights around
+    the ring is underestimated. Source: Lucas, B. and Kanade, T., "An iterative image registration technique", IJCAI
+    1981.
     """
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))

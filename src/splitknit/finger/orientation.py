@@ -74,25 +74,13 @@ class Upright:
 
 
 def find_upright(mask: BoolArray, tip_direction_deg: float | None = None) -> Upright:
-    """Find the finger's yaw and the frame in which it is upright. Nothing is resampled.
+    """Find the yaw of the finger `mask` (H, W) and the frame in which it is upright. Nothing is resampled.
 
     A straight line is fitted to the midpoints of the rows in which the finger has its full width, robustly (Tukey's
     biweight), leaving out the tip and every row whose end is cut by the image's border; this is repeated in the frame
-    turned by the angle found until it no longer changes. Source: the thesis, section 3.3.1.1, "Orientation Correction":
-    midpoints of the mask's rows and a line through them.
-
-    Parameters
-    ----------
-    mask : (H, W) bool
-    tip_direction_deg : float, optional
-        Direction of the tip within 75 deg, 0 = up, counter-clockwise. None: any direction, found by the outline
-        (:func:`_tip_directions`).
-
-    Returns
-    -------
-    Upright
-        With `reliable` false, and the reason in `note`, where the mask has no measurable axis; with `clear` false where
-        several directions fit as well, of which that nearest to up was taken.
+    turned by the angle found until it no longer changes. `tip_direction_deg`: direction of the tip within 75 deg, 0 =
+    up, counter-clockwise; None: any direction, found by the outline (:func:`_tip_directions`). Source: the thesis,
+    section 3.3.1.1, "Orientation Correction": midpoints of the mask's rows and a line through them.
     """
     array = np.asarray(mask)
     mask = check_mask(array, (array.shape[0], array.shape[1]))

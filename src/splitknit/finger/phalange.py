@@ -69,7 +69,7 @@ class Crease:
 def find_crease(
     mean_grey: FloatArray, mask: BoolArray, upright: Upright, px_per_mm: float, *, equalised: bool = False
 ) -> Crease:
-    """Find the first flexion crease below the tip.
+    """Find the first flexion crease below the tip; where none is in view, the verdict says why.
 
     The thesis equalises and blurs the mean grey image, binarises it and looks for the row with most dark pixels. Here
     the equalisation is a logarithm (so tone and brightness drop out), the binarisation requires of
@@ -80,18 +80,10 @@ def find_crease(
     lines of one joint count as one, cut at the upper unless it is the fainter. Source: the thesis, section 3.3.1.1,
     "Phalange Segmentation", steps 1-5.
 
-    Parameters
-    ----------
     mean_grey : (H, W) float32 linear
     mask : (H, W) bool
-    equalised : bool
-        The thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds nor the
-        width of the blur; three and 0.5 mm here.
-
-    Returns
-    -------
-    Crease
-        `found` is false, with the reason in `verdict`, where no crease is in view: the visible finger is then kept.
+    equalised : the thesis's way instead: the row with the fewest light pixels. It gives neither the number of rounds
+        nor the width of the blur; three and 0.5 mm here.
     """
     grey = check_image(mean_grey, name="the mean grey image")
     mask = check_mask(mask, (grey.shape[0], grey.shape[1]))
@@ -110,10 +102,7 @@ def find_crease(
 
 
 def phalange_mask(mask: BoolArray, crease: Crease, upright: Upright) -> BoolArray:
-    """The part of `mask` (H, W) on the tip's side of the crease, cut normal to the finger's axis.
-
-    Without a crease the mask is returned as it is.
-    """
+    """The part of `mask` (H, W) on the tip's side of the crease, if any, cut normal to the finger's axis."""
     if not crease.found:
         return mask
     across, along, offset = upright.upright_from_input[1]
@@ -316,7 +305,8 @@ def _along_lines(
 ) -> tuple[FloatArray, FloatArray]:
     """Mean response and fraction of responding columns for every line of one lean; zero where too little is known."""
     height, width = response.shape
-    centre = _middle(inside)
+    shown = np.flatnonzero(inside.any(axis=0))
+    centre = float(shown.mean()) if len(shown) else 0.5 * inside.shape[1]
     x = np.arange(width, dtype=np.float32)
     shift = (-(x - np.float32(centre)) * np.float32(np.tan(tilt))).astype(np.float32)
     rows = np.arange(height, dtype=np.float32)[:, None] + shift[None, :]
@@ -330,11 +320,6 @@ def _along_lines(
     hits = ((values > 0.4 * _MIN_DEPTH) & valid).sum(axis=1)
     coverage = np.where(enough, hits / np.maximum(count, 1.0), 0.0)
     return depth.astype(np.float32), coverage.astype(np.float32)
-
-
-def _middle(inside: BoolArray) -> float:
-    columns = np.flatnonzero(inside.any(axis=0))
-    return float(columns.mean()) if len(columns) else 0.5 * inside.shape[1]
 
 
 def _width(inside: BoolArray) -> float:

@@ -177,28 +177,19 @@ def capture_quality(
 ) -> dict[str, Any]:
     """Measure focus, exposure, ambient light, coverage and the brightness of every LED.
 
-    Source: Nayar, S. K. and Nakagawa, Y., "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
+    Returns what JSON can hold: ``ridge_contrast`` (relative, mean of the images), ``ridge_contrast_per_image``,
+    ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and ``bright_specks`` (fractions of
+    the finger; None where the stack is too coarse), ``saturated_per_image``, ``brightness`` (median of the mean image),
+    ``ambient_share`` (or None), ``area_mm2``, ``length_mm``, ``width_mm``, ``frame_share``, ``borders``,
+    ``led_relative`` (measured over promised brightness, median one; or None). Source: Nayar, S. K. and Nakagawa, Y.,
+    "Shape from focus", IEEE PAMI 16(8), 1994 (modified Laplacian).
 
-    Parameters
-    ----------
     stack : (L, H, W) float32 linear grey, ambient removed
     mask : (H, W) bool, the finger
     px_per_mm : of the stack that is given
-    lights : (L, 3), optional
-        Light vectors whose length is the relative irradiance the rig promises (``Rig.light_vectors``).
-    ambient : (H, W), optional; linear image with all LEDs off
-    saturation : float or (L,), optional
-        Value at which each image saturates.
-
-    Returns
-    -------
-    dict
-        Plain numbers, strings and lists (JSON): ``ridge_contrast`` (relative, mean of the images),
-        ``ridge_contrast_per_image``, ``sharpness`` (mean modified Laplacian over mean brightness), ``dark_specks`` and
-        ``bright_specks`` (fractions of the finger; None where the stack is too coarse),
-        ``saturated_per_image``, ``brightness`` (median of the mean image), ``ambient_share`` (or None), ``area_mm2``,
-        ``length_mm``, ``width_mm``, ``frame_share``, ``borders``, ``led_relative`` (measured over promised brightness,
-        median one; or None).
+    lights : (L, 3) vectors whose length is the relative irradiance the rig promises (``Rig.light_vectors``)
+    ambient : (H, W) linear image with all LEDs off
+    saturation : value at which all images saturate, or (L,) at which each does
     """
     stack = check_stack(stack)
     shape = (stack.shape[1], stack.shape[2])
@@ -334,9 +325,8 @@ _SECOND = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
 
 
 def _led_relative(medians: NDArray[np.float64], lights: NDArray[np.float64]) -> list[float]:
-    """Measured over promised brightness of every image, scaled to a median of one.
-
-    On the middle of a finger that faces the camera a light counts with its z component.
+    """Measured over promised brightness of every image, scaled to a median of one; a light counts with its z component,
+    as on the middle of a finger that faces the camera.
     """
     require(lights.shape == (len(medians), 3), f"lights must have the shape ({len(medians)}, 3), not {lights.shape}.")
     promised = np.maximum(lights[:, 2], 1e-6)

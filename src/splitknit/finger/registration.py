@@ -214,9 +214,8 @@ class _Problem:
         return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))
 
     def _penalty(self, free: list[int]) -> Array:
-        """(F, F) weight against elastic shifts of the free shots: great for those that follow the light.
-
-        Skin that shifts in proportion to the light's direction looks almost as a surface with other slopes does.
+        """(F, F) weight against elastic shifts of the free shots: great for those that follow the light, since such
+        skin looks almost as a surface with other slopes does.
         """
         lights = self.lights[:, :2].mean(axis=2, dtype=np.float64)
         mean = np.stack([lights[self.shots == k].mean(axis=0) for k in range(int(self.shots.max()) + 1)])

@@ -24,10 +24,7 @@ TURN_MM = 8.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flow:
-    """Shifts (L, 2, h, w) in mm, right and down the rows, on nodes 0.5 mm apart.
-
-    The skin that the reference shows at a place is found in shot k at that place plus the shift.
-    """
+    """Shifts (L, 2, h, w) in mm, right and down the rows, on nodes 0.5 mm apart, from the reference to each shot."""
 
     nodes_mm: Array
     origin_mm: tuple[float, float] = (0.0, 0.0)
@@ -209,15 +206,8 @@ class Level:
 def details_of(
     stack: FloatArray, region: BoolArray, px_per_mm: float, band_mm: tuple[float, float], working_px_per_mm: float
 ) -> Level:
-    """Band-passed copies of a stack (L, H, W), weighted by one over the square of the brightness in `region`.
-
-    Parameters
-    ----------
-    stack : (L, H, W)
-    region : (H, W)
-    px_per_mm : of both
-    band_mm : fine and coarse end (sigma)
-    working_px_per_mm : most px/mm of the copies
+    """Band-passed copies of a stack (L, H, W), of at most `working_px_per_mm`, weighted by one over the square of the
+    brightness in `region` (H, W). `band_mm`: fine and coarse end (sigma).
     """
     finest = min(px_per_mm, working_px_per_mm, 1.0 / band_mm[0])
     finest = px_per_mm if finest * SAME_SCALE > px_per_mm else finest

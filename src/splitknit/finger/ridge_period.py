@@ -88,9 +88,8 @@ def ridge_period(normals: FloatArray, mask: BoolArray) -> _RidgePeriod:
 def scale_of_ridges(
     normals: FloatArray, mask: BoolArray, px_per_mm: float | None, period_mm: float
 ) -> tuple[float, str]:
-    """The scale in pixels a millimetre at which ridges lie `period_mm` apart, and how well it is known.
-
-    Raises BadInput if `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
+    """The scale in pixels a millimetre at which ridges lie `period_mm` apart, and how well it is known. Raises BadInput
+    if `px_per_mm` gives the scale too, `period_mm` is no distance of ridges, or none are found.
     """
     require(px_per_mm is None, "`px_per_mm` and `ridge_period_mm` both give the scale; choose one.")
     odd = RIDGE_PERIOD.notes(period_mm, "check --ridge-period")

@@ -88,12 +88,9 @@ def _register_band(  # noqa: PLR0917
     px_per_mm: float,
     settings: RegistrationSettings | None = None,
 ) -> _BandRegistration:
-    """Find where the skin of the band `first` lies in every image of another band.
-
-    `first`: the registered band; `stack`: (L, H, W) float32 linear grey of the other band, each image a shot; `lights`:
-    (L, 3) towards the light, or (L, 3, h, w) if those of `first` are such; `mask`: (H, W) bool; `settings`:
-    RegistrationSettings, optional. Raises BadInput if the two bands' images differ in size, or lights and images in
-    number.
+    """Find where the skin of the registered band `first` lies in every image of another band, `stack` (L, H, W), each
+    image a shot; `lights`: (L, 3), or (L, 3, h, w) if those of `first` are such. Raises BadInput if the two bands'
+    images differ in size, or lights and images in number.
     """
     settings = settings or RegistrationSettings()
     stack = check_stack(stack)
@@ -159,7 +156,8 @@ def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, it
 
 def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array) -> Array:
     """(M,) change of one shot's parameters; `sampled` (3, N) are its details and their derivatives."""
-    gain = _gain(level.weight, expected, sampled[0])
+    power = float((expected * expected * level.weight).sum(dtype=np.float64))
+    gain = float((expected * sampled[0] * level.weight).sum(dtype=np.float64)) / max(power, 1e-30)
     residual = sampled[0] - np.float32(gain) * expected
     root = np.sqrt(robust_weight(level, np.sqrt(residual * residual * level.weight)))
     shifts = sampled[1] * basis[:, 0].T + sampled[2] * basis[:, 1].T
@@ -167,11 +165,6 @@ def _step(level: Level, expected: FloatArray, sampled: FloatArray, basis: Array)
     force, normal = normal[:-1, -1], normal[:-1, :-1]
     normal = normal + np.diag(1e-6 * np.diag(normal) + 1e-30)
     return np.asarray(-np.linalg.solve(normal, force)[:-1])
-
-
-def _gain(weight: FloatArray, expected: FloatArray, image: FloatArray) -> float:
-    power = float((expected * expected * weight).sum(dtype=np.float64))
-    return float((expected * image * weight).sum(dtype=np.float64)) / max(power, 1e-30)
 
 
 def _likeness(weight: FloatArray, expected: FloatArray, images: FloatArray) -> NDArray[np.float64]:
@@ -191,17 +184,9 @@ is found. Grey images show it to 0.02 mm, as all shots together."""
 
 
 def find_steady_finger(capture: Capture, settings: FingerSettings) -> tuple[Capture, Finger]:
-    """Find the finger; where it moved between the shots, undo that first.
-
+    """Find the finger; where it moved between the shots, undo that first: images are then resampled, once, onto the
+    pixels of the reference shot (the middle one of the white band). Where it lay still the capture is the same object.
     Raises BadInput if there is no finger, or it moved by more than can be undone.
-
-    Returns
-    -------
-    capture : Capture
-        The one that was given, the same object, where the finger lay still; else one whose images are resampled, once,
-        onto the pixels of the reference shot (the middle one of the white band), which is left as it is.
-    finger : Finger
-        Its facts report the motion.
     """
     finger = find_finger(capture, settings)
     motion = settings.motion
@@ -260,10 +245,7 @@ def seen_motion_mm(finger: Finger) -> float:
 
 
 def register(capture: Capture, finger: Finger, settings: FingerSettings, *, still_white: bool = False) -> _Registered:
-    """Registration of the white band, of the others to it, and the report's facts on them.
-
-    `still_white`: the shots of the white band lie still; only a crossed series is registered to them.
-    """
+    """Registration of the white band, unless `still_white`, of the others to it, and the report's facts on them."""
     method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))

@@ -42,11 +42,9 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     """Yield a temporary folder beside `out` that becomes `out` when the block ends without an exception.
 
     An existing `out` is replaced as a whole, but only if it is empty or if every file in it was written by splitknit
-    (its manifest, ``.splitknit``, lists them); a folder with anything else in it is refused, never deleted. Parent
-    folders are created. After an exception or an interrupt `out` is as it was and the temporary folder is gone.
-    Everything in it becomes private (see above). Where `out` is itself such a temporary folder, it is yielded as it is.
-    Raises BadInput if `out` is a file, holds files not written here, exists while `overwrite` is false, lies behind a
-    link inside a folder that the user named, or cannot be written.
+    (its manifest, ``.splitknit``, lists them). Parent folders are created. Where `out` is itself such a temporary
+    folder, it is yielded as it is. Raises BadInput if `out` is a file, holds files not written here, exists while
+    `overwrite` is false, lies behind a link inside a folder that the user named, or cannot be written.
     """
     target = _resolved(out)
     if target in _AT_WORK:
@@ -68,10 +66,8 @@ def atomic_folder(out: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[BinaryIO]:
     """Yield a binary file that becomes `path`, replacing a file of that name, when the block ends without exception.
-
-    Parent folders are created. The file is private (see above). Raises BadInput if `path` is a folder or a device,
-    exists while `overwrite` is false, is or lies behind a link inside a folder that the user named, or cannot be
-    written.
+    Parent folders are created. Raises BadInput if `path` is a folder or a device, exists while `overwrite` is false, is
+    or lies behind a link inside a folder that the user named, or cannot be written.
     """
     target = _resolved(path)
     with _refuse_os_errors(target):

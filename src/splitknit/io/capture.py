@@ -105,10 +105,8 @@ def read_capture(path: str | os.PathLike[str], *, may_be_dark: bool = False, thr
 
 
 def with_rig(capture: Capture, path: str | os.PathLike[str]) -> Capture:
-    """Return the capture as taken by the rig of another file, such as a later calibration of the same rig.
-
-    Raises BadInput if the file is not a rig's, its camera has another image size, or it lacks LEDs or has them in
-    another band.
+    """Return the capture as taken by the rig of another file, such as a later calibration of the same rig. Raises
+    BadInput if the file is not a rig's, its camera has another image size, or it lacks LEDs or has other bands.
     """
     rig = read_rig(path)
     name, size = os.fspath(path), capture.rig.camera.image_size

@@ -15,10 +15,8 @@ _FORMULA = frozenset("=+-@\t\r\n＝＋－＠")
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:
-    """Rows as the text of a CSV file with lines that end in a line feed.
-
-    A text that a spreadsheet would run begins with an apostrophe, which spreadsheets do not show and :func:`plain_text`
-    takes off; numbers, negative ones too, stay as they are.
+    """Rows as the text of a CSV file. A text that a spreadsheet would run begins with an apostrophe, which spreadsheets
+    do not show and :func:`plain_text` takes off.
 
     >>> csv_text([["name", "height"], ['=HYPERLINK("x")', -0.5], ["-0.5", "@a"]]).splitlines()
     ['name,height', '"\\'=HYPERLINK(""x"")",-0.5', "-0.5,'@a"]

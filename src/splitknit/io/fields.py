@@ -15,11 +15,9 @@ MAX_JSON_BYTES = 16_000_000
 
 
 def read_json(path: Path, damaged: str | None = None) -> tuple[Any, bytes]:
-    """Read a UTF-8 JSON file strictly; return the document and the bytes it was read from.
-
-    `path`: the file; `damaged`: the whole message where it cannot be read, of files that no person writes: what to do
-    about it. Raises BadInput if the file is missing, too long, not UTF-8, not JSON, or holds NaN, Infinity, a number
-    beyond the largest (1e999) or a key twice in one object.
+    """Read a UTF-8 JSON file strictly; return the document and the bytes it was read from. `damaged`: the whole message
+    where it cannot be read. Raises BadInput if the file is missing, too long, not UTF-8, not JSON, or holds NaN,
+    Infinity, a number beyond the largest (1e999) or a key twice in one object.
     """
     try:
         data = read_bytes(path, MAX_JSON_BYTES)

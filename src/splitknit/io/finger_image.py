@@ -1,9 +1,8 @@
 """Finger image records: ISO/IEC 19794-4:2005 read and written; ISO/IEC 19794-4:2011 and ANSI/INCITS 381-2004 read.
 
-All numbers are big-endian; the layout of 2005 stands in ``docs/reference/records.md``.
-
-ANSI/INCITS 381-2004 has the same version and four bytes more, the product's, behind the length. The record of 2011
-("020") has 16 bytes of header, and resolution, depth and compression in each representation.
+The layout of 2005 stands in ``docs/reference/records.md``. ANSI/INCITS 381-2004 has the same version and four bytes
+more, the product's, behind the length. The record of 2011 ("020") has 16 bytes of header, and resolution, depth and
+compression in each representation.
 
 Source: ISO/IEC 19794-4:2005, clause 7; ISO/IEC 19794-4:2011, clause 8; ANSI/INCITS 381-2004.
 """
@@ -83,11 +82,9 @@ def encode_finger_images(prints: Sequence[PrintFile], compression: str = "none")
 
 
 def decode_finger_images(data: bytes, name: str = "the record") -> tuple[PrintFile, ...]:
-    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004.
-
-    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is no such record, truncated or
-    damaged, claims more than 64 million pixels, or an image is not 8-bit grey, has no square pixels, or is compressed
-    otherwise than by WSQ, JPEG or PNG.
+    """Read the images of a record of ISO/IEC 19794-4:2005 or :2011, or of ANSI/INCITS 381-2004. Raises BadInput, with
+    `name`, if `data` is no such record, truncated or damaged, claims more than 64 million pixels, or an image is not
+    8-bit grey, has no square pixels, or is compressed otherwise than by WSQ, JPEG or PNG.
     """
     require(data[:4] == MAGIC, f"{name} is no finger image record (it does not begin with 'FIR'); name another file.")
     if data[4:8] == _V2011:

@@ -234,11 +234,9 @@ _TOLD_APART_BYTES = 14
 
 
 def standard_of(data: bytes) -> str | None:
-    """Return the standard of a minutiae record, by its header alone; None if it is no such record.
-
-    ISO/IEC 19794-2:2005 gives its length in four bytes, ANSI/INCITS 378-2004 in two (or, from 64 KiB, in six), in the
-    same place. The length that fits the file decides; if none does, the one that is possible. `data`: the whole file,
-    or its first bytes.
+    """Return the standard of a minutiae record, by its header alone; None if it is no such record. `data`: the file, or
+    its first bytes. ISO/IEC 19794-2:2005 gives its length in four bytes, ANSI/INCITS 378-2004 in two (or, from 64 KiB,
+    in six), in the same place. The length that fits the file decides; if none does, the one that is possible.
 
     >>> standard_of(b"FMR\\0 20\\0" + bytes([0, 0, 0, 32]) + bytes(20))
     'ISO/IEC 19794-2:2005'

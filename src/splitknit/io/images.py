@@ -124,10 +124,8 @@ class StackReader:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def start(self, files: Sequence[Path], size: tuple[int, int], expected_by: str) -> PixelArray:
-        """Return the stack (L, H, W, C) that :meth:`finish` will have filled.
-
-        `files`: the images, all of one size, colour and depth; `size`: rows, columns that every image must have;
-        `expected_by`: who expects it, for the message.
+        """Return the stack (L, H, W, C) that :meth:`finish` will have filled; `expected_by`: who expects the `size`
+        (rows, columns), for the message.
         """
         first = read_bytes(files[0], MAX_BYTES)
         info = _image_info(first, str(files[0]))
@@ -243,8 +241,7 @@ class _JpegHeader:
 
 def _jpeg_header(data: bytes, name: str) -> _JpegHeader:
     """Walk all segments of a JPEG file to its end marker and return the frame's size. Raises BadInput if the file ends
-    early, has no frame, is CMYK, 12-bit, lossless or arithmetic-coded, or claims an image too large to be decoded or to
-    be in the file.
+    early, has no frame, is of a kind that is not supported, or claims more pixels than can be decoded or be in it.
     """
     truncated = f"{name} is truncated: the JPEG file ends within the image; copy it again."
     frame: _JpegHeader | None = None

@@ -1,8 +1,6 @@
-"""Minutiae records of ISO/IEC 19794-2:2005 (with corrigendum 1:2009), the record format: byte for byte.
+"""Minutiae records of ISO/IEC 19794-2:2005 (with corrigendum 1:2009), the record format, big-endian.
 
-All numbers are big-endian; the layout stands in ``docs/reference/records.md``.
-
-Source: ISO/IEC 19794-2:2005, clause 7; ISO/IEC 29109-2 (conformance).
+The layout stands in ``docs/reference/records.md``. Source: ISO/IEC 19794-2:2005, clause 7; ISO/IEC 29109-2.
 """
 
 from __future__ import annotations
@@ -38,10 +36,8 @@ _CODES = ViewCodes(
 
 
 def encode_iso19794(record: MinutiaeRecord) -> bytes:
-    """Bytes of a record.
-
-    Contactless prints are written as live-scan plain (or rolled) ones: the standard has no code of their own for them.
-    Directions are rounded to 1.40625 deg. Raises BadInput if the standard cannot represent what the record holds.
+    """Bytes of a record, directions rounded to 1.40625 deg. Contactless prints are written as live-scan ones: the
+    standard has no code for them. Raises BadInput if the standard cannot represent what the record holds.
     """
     check_writable(record, ISO_2005, 12, 4)
     (rows, columns), resolution = common_image(record, ISO_2005)

@@ -63,11 +63,9 @@ class TransactionFacts:
 
 
 def encode_transaction(prints: Sequence[PrintFile], facts: TransactionFacts, compression: str = "none") -> bytes:
-    """Bytes of a transaction.
-
-    `prints`: 1 to 98; the k-th gets the information designation character k; `facts`: of the whole transaction;
-    `compression`: ``none`` and ``png`` lose nothing; ``wsq`` does, and is for 500 ppi alone (field 14.011). Raises
-    BadInput if there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
+    """Bytes of a transaction of 1 to 98 prints; the k-th gets the information designation character k. `compression`:
+    ``none``, ``png``, or ``wsq``, which loses a little and is for 500 ppi alone (field 14.011). Raises BadInput if
+    there are none or too many, one cannot be compressed so, or the package `nistitl` is not installed.
     """
     require(1 <= len(prints) <= MAX_PRINTS, f"a transaction takes 1 to {MAX_PRINTS} prints, not {len(prints)}.")
     require(
@@ -152,11 +150,9 @@ _INCH_MM, _CM_MM = 25.4, 10.0
 
 
 def decode_transaction(data: bytes, name: str = "the transaction") -> tuple[PrintFile, ...]:
-    """Read the prints (Type-14 records) of a transaction; records of other types are passed over.
-
-    `data`: the whole file; `name`: of the file, for messages. Raises BadInput if it is no transaction in the
-    traditional encoding, truncated or damaged, holds no print, or one that is not 8-bit grey or compressed otherwise
-    than ``NONE``, ``WSQ20`` or ``PNG``.
+    """Read the prints (Type-14 records) of a transaction; records of other types are passed over. Raises BadInput, with
+    `name`, if `data` is no transaction in the traditional encoding, truncated or damaged, holds no print, or one that
+    is not 8-bit grey or compressed otherwise than ``NONE``, ``WSQ20`` or ``PNG``.
     """
     _check_frame(data, name)
     nistitl = _itl_package()
@@ -216,7 +212,8 @@ def _check_first(record: Any, name: str) -> None:
         date = datetime.datetime.strptime(texts["DAT"], "%Y%m%d").date()
         TransactionFacts(date, texts["TCN"], texts["TOT"], texts["DAI"], texts["ORI"])
     except ValueError as error:  # BadInput is one
-        raise BadInput(f"{name} has a Type-1 record that cannot be read: {_short(error)}") from error
+        words = ascii((" ".join(str(error).split()) or type(error).__name__)[:120])[1:-1]
+        raise BadInput(f"{name} has a Type-1 record that cannot be read: {words}") from error
 
 
 def _print(record: Any, name: str) -> PrintFile:
@@ -264,8 +261,3 @@ def _number(record: Any, key: str, name: str) -> int:
         f"{name} has {text[:20]!a} for {key}, where a whole number of at most 5 digits is expected.",
     )
     return int(text)
-
-
-def _short(error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    return ascii(text[:120])[1:-1]

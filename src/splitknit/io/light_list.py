@@ -94,10 +94,8 @@ def _words_of(line: str) -> tuple[list[str], bool]:
 
 
 def write_light_list(leds: Sequence[Led], path: Path, photographs: Sequence[str]) -> None:
-    """Write lights as :func:`read_named_lights` reads them: directions, or places in mm where the lights have some.
-
-    `photographs` show where each light was found; they are comments, since other photographs are to be taken. Where
-    `path` ends in ``.lp`` it is a file of RTI instead: the count, then the photograph and unit direction of each light.
+    """Write lights as :func:`read_named_lights` reads them. `photographs` show where each light was found; they are
+    comments. A `path` that ends in ``.lp`` is a file of RTI instead: the count, then photograph and unit direction.
     """
     near = leds[0].position_mm is not None
     if path.suffix.lower() == ".lp":

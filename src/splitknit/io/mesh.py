@@ -51,10 +51,8 @@ def surface_mesh(
 
 
 def triangulate(valid: BoolArray) -> tuple[NDArray[np.int32], int, Iterator[NDArray[np.int32]]]:
-    """Triangulate the pixels (H, W) of a surface, see :func:`surface_mesh`, without holding all triangles.
-
-    Returns index (H, W) int32 of each pixel's vertex, -1 without; the number of triangles; pieces of them, (m, 3) int32
-    each: first those of whole squares of four pixels, then those of three.
+    """Triangulate the pixels (H, W) of a surface as :func:`surface_mesh` does. Returns index (H, W) int32, -1 without;
+    the number of triangles; pieces of them, (m, 3) int32: those of whole squares of four pixels, then those of three.
     """
     index: NDArray[np.int32] = np.full(valid.shape, -1, dtype=np.int32)
     index[valid] = np.arange(np.count_nonzero(valid), dtype=np.int32)
@@ -102,11 +100,9 @@ def stl_size(faces: int) -> int:
 
 
 def stl_chunks(vertices_mm: FloatArray, faces: NDArray[np.int32], title: str = "") -> Iterator[bytes]:
-    """Yield the bytes of a file, in order.
-
-    `vertices_mm`: (N, 3), mm; `faces`: (M, 3) indices of vertices, counter-clockwise seen from outside; `title`: what
-    the header has behind ``splitknit, unit mm``. Raises BadInput if the shapes do not fit or a face refers to a vertex
-    that is not there.
+    """Yield the bytes of a file, in order. `vertices_mm`: (N, 3); `faces`: (M, 3) indices of vertices,
+    counter-clockwise seen from outside; `title`: what the header has behind ``splitknit, unit mm``. Raises BadInput if
+    the shapes do not fit or a face refers to a vertex that is not there.
     """
     require(vertices_mm.ndim == 2 and vertices_mm.shape[1] == 3, f"vertices must be (N, 3), not {vertices_mm.shape}.")
     require(faces.ndim == 2 and faces.shape[1] == 3, f"faces must be (M, 3), not {faces.shape}.")

@@ -68,10 +68,8 @@ def encode_ansi378_2009(record: MinutiaeRecord, amendment: bool = False) -> byte
 
 
 def decode_ansi378_2009(data: bytes, name: str = "the record") -> MinutiaeRecord:
-    """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes.
-
-    `data`: the whole file; `name`: for messages. Raises BadInput if it is truncated, of another standard, or says what
-    the standard does not allow.
+    """Read the bytes of a record, with or without the amendment; writing it again gives the same bytes. Raises
+    BadInput, with `name`, if it is truncated, of another standard, or says what the standard does not allow.
     """
     amended = standard_of(data) == ANSI_2009_AM1
     standard = ANSI_2009_AM1 if amended else ANSI_2009

@@ -1,9 +1,9 @@
 """Deterministic ``.npz`` archives, compressed on all cores.
 
-:func:`numpy.savez_compressed` uses one core and a slow engine. Here an array is cut into blocks of fixed size that are
-deflated side by side and joined into one deflate stream, as pigz does; so the bytes do not depend on the number of
-threads, and any ``.npz`` reader reads them. Measured numbers, which deflate makes 10 % smaller in most of the time that
-writing a result takes, are stored in that stream, and only what is the same over long runs is packed.
+:func:`numpy.savez_compressed` uses one core and a slow engine. Here blocks of fixed size are deflated side by side and
+joined into one stream, as pigz does; so the bytes do not depend on the number of threads. Measured numbers, which
+deflate makes 10 % smaller in most of the time that writing a result takes, are stored, and only what is the same over
+long runs is packed.
 
 Source: APPNOTE.TXT, .ZIP File Format Specification 6.3, sections 4.3.7, 4.3.12 and 4.3.16; RFC 1951 (deflate), section
 3.2.4: a sync flush ends on a byte, so that streams can be joined.
@@ -57,10 +57,8 @@ _HEADER = re.compile(
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
-    """Write arrays and scalars as an ``.npz`` file that :func:`numpy.load` reads; equal input gives equal bytes.
-
-    `arrays`: name to array or number; names are written in the order given. Raises BadInput if a name or an array
-    cannot be stored (objects, 4 GB or more), or the file cannot be written.
+    """Write arrays and numbers, in the order given, as an ``.npz`` file; equal input gives equal bytes. Raises BadInput
+    if a name or an array cannot be stored (objects, 4 GB or more), or the file cannot be written.
     """
     workers = min(8, os.cpu_count() or 1)
     with atomic_file(path) as stream, ThreadPoolExecutor(workers) as pool:
@@ -79,10 +77,8 @@ def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, Any]) -> None:
 def read_npz(
     path: str | os.PathLike[str], names: Collection[str] | None = None, max_bytes: int = RESULT_BYTES
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Read arrays of an ``.npz`` file; pickled objects are refused, and sizes are checked before memory is taken.
-
-    `names`: of the arrays to read, where they are there; None for all; `max_bytes`: of the arrays that are read,
-    together. Raises BadInput if the file is missing, damaged, or its arrays are too large.
+    """Read arrays of an ``.npz`` file, those of `names` that are there, or all; pickled objects are refused. Raises
+    BadInput if the file is missing or damaged, or its arrays together are larger than `max_bytes`.
     """
     name = os.fspath(path)
     damaged = f"{name} cannot be read as arrays: it is damaged, or no .npz file of numbers; write it again."

@@ -1,7 +1,4 @@
-"""Small pictures for people: resampled upright, coloured, outlined, encoded.
-
-Everything here is a preview. The data themselves are written by :mod:`splitknit.report.result`.
-"""
+"""Small pictures for people: resampled upright, coloured, outlined, encoded."""
 
 from __future__ import annotations
 
@@ -71,19 +68,17 @@ def upright_limits(result: Reconstruction) -> NDArray[np.float64]:
     return np.stack([upright.min(axis=1), upright.max(axis=1)])
 
 
-def upright_turn(result: Reconstruction) -> NDArray[np.float64]:
+def upright_turn(input_from_upright: NDArray[np.floating]) -> NDArray[np.float64]:
     """Rotation (2, 2) that takes (x, y) of the rig's frame to the upright finger's (x right, y to the tip)."""
-    turn = np.linalg.inv(result.input_from_upright[:2, :2])
+    turn = np.linalg.inv(input_from_upright[:2, :2])
     turn = turn / np.sqrt(abs(np.linalg.det(turn)))
     flip = np.diag([1.0, -1.0])  # rows run down, y runs up
     return np.asarray(flip @ turn @ flip)
 
 
 def to_frame(field: NDArray[np.generic], mask: BoolArray, frame: PictureFrame) -> tuple[FloatArray, FloatArray]:
-    """Average `field` (H, W) or (H, W, C) over the picture's pixels, `mask` aware.
-
-    Returns `values`, (h, w) or (h, w, C) float32, zero where the weight is zero; `weight`, (h, w) float32 in [0, 1],
-    the fraction of the pixel inside the mask.
+    """Average `field` (H, W) or (H, W, C) over the picture's pixels inside `mask`. Returns (h, w) or (h, w, C) float32,
+    zero where nothing is inside; and (h, w), the fraction of each pixel inside the mask.
     """
     (values,), weight = fields_to_frame([field], mask, frame)
     return values, weight

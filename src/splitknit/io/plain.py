@@ -164,7 +164,7 @@ def capture_from_photographs(
     own = [Path(os.path.realpath(value)) for value in named if value is not None]
     found, masks, skipped = photographs_in(root, table, names, own, find_mask=options.mask is None)
     options = replace(options, mask=masks[0]) if masks else options
-    left_out = f"; skipped: {_listed(skipped)}" if skipped else ""
+    left_out = f"; skipped: {some_of(skipped)}" if skipped else ""
     require(len(found) > 0, f"{root} holds no photographs ({FORMATS}){left_out}.")
     require(
         options.shading is None or len(found) > 1,
@@ -192,7 +192,7 @@ def capture_from_photographs(
     if table.is_file():
         capture = replace(capture, hashes={**capture.hashes, table.name: file_hash(table)})
     if skipped:
-        notes.append(f"skipped in {root}: {_listed(skipped)}.")
+        notes.append(f"skipped in {root}: {some_of(skipped)}.")
     white = Photographs(capture, tuple(skipped), tuple(notes))
     if options.nir is None:
         return white
@@ -281,7 +281,8 @@ def _distant_rig(vectors: NDArray[np.float64], places: Path | None = None) -> Ri
     return Rig(_NO_CAMERA, tuple(leds), {"source": f"plain images, {'distant' if places is None else 'near'} lights"})
 
 
-def _listed(names: Sequence[str], most: int = 8) -> str:
+def some_of(names: Sequence[str], most: int = 8) -> str:
+    """The first of many names, and how many more there are."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
@@ -312,7 +313,7 @@ def _photos_in(folder: Path, own: Sequence[Path]) -> tuple[list[Path], list[str]
     if folder != _home(folder):
         return _of_pattern(folder), []
     try:
-        files = sorted(folder.iterdir(), key=lambda file: _words(file.name))
+        files = sorted(folder.iterdir(), key=lambda file: natural_order(file.name))
     except OSError as error:
         raise BadInput(f"{folder} cannot be read ({error.strerror}).") from error
     for file in files:
@@ -340,7 +341,8 @@ def _of_pattern(pattern: Path) -> list[Path]:
     return [found[number] for number in sorted(found)]
 
 
-def _words(name: str) -> list[tuple[int, str]]:
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Key by which photo_2 comes before photo_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name[:300])]
 
 
@@ -352,7 +354,7 @@ def _by_name(found: Sequence[Path], names: Sequence[str], table: Path) -> tuple[
         tries = ([file for file in found if name == file.stem or way(name) == way(file.name)] for way in ways)
         fits = next(filter(None, tries), [])
         require(len(fits) > 0, f"{table} names {name!a}, but there is no such photograph.")
-        require(len(fits) == 1, f"{table} names {name!a}, which fits {_listed([file.name for file in fits])}.")
+        require(len(fits) == 1, f"{table} names {name!a}, which fits {some_of([file.name for file in fits])}.")
         chosen.append(fits[0])
     return chosen, [file for file in found if file not in chosen]
 
@@ -495,11 +497,8 @@ def _flat_of(
 
 
 def read_flat(folder: Path, count: int, encoding: str) -> tuple[FloatArray, dict[str, str]]:
-    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s.
-
-    `folder`: of the photographs, in the order of the lights by their names; `count`: of lights; one colour photograph
-    serves three; `encoding`: of the photographs. Raises BadInput if they are missing, too few or many, or black in
-    places.
+    """Photographs of a flat surface (L, h, w) on the coarse grid, linear light with its black level; and SHA-256s. One
+    colour photograph serves three lights. Raises BadInput if they are missing, not `count`, or black in places.
     """
     require(folder.is_dir(), f"{folder} is not a folder; name the folder of the flat photographs with `flat`.")
     files, _, _ = photographs_in(folder, folder / "lights.txt")
@@ -552,7 +551,7 @@ def _notes(capture: Capture, files: Sequence[Path], groups: Sequence[Sequence[in
         )
     together = [" + ".join(files[k].name for k in group) for group in groups if len(group) > 1]
     if together:
-        notes.append(f"photographs under the same light were averaged: {_listed(together, 4)}.")
+        notes.append(f"photographs under the same light were averaged: {some_of(together, 4)}.")
     return notes + few_lights(capture.rig.light_vectors())
 
 

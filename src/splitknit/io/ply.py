@@ -73,11 +73,9 @@ def write_ply_pieces(
     faces: tuple[int, Iterable[NDArray[Any]]],
     comments: Sequence[str],
 ) -> None:
-    """Write what :func:`write_ply` writes, piece by piece.
-
-    `vertices`: how many there are, and pieces of them: places (n, 3) in mm, normals (n, 3) and intensity (n,) in [0,
-    1]; `faces`: how many there are, and pieces of them, (m, 3); `comments`: single lines of printable ASCII. Raises
-    BadInput if the file cannot be written.
+    """Write what :func:`write_ply` writes, piece by piece. `vertices`: how many there are, and pieces of them: places
+    (n, 3) in mm, normals (n, 3) and intensity (n,) in [0, 1]; `faces`: how many there are, and pieces of them, (m, 3).
+    Raises BadInput if the file cannot be written.
     """
     header = [
         "ply",

@@ -111,9 +111,7 @@ def check_size(decoded_bytes: int, name: str, words: str) -> None:
 
 def decode_png(data: bytes, name: str, out: PixelArray | None = None) -> PixelArray:
     """Decode a PNG file to (H, W, C) uint8 or uint16 in RGB order, C = 1 or 3; alpha is dropped, palettes expanded.
-
-    `data`: bytes of the whole file; `name`: what to call the file in messages; `out`: (H, W, C) array of the header's
-    size, channels and type to decode into, or None. Raises BadInput if the file is truncated or damaged anywhere.
+    `out`: array of the header's size, channels and type to decode into. Raises BadInput if the file is damaged.
     """
     header = png_header(data, name)
     palette, compressed = _walk(data, name)

@@ -57,11 +57,8 @@ class PrintFile:
 def write_print_png(
     path: str | os.PathLike[str], image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None
 ) -> None:
-    """Write a print as an 8-bit grey PNG.
-
-    `image`: (H, W) uint8, ridges dark; `ppi`: pixels per inch, stored in whole pixels per metre (500 ppi: 19685);
-    `text`: keyword (1 to 79 printable ASCII characters) to text, such as the provenance. Raises BadInput if the image,
-    the resolution or a keyword is of another kind, or the file cannot be written.
+    """Write a print (H, W) uint8 as PNG. `ppi` is stored in whole pixels per metre (500 ppi: 19685); `text`: keyword (1
+    to 79 printable ASCII characters) to text. Raises BadInput if one of them is of another kind, or on writing.
     """
     write_file(path, encode_print_png(image, ppi, text))
 
@@ -93,12 +90,9 @@ def read_print_png(path: str | os.PathLike[str]) -> PrintFile:
 
 
 def decode_print_image(data: bytes, name: str) -> PrintFile:
-    """Read a PNG, TIFF, JPEG or BMP file `data`, 8 or 16 bits, grey or grey as RGB, as a print, upright by its EXIF
-    data.
-
-    Its resolution is that of pHYs, of the JFIF header or the EXIF data, of the TIFF tags, or of the BMP header; None
-    where it is stated nowhere. `name` is for messages. Raises BadInput if the file is damaged, too large, of colour or
-    of another kind, or its pixels are not square.
+    """Read a PNG, TIFF, JPEG or BMP file, 8 or 16 bits, grey or grey as RGB, as a print, upright by its EXIF data. Its
+    resolution is what the file states, None where it states none. Raises BadInput, with `name`, if the file is damaged,
+    too large, of colour or of another kind, or its pixels are not square.
     """
     require(data.startswith(SIGNATURES), f"{name} is none of {KINDS}; export the print as PNG.")
     pixels = decode_photo(data, name).pixels
@@ -187,10 +181,8 @@ def provenance_texts(origin: Mapping[str, Any]) -> dict[str, str]:
 
 
 def encode_print_tiff(image: NDArray[np.uint8], ppi: float = 500.0, text: Mapping[str, str] | None = None) -> bytes:
-    """Bytes of an uncompressed TIFF that every reader of prints takes; equal input gives equal bytes.
-
-    `image`: (H, W) uint8, ridges dark; `ppi`: pixels per inch, such as 500 or 1000; `text`: keyword to text, such as
-    the provenance; kept in the description as JSON. Raises BadInput if the image or the resolution is of another kind.
+    """Bytes of a print (H, W) uint8 as uncompressed TIFF; equal input gives equal bytes. `text`, keyword to text, is
+    kept in the description as JSON. Raises BadInput if the image or the resolution is of another kind.
     """
     array = np.ascontiguousarray(image)
     require(

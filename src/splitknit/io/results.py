@@ -1,6 +1,4 @@
-"""The fields of a reconstruction as files, and back.
-
-Fields stay on the input's pixel grid; the mesh is turned upright by its coordinates
+"""The fields of a reconstruction as files, and back: fields on the input's pixel grid, the mesh upright
 (``docs/explain/conventions.md``, frames of the results).
 """
 
@@ -182,7 +180,7 @@ def _vertices(result: Reconstruction, valid: BoolArray) -> Iterator[tuple[FloatA
     """Vertices (n, 3) in mm, normals (n, 3) and intensity (n,) of the mask's pixels `valid`, by rows, tip along +y."""
     rows, columns = bounding_box(result.mask)
     height, width = result.mask.shape
-    turn = upright_turn(result)
+    turn = upright_turn(result.input_from_upright)
     albedo = _albedo_bytes(result)
     x = ((np.arange(width) - (width - 1) / 2) * result.pitch_mm)[None, columns]
     y = (((height - 1) / 2 - np.arange(height)) * result.pitch_mm)[:, None]

@@ -47,11 +47,9 @@ def check_capture(
     words: str = "an earlier capture",
     keep: Path | None = None,
 ) -> None:
-    """Refuse a folder for photographs that holds anything, or, with `overwrite`, anything but photographs of ours.
-
-    Every verb that writes photographs asks this, before it works: they cannot be made again as a result can. `out`:
-    folder to write; `overwrite`: replace an earlier one of the kind; `marker`, `words`, `keep`: as for
-    :func:`check_target`. Raises BadInput if `out` must not be replaced, or cannot be looked into.
+    """Refuse a folder for photographs that holds anything, or, with `overwrite`, anything but photographs of ours: they
+    cannot be made again as a result can. `marker`, `words`, `keep`: as for :func:`check_target`. Raises BadInput if
+    `out` must not be replaced, or cannot be looked into.
     """
     check_target(out, marker, words, keep=keep, form=CAPTURE_FORMAT if marker == "capture.json" else None)
     taken = (out.expanduser() / marker).exists()

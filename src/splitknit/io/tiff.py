@@ -280,9 +280,7 @@ def _tags(data: bytes, damaged: str) -> tuple[Literal["<", ">"], dict[int, NDArr
 
 def stated_ppi(data: bytes, name: str) -> float | None:
     """Resolution by the first directory of a TIFF file or of EXIF data; None where there is none, or it is damaged.
-
-    Raises BadInput if it is not the same both ways. Source: TIFF, revision 6.0, Adobe 1992: XResolution, YResolution,
-    ResolutionUnit.
+    Raises BadInput if it is not the same both ways.
     """
     damaged = f"{name} has damaged tags; export it again."
     try:
@@ -304,10 +302,8 @@ def stated_ppi(data: bytes, name: str) -> float | None:
 
 
 def exif_orientation(data: bytes, name: str) -> int:
-    """How the picture is turned, 1 to 8, by the first directory of a TIFF file or of EXIF data, which are one format.
-
-    1 (as stored) where there are no data, no such tag, or one without meaning. Raises BadInput if the directory is
-    damaged.
+    """How the picture is turned, 1 to 8, by the first directory of a TIFF file or of EXIF data; 1 (as stored) without
+    a tag that means something. Raises BadInput if the directory is damaged.
     """
     if not data:
         return 1

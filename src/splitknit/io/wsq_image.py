@@ -56,11 +56,8 @@ else:
 
 
 def encode_wsq(image: NDArray[np.uint8], ppi: float = 500.0) -> bytes:
-    """Compress a print; what comes back differs a little from it.
-
-    `image`: (H, W) uint8, ridges dark, at least 96 pixels each way; `ppi`: its resolution, 500 within 1 %: WSQ is
-    defined for no other; its comment states 500. Raises BadInput if the image or the resolution is of another kind, or
-    the package `wsq` is not installed.
+    """Compress a print (H, W) uint8, at least 96 pixels each way, of 500 ppi within 1 %: WSQ is defined for no other.
+    Raises BadInput if the image or the resolution is of another kind, or the package `wsq` is not installed.
     """
     array = np.asarray(image)
     require(

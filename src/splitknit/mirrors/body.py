@@ -180,10 +180,8 @@ def _table_of(body: Body) -> _Table:
 def heights_on(
     body: Body, camera: Camera, rows: slice, columns: slice, binning: int = 1
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Where the rays of a window's pixels meet the body.
-
-    Returns `x_mm`, `y_mm`, `z_mm`, (h, w), finite everywhere; beside the body its outline's z goes on; `on_body`, (h,
-    w); `known`, (h, w), rows of the finger that the outlines reach.
+    """Where the rays of a window's pixels meet the body: x, y, z in mm, (h, w), finite everywhere (beside the body its
+    outline's z goes on); whether they do, (h, w); and (h, w), rows of the finger that the outlines reach.
     """
     view = view_of(camera, rows, columns, binning=binning)
     plane_x, plane_y = view.on_plane()

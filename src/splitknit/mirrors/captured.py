@@ -51,12 +51,10 @@ class SeenInMirrors:
 def mirror_shape_of(
     finger: Finger, seen: SeenInMirrors, settings: MirrorShapeSettings, detail_mm: FloatArray | None
 ) -> tuple[FloatArray, BoolArray, dict[str, Any]]:
-    """The shape from mirrors on the finger's window.
-
-    Every pixel of the front view has its own z of the shape, so that relief and shape need no other mapping.
-    `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the settings is kept: creases,
-    and what no smooth section has; None: nothing is. Returns `shape_mm`, (h, w); `mask`, (H, W) the finger's mask as
-    far as the mirrors show it; `facts`, for the result.
+    """The shape (h, w) from mirrors on the finger's window, in mm; the finger's mask (H, W) as far as the mirrors show
+    it; and facts for the result. Every pixel of the front view has its own z of the shape, so that relief and shape
+    need no other mapping. `detail_mm`: (h, w) a shape from light, of which what is finer than ``detail_mm`` of the
+    settings is kept: creases, and what no smooth section has; None: nothing is.
     """
     camera = seen.capture.rig.camera
     window, inside = finger.window, finger.inside

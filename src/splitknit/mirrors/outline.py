@@ -81,9 +81,8 @@ class OutlineRows:
 
 def rows_of(mask: BoolArray, camera: Camera, binning: int, axis: Array, *, trust_ends: bool = False) -> OutlineRows:
     """Measure the outline of `mask` (h, w) of one view, in blocks of `binning` pixels a side of the camera's image.
-
-    `axis`: (2,) direction on the finger plane along which rows follow each other, towards the fingertip; `trust_ends`:
-    keep what looks like the straight end of a cut finger. Raises BadInput if the mask is empty.
+    `axis`: (2,) direction on the finger plane from row to row, towards the fingertip; `trust_ends`: keep what looks
+    like the straight end of a cut finger. Raises BadInput if the mask is empty.
     """
     require(bool(mask.any()), "a view of the finger is empty.")
     axis = np.asarray(axis, dtype=np.float64) / float(np.hypot(*axis))
@@ -116,10 +115,9 @@ def front_axis(mask: BoolArray, camera: Camera, binning: int, tip_direction_deg:
 
 
 def medial_line(rows: OutlineRows, full_width: float = 0.8) -> tuple[float, float]:
-    """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles.
-
-    Robust (Tukey's biweight), over rows of full width, so that tip and base do not turn it. Source: the thesis,
-    sections 3.3.1.1 and 3.3.2.3, step 3; reading notes 2.
+    """Slope (to the right, per mm along the axis) and offset in mm of the straight line through the rows' middles, by
+    Tukey's biweight, over rows of full width, so that tip and base do not turn it. Source: the thesis, sections 3.3.1.1
+    and 3.3.2.3, step 3; reading notes 2.
     """
     width = rows.width_mm
     known = np.isfinite(width)

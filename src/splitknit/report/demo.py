@@ -27,9 +27,8 @@ WRITTEN = {
 
 
 def demo(out: Path, *, seed: int = 1, scale: float = 0.5, progress: Progress = no_progress) -> dict[str, Any]:
-    """Write ``capture``, ``metric``, ``ea`` and the report that compares them into `out`, all or nothing.
-
-    Returns the facts of the report, with ``out``, ``written`` (name to words) and ``total_s``.
+    """Write ``capture``, ``metric``, ``ea`` and the report that compares them into `out`, all or nothing; return its
+    facts, with ``out``, ``written`` (name to words) and ``total_s``.
     """
     started = time.perf_counter()
     check_target(out, "capture/truth.npz", "an earlier demonstration")

@@ -30,10 +30,7 @@ _FILES = ("report.html", "report.json")
 
 
 def write_evaluation(found: Evaluation, out: Path) -> dict[str, Any]:
-    """Write the page, the facts and the tables of an evaluation into the folder `out`, all or nothing.
-
-    Returns what ``report.json`` holds.
-    """
+    """Write the page, the facts (returned) and the tables of an evaluation into the folder `out`, all or nothing."""
     facts = _facts_of(found)
     html = _page(facts, found.results)
     with atomic_folder(out) as folder:

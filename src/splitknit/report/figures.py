@@ -55,10 +55,8 @@ class _SmallFields:
     """(h, w, 3)."""
 
     def exaggerated(self, factor: float) -> _SmallFields:
-        """The same with the relief in the height multiplied by `factor`.
-
-        So ridges of a few hundredths of a millimetre are seen on a finger of several millimetres; less so on steep
-        flanks, where they would overhang.
+        """The same with the relief in the height multiplied by `factor`, so that ridges of a few hundredths of a
+        millimetre are seen on a finger; less so on steep flanks, where they would overhang.
         """
         facing = self.normals[..., 2]
         extra = np.float32(factor - 1.0) * np.clip(2.0 * facing * facing, 0.0, 1.0)
@@ -75,7 +73,9 @@ def small_fields(result: Reconstruction, frame: PictureFrame) -> _SmallFields:
 def _normals_picture(result: Reconstruction, small: _SmallFields) -> Picture:
     """Show the normals, turned with the finger."""
     turned = small.normals.copy()
-    turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), turned[..., :2])
+    turned[..., :2] = np.einsum(
+        "ij,hwj->hwi", upright_turn(result.input_from_upright).astype(np.float32), turned[..., :2]
+    )
     picture = on_paper(normal_colours(turned), small.weight)
     return captioned(
         "Surface normals",
@@ -302,10 +302,8 @@ _NOWHERE = np.float32(1e9)
 
 
 def _shade(surface: _SmallFields, turn_rad: float = 0.0) -> FloatArray:
-    """Light a height field like matt clay; valleys are slightly darker, as in a corner that light reaches less.
-
-    The lamps stand still in front of a viewer for whom the finger is turned by `turn_rad`, counter-clockwise. Returns
-    (H, W, 3) float32 in [0, 1], red, green, blue, for display.
+    """Light a height field like matt clay, (H, W, 3) float32 in [0, 1], RGB for display; valleys are slightly darker.
+    The lamps stand still before a viewer for whom the finger is turned by `turn_rad`, counter-clockwise.
     """
     inside = surface.weight > 0.5
     known = np.where(inside, surface.height_mm, np.float32(np.nan))
@@ -335,13 +333,8 @@ def _top_view(surface: _SmallFields) -> ColourArray:
 
 
 def oblique_view(surface: _SmallFields, *, turn_deg: float = 0.0, tilt_deg: float = 55.0) -> ColourArray:
-    """Shaded surface seen at an angle, parallel projection. Returns (h, w, 3) uint8, cut to the finger.
-
-    Parameters
-    ----------
-    surface : _SmallFields
-    turn_deg : turn of the finger about the camera's axis, counter-clockwise, before it is tilted
-    tilt_deg : angle between the line of sight and the camera's axis, 0 = from above, less than 90
+    """Shaded surface seen at an angle, parallel projection, (h, w, 3) uint8, cut to the finger: turned about the
+    camera's axis, counter-clockwise, then tilted (0 = from above, less than 90).
     """
     turn_rad, weight = np.deg2rad(turn_deg), surface.weight
     colours = _shade(surface, turn_rad)

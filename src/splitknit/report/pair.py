@@ -33,12 +33,8 @@ def write_comparison(
     repeat: PairComparison | None = None,
 ) -> dict[str, Any]:
     """Write ``report.html``, ``report.json`` and ``difference.png``, all or nothing; return what the JSON holds.
-
-    Parameters
-    ----------
-    pair : of A and B, named so in `names`
-    protocol : one of :data:`splitknit.evaluation.pair.PROTOCOLS`, whose simulated error is stated, optional
-    repeat : B and a second B, which measures B's own error, optional
+    `protocol`: one of :data:`splitknit.evaluation.pair.PROTOCOLS`, whose simulated error is stated; `repeat`: B and a
+    second B, which measures B's own error.
     """
     turn = np.rad2deg(np.arccos(np.clip((np.trace(pair.rotation) - 1.0) / 2.0, -1.0, 1.0)))
     facts: dict[str, Any] = {

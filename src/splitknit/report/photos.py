@@ -41,9 +41,8 @@ def is_finger(result: Reconstruction) -> bool:
 def captioned(
     title: str, image: NDArray[np.uint8], caption: str, pitch_mm: float = 0.0, legend: Markup = _NO_LEGEND
 ) -> Picture:
-    """A picture as a data URI, with a bar of a round length where the size of a pixel is known.
-
-    What a legend explains, and prints, keep their exact values; all else is stored as a photograph.
+    """A picture as a data URI, with a bar of a round length where the size of a pixel is known. What a legend explains,
+    and prints, keep their exact values; all else is stored as a photograph.
     """
     height, width = image.shape[:2]
     bar_mm = next((b for b in (10.0, 5.0, 2.0, 1.0, 0.5) if b < 0.45 * width * pitch_mm), 0.0) if pitch_mm else 0.0

@@ -70,7 +70,9 @@ def _draw(ax: Any, result: Reconstruction, panel: str) -> None:
     elif panel == "normals":
         values, weight = to_frame(result.normals, result.mask, frame)
         turned = values.copy()
-        turned[..., :2] = np.einsum("ij,hwj->hwi", upright_turn(result).astype(np.float32), values[..., :2])
+        turned[..., :2] = np.einsum(
+            "ij,hwj->hwi", upright_turn(result.input_from_upright).astype(np.float32), values[..., :2]
+        )
         ax.imshow(on_paper(normal_colours(turned), weight), extent=_extent(frame.size, frame.pitch_mm))
     else:
         field = result.height_mm if panel == "height" else result.ridge_mm

@@ -80,14 +80,9 @@ def make_report(
     others: Sequence[Reconstruction] = (),
     title: str = "",
 ) -> Report:
-    """Build the report of `result`; its pictures are drawn side by side, in threads.
-
-    Parameters
-    ----------
-    capture : what it was made from; only small previews of the images enter the page. None leaves them out.
-    truth : A simulator's arrays; `result` and `others` are then compared with it, side by side
-    others : the same capture by other presets
-    title : by default "3D fingerprint", or "Surface" of what is no finger
+    """Build the report of `result`; its pictures are drawn side by side, in threads. `capture`: what it was made from,
+    whose previews enter the page; `truth`: a simulator's arrays, with which `result` and `others`, of the same capture
+    by other presets, are compared; `title`: by default "3D fingerprint", or "Surface" of what is no finger.
     """
     finger, results = is_finger(result), (result, *others)
     with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
@@ -372,15 +367,9 @@ def is_printed(result: Reconstruction) -> bool:
 def write_results(
     result: Reconstruction, capture: Capture | None, folder: str | os.PathLike[str], truth: Truth | None = None
 ) -> dict[str, Any]:
-    """Write all files of a reconstruction into `folder` and return the facts of ``report.json``.
-
-    Raises BadInput if the folder holds files of others or cannot be written.
-
-    Parameters
-    ----------
-    capture : what it was made from: the report shows its photographs; None leaves them out
-    folder : appears complete or not at all; an earlier result in it is replaced
-    truth : A simulator's arrays, compared in the report
+    """Write all files of a reconstruction into `folder`, which appears complete or not at all, in place of an earlier
+    result; return the facts of ``report.json``. The report shows the photographs of `capture`, and compares with
+    `truth`, a simulator's arrays. Raises BadInput if the folder holds files of others or cannot be written.
     """
     with atomic_folder(folder) as target:
         return write_files(result, capture, target, truth)

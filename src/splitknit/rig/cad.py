@@ -53,10 +53,9 @@ def cad_to_folder(
 ) -> dict[str, Any]:
     """Draw, check and write all parts of a rig; return the document of ``parts.json`` and the folder's name.
 
-    `out` appears whole or not at all; `rig_file`: None for the thesis's rig; `changes`: fields of
-    :class:`splitknit.rig.part_settings.PartSettings`; `below`: the assembly's camera is below the finger; `films`: see
-    :func:`splitknit.rig.films.with_films`; `pictures`: draw them, too. Raises BadInput if the rig cannot be built, a
-    setting is out of range, or build123d is not installed.
+    `rig_file`: None for the thesis's rig; `changes`: fields of :class:`splitknit.rig.part_settings.PartSettings`;
+    `below`: the assembly's camera is below the finger; `films`: see :func:`splitknit.rig.films.with_films`. Raises
+    BadInput if the rig cannot be built, a setting is out of range, or build123d is not installed.
     """
     check_target(out, "parts.json", "an earlier set of parts")
     rig = default_rig() if rig_file is None else read_rig(rig_file)

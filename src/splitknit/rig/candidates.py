@@ -119,10 +119,7 @@ def _camera_of(candidate: RigCandidate, build: BuildSettings) -> Camera:
 
 
 def candidate_rig(candidate: RigCandidate, build: BuildSettings, intensities: Mapping[str, float]) -> Rig:
-    """The candidate as a rig.
-
-    `intensities`: of the LEDs on their axis, by band, in W/sr; a band that is not named has no LEDs.
-    """
+    """The candidate as a rig; `intensities`: of the LEDs on their axis, in W/sr, of each band that has LEDs."""
     tilt = np.deg2rad(candidate.beam_deg)
     leds = []
     for band, intensity in intensities.items():
@@ -288,10 +285,7 @@ def examine(
     finger: PrintPoints,
     bands: Sequence[str] = ("white",),
 ) -> tuple[Finding, ...]:
-    """One finding for every constraint on a candidate, those that failed included.
-
-    `finger`: surface of a typical finger; `bands`: whose exposure is judged.
-    """
+    """One finding for every constraint on a candidate, failed ones included; `bands`: whose exposure is judged."""
     leds = candidate_rig(candidate, build, led_intensities(candidate, build, bands)).leds
     white = [led for led in leds if led.band == leds[0].band]
     return (

@@ -80,9 +80,7 @@ mA), and its largest current."""
 
 
 def _preferred(ohm: float, *, up: bool = True) -> float:
-    """Return the nearest E24 value that is not below (`up`), or not above, `ohm`.
-
-    Raises BadInput if `ohm` is not positive.
+    """Return the nearest E24 value that is not below (`up`), or not above, the positive resistance `ohm`.
 
     >>> _preferred(25.1), _preferred(25.1, up=False)
     (27.0, 24.0)
@@ -198,10 +196,9 @@ class Circuit:
 
 
 def design_stage(band: str, settings: CircuitSettings | None = None) -> Stage:
-    """Choose the resistors of one band's stage and check all margins at the worst corners.
-
-    P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, sections 2.2.1 (switch) and 2.2.6 (current sink).
-    Raises BadInput naming the margin that is missed and the remedy.
+    """Choose the resistors of one band's stage and check all margins at the worst corners. Raises BadInput naming the
+    margin that is missed and the remedy. Source: P. Horowitz and W. Hill, The Art of Electronics, 3rd edition, sections
+    2.2.1 (switch) and 2.2.6 (current sink).
     """
     settings = settings or CircuitSettings()
     require(band in ("white", "nir"), f"there are stages for the bands white and nir, not '{band}'.")

@@ -75,9 +75,7 @@ _WEAK_WHITE = (
 
 def design_circuit(rig: Rig, settings: CircuitSettings | None = None) -> Circuit:
     """Design the stages of a rig's white and NIR LEDs; GPIO lines from its ``provenance.pins``, or the default ones.
-
-    Raises BadInput if a margin is missed, a GPIO line is used twice, or the rig has LEDs of another band or distant
-    lights.
+    Raises BadInput if a margin is missed, a line is used twice, or the rig has LEDs of another band or distant lights.
     """
     settings = settings or CircuitSettings()
     for index, led in enumerate(rig.leds):
@@ -138,9 +136,8 @@ def _maker_code(ohm: float) -> str:
 
 
 def _values(circuit: Circuit) -> dict[str, str]:
-    """Value of every part by its reference, in the order of the parts list; the fixed parts of the supply are left out.
-
-    R101, R201, R301 and R401 are the first stage's base, emitter and series resistors and its pull-down.
+    """Value of every part by its reference, in the order of the parts list, without the supply's: R101, R201, R301 and
+    R401 are the first stage's base, emitter and series resistors and its pull-down.
     """
     values = {"F1": f"{1000 * circuit.fuse_a:.0f} mA hold, resettable"}
     for channel in circuit.channels:
@@ -212,9 +209,8 @@ def _with_values(text: str, circuit: Circuit) -> str:
 
 
 def _second_board(rig: Rig, films: RigFilms, settings: CircuitSettings) -> Circuit:
-    """The circuit of the LEDs of the crossed series: the white stages of another LED board, on lines of their own.
-
-    A line that is pulled up at power-on gets a stronger pull-down, so that its LED stays dark while the Pi boots.
+    """The circuit of the LEDs of the crossed series: the white stages of another LED board, on lines of their own. A
+    line that is pulled up at power-on gets a stronger pull-down, so that its LED stays dark while the Pi boots.
     """
     circuit = design_circuit(Rig(rig.camera, tuple(rig.leds[k] for k in films.crossed)), settings)
     pins = pins_of(rig)

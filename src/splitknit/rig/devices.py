@@ -44,10 +44,9 @@ class DeviceSettings:
 
 
 def read_settings(device: str, changes: Mapping[str, Any], rig: Rig | None, scale: float | None) -> DeviceSettings:
-    """Sort settings by what they belong to; BadInput if one is not known, or is the twin's and the device is not.
-
-    ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's devices; the rest
-    is the twin's finger, skin, light and sensor.
+    """Sort settings: ``capture.*`` go to the session, ``pi.*`` to the Raspberry Pi's camera, ``device.*`` to the twin's
+    devices; the rest is the twin's finger, skin, light and sensor. BadInput if one is not known, or is the twin's and
+    the device is not.
     """
     flat = flatten(changes)
     parts: dict[str, dict[str, Any]] = {"capture": {}, "pi": {}, "device": {}, "": {}}

@@ -1,9 +1,7 @@
 """Every dimension of the printed parts, from the rig file and the settings.
 
-All places are in the rig's frame (``docs/explain/conventions.md``): the finger plane is z = 0, the fingertip points
-to +y, the
-camera stands at z = `height_mm`. Heights of the parts are stacked in that frame, base lowest; with the camera below the
-whole stack is turned over.
+All places are in the rig's frame (``docs/explain/conventions.md``). Heights of the parts are stacked in that frame,
+base lowest; with the camera below the whole stack is turned over.
 """
 
 from __future__ import annotations
@@ -28,8 +26,6 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
     """Return (L, 2): where each LED throws the shadow of a nail's tip, `nail_mm` high at `place_mm`, onto the finger
     plane, mm.
 
-    Examples
-    --------
     >>> from splitknit.model import default_rig
     >>> shadow_tips(default_rig(), 14.0)[0].round(2).tolist()  # the LED on the right throws it to the left
     [-5.83, 0.0]
@@ -41,10 +37,9 @@ def shadow_tips(rig: Rig, nail_mm: float, place_mm: tuple[float, float] = (0.0, 
 
 
 def _nail_height(rig: Rig, offset_mm: float, margin_mm: float, radius_mm: float) -> float:
-    """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture.
-
-    The nail stands up to `offset_mm` from the middle along x and y, a shadow's tip stays `margin_mm` inside the border
-    and comes out from under the foot of `radius_mm`.
+    """Return the greatest height (mm, in half millimetres) of a nail whose shadows all stay in the picture: it stands
+    up to `offset_mm` from the middle along x and y, a shadow's tip stays `margin_mm` inside the border and comes out
+    from under the foot of `radius_mm`.
     """
     camera = rig.camera
     half = np.array([camera.image_size[1], camera.image_size[0]]) / camera.px_per_mm / 2 - margin_mm
@@ -276,12 +271,9 @@ class RigDimensions:
 
 
 def dimensions_of(rig: Rig, settings: PartSettings | None = None) -> RigDimensions:
-    """Work out all dimensions, not yet checked: see :func:`splitknit.rig.dimension_checks.check_dimensions`.
+    """Work out all dimensions, not yet checked: see :func:`splitknit.rig.dimension_checks.check_dimensions`. Raises
+    BadInput if an LED has no place, or the picture is too small for a nail's shadows.
 
-    Raises BadInput if an LED has no place, or the picture is too small for a nail's shadows.
-
-    Examples
-    --------
     >>> from splitknit.model import default_rig
     >>> dimensions = dimensions_of(default_rig())
     >>> round(dimensions.holes[0].tilt_deg, 1)
@@ -359,10 +351,8 @@ def _mirror_front() -> tuple[float, float]:
 
 
 def mirror_profile(settings: PartSettings) -> list[tuple[float, float]]:
-    """Return the outline of a mirror holder: distance from its front, height over its foot, mm.
-
-    The mirror's reflecting face starts at :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds
-    its lower edge.
+    """Return the outline of a mirror holder: distance from its front, height over its foot, mm. The reflecting face
+    starts at :func:`_mirror_front` and leans by 45 deg away from the finger; a lip holds its lower edge.
     """
     mirror, slack, wall = settings.mirror, sizes.JOINT_CLEARANCE_MM, settings.joint.wall_mm
     front = np.array(_mirror_front())
@@ -398,9 +388,8 @@ def holder_places(dimensions: RigDimensions) -> list[tuple[float, float, float]]
 
 
 def mirror_reach(dimensions: RigDimensions) -> dict[str, dict[str, float]]:
-    """Return what the mirrors show: heights of the finger over the plane (mm), and the fraction of it in the picture.
-
-    A mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
+    """Return what the mirrors show: heights of the finger over the plane (mm), and the fraction of it in the picture. A
+    mirror at 45 deg shows a height of the finger at its own place of that height: the picture must reach there.
     """
     d, mirror = dimensions, dimensions.settings.mirror
     (front, foot), (side, _, _), (_, tip, _) = _mirror_front(), holder_places(d)[0], holder_places(d)[2]

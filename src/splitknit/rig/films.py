@@ -25,10 +25,9 @@ TRANSMISSION = 0.45
 
 
 def with_films(rig: Rig, kind: str | None) -> Rig:
-    """Give a rig films of a kind: its file's word for them and, for ``neighbours``, further white LEDs and their lines.
-
-    Each further LED stands half way between a white LED and the next LED counter-clockwise. None changes nothing.
-    Raises BadInput if the rig has films of another kind, or an LED without a place, or too many for further ones.
+    """Give a rig films of a kind: its file's word for them and, for ``neighbours``, further white LEDs, each half way
+    to the next one counter-clockwise, and their lines; None changes nothing. Raises BadInput if the rig has films of
+    another kind, or an LED without a place, or too many for further ones.
     """
     given = rig_films(rig)
     if kind is None or (given is not None and given.kind == kind):

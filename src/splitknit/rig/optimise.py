@@ -87,9 +87,8 @@ class Study(Checked):
 
     def measure(self, candidate: RigCandidate, seed: int) -> dict[str, float]:
         """Photograph a finger with a candidate that keeps the constraints, reconstruct it, and compare with its truth.
-
         A weak LED is exposed for longer, then with a higher gain, which leaves fewer electrons at full scale; of two
-        bands the weaker one decides. The finger lies still.
+        bands the weaker one decides.
         """
         rig = candidate_rig(candidate, self.build, led_intensities(candidate, self.build, self.bands))
         plans = {band: planned_exposure(rig.leds, band, self.photons) for band in self.bands}
@@ -153,11 +152,9 @@ def _broken(findings: Sequence[Finding]) -> list[str]:
 def sweep_rigs(
     out: Path, candidates: Sequence[RigCandidate], study: Study, *, workers: int = 1, progress: Progress = no_progress
 ) -> list[dict[str, Any]]:
-    """Evaluate all candidates, keep each as soon as it is finished, and return their records in order.
-
-    `out` holds nothing, or an earlier sweep of the same study: a failed candidate is then tried again; done and refused
-    ones are not. `workers`: processes; the result does not depend on it. Raises BadInput if there are no candidates,
-    none can be built, or the folder holds something else.
+    """Evaluate all candidates, keep each as soon as it is finished, and return their records in order. `out` holds
+    nothing, or an earlier sweep of the same study, whose failed candidates are tried again. Raises BadInput if there
+    are no candidates, none can be built, or the folder holds something else.
     """
     require(len(candidates) > 0, "there are no candidates to compare.")
     require(1 <= workers <= 256, f"the number of workers must lie between 1 and 256, but it is {workers}.")

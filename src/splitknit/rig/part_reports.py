@@ -104,11 +104,9 @@ _FACETS_MM = 0.1
 
 
 def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) -> dict[str, Any]:
-    """Check one part, `triangles` (N, 3, 3) in mm as in the STL file, as it lies on the bed.
-
-    Returns ``title``, ``quantity``, ``print``, ``size_mm``, ``volume_cm3``, ``mass_g`` (solid), ``checks`` and
-    ``findings``: sentences, one for everything that is outside a limit or wants a hand. Raises RuntimeError if the mesh
-    is not watertight: an internal error, never the rig's.
+    """Check one part, `triangles` (N, 3, 3) in mm as in the STL file, as it lies on the bed; return its row of
+    ``parts.json``, whose ``findings`` are sentences, one for everything that is outside a limit or wants a hand. Raises
+    RuntimeError if the mesh is not watertight: an internal error, never the rig's.
     """
     sound = _check_soundness(triangles)
     if not sound.watertight:

@@ -1,7 +1,5 @@
-"""Settings of the printed parts: what the rig file does not contain.
-
-Everything is in millimetres and degrees. What follows from the rig file (LED places, camera height, field of view) is
-worked out in :mod:`splitknit.rig.dimensions`.
+"""Settings of the printed parts, in mm and degrees: what the rig file does not contain. What follows from the rig file
+(LED places, camera height, field of view) is worked out in :mod:`splitknit.rig.dimensions`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
-"""The printed parts as solids: bases and mirror holder, tubes and lid, calibration disc and nail.
-
-Below them what they are made of: prisms, turned profiles, joints.
-
-Needs build123d; imported where parts are made.
+"""The printed parts as solids: bases and mirror holder, tubes and lid, calibration disc and nail; and below them what
+they are made of. Needs build123d; imported where parts are made.
 """
 
 from __future__ import annotations
@@ -42,9 +39,8 @@ _FAR_MM = 500.0
 
 
 def _base_part(dimensions: RigDimensions) -> Shape:
-    """Return the base: the finger lies on its back in a round groove and stops at a low wall.
-
-    Shallow pockets take the mirror holders, a ring-shaped one the calibration disc.
+    """Return the base: the finger lies on its back in a round groove and stops at a low wall; shallow pockets take the
+    mirror holders, a ring-shaped one the calibration disc.
     """
     d, joint, finger = dimensions, dimensions.settings.joint, dimensions.settings.finger
     wall = joint.wall_mm
@@ -64,10 +60,8 @@ def _base_part(dimensions: RigDimensions) -> Shape:
 
 
 def _window_base_part(dimensions: RigDimensions) -> Shape:
-    """Return the base for the camera below: the finger lies pad down over an open window.
-
-    The middle phalanx rests in a 45 deg groove that fills the cylinder's opening, the fingertip on a 45 deg ledge; the
-    pad between them touches nothing and comes to the finger plane.
+    """Return the base for the camera below: the finger lies pad down over an open window. The middle phalanx rests in a
+    45 deg groove that fills the cylinder's opening, the fingertip on a 45 deg ledge; the pad touches nothing.
     """
     d, joint, finger = dimensions, dimensions.settings.joint, dimensions.settings.finger
     wall, half = joint.wall_mm, dimensions.groove_width_mm / 2
@@ -151,9 +145,8 @@ _CABLE_DEG = 70.0
 
 
 def _cylinder_part(dimensions: RigDimensions) -> Shape:
-    """Return the cylinder, which holds the LEDs and the camera at their height over the finger.
-
-    The hand comes into a niche with a 45 deg roof; the niche's end wall has the semicircular opening for the finger.
+    """Return the cylinder, which holds the LEDs and the camera at their height over the finger. The hand comes into a
+    niche with a 45 deg roof; the niche's end wall has the semicircular opening for the finger.
     """
     low, high = dimensions.floor_z_mm, dimensions.frame_z_mm
     joint = dimensions.settings.joint
@@ -548,10 +541,7 @@ def _groove(dimensions: RigDimensions, z: float) -> Shape:
 
 
 def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 0.0) -> Shape:
-    """Return a tube with thickened ends, a groove at its lower and a ridge at its upper end.
-
-    `floor_mm` closes it at the bottom by a floor of that thickness.
-    """
+    """Return a tube with thickened ends, a groove at its lower and a ridge at its upper end, and a floor, if any."""
     bore = dimensions.bore_mm
     outer, ring, top = dimensions.outer_mm, dimensions.ring_mm, high + sizes.JOINT_RIDGE_HIGH_MM
     foot = max(sizes.JOINT_LUG_MM, floor_mm)

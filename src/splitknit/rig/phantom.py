@@ -30,9 +30,8 @@ MARKS_MM = ((-3.5, 9.0), (0.6, 9.4), (3.0, 8.6), (-0.6, 10.8))
 
 
 def phantom() -> tuple[Reconstruction, list[dict[str, Any]]]:
-    """The phantom's surface as drawn, without the printer's own error, as a result, and its fields of ridges.
-
-    Of each field ``middle_mm`` across and along the skin, ``height_um``, ``period_mm``, ``turn_deg``.
+    """The phantom's surface as drawn, without the printer's own error, as a result, and its fields of ridges, of each
+    ``middle_mm`` across and along the skin, ``height_um``, ``period_mm``, ``turn_deg``.
     """
     columns, rows = (round(side / PITCH_MM) + 1 for side in PLATE_MM)
     x = (np.arange(columns) - (columns - 1) / 2) * PITCH_MM

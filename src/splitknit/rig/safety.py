@@ -159,11 +159,9 @@ def rig_hazards(
     shorted: bool = False,
     passed: float = 1.0,
 ) -> tuple[_Hazard, ...]:
-    """Return all hazards of a rig whose LEDs are on together, with the largest currents of `stages`, by band.
-
-    `duty`: fraction of the time that each LED is on; `shorted`: with the current that flows if a transistor is shorted,
-    instead of the largest of all tolerances; `passed`: fraction of the white LEDs' light that passes what is before
-    them, such as film; NIR passes it all.
+    """Return all hazards of a rig whose LEDs are on together, with the largest currents of `stages`, by band. `duty`:
+    fraction of the time that each LED is on; `shorted`: with the current of a shorted transistor instead; `passed`:
+    fraction of the white LEDs' light that passes what is before them, such as film; NIR passes it all.
     """
     found: list[_Hazard] = []
     infrared = skin = 0.0

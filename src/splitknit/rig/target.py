@@ -1,6 +1,5 @@
-"""The printed target: checkerboards for the small field of view, the calibration disc, and a ruler to check the print.
-
-It is one page of vectors as PDF: shapes drawn once and placed many times, a line, a line of text.
+"""The printed target, one page of vectors as PDF: checkerboards for the small field of view, the calibration disc, and
+a ruler to check the print.
 """
 
 from __future__ import annotations

@@ -18,11 +18,9 @@ _PIECE = 1 << 20
 
 
 def open_below(root: Path, name: str) -> BinaryIO:
-    """Open the plain file `name` (relative, parts apart by ``/``) below `root` for reading.
-
-    Each part is opened from the one before it and none may be a symbolic link, so that what is checked is what is
-    opened. Raises BadInput if the name leaves the folder, a part of it is a link, or it is not a plain file that can be
-    read.
+    """Open the plain file `name` (relative, parts apart by ``/``) below `root` for reading. Each part is opened from
+    the one before it, so that what is checked is what is opened. Raises BadInput if the name leaves the folder, a part
+    of it is a link, or it is not a plain file that can be read.
     """
     parts = name.split("/")
     plain = all(part not in ("", ".", "..") and not set(part) & set("\\\0:") for part in parts)
@@ -115,14 +113,9 @@ class Catalogue:
 
 
 def make_catalogue(paths: Sequence[Path], capture: Path | None = None) -> Catalogue:
-    """Find the results that `paths` name, or the photographs.
-
-    Raises BadInput if a path is neither, or the capture is none of theirs.
-
-    Parameters
-    ----------
-    paths : a result, a folder of results, two results, a capture, a folder of photographs, or nothing
-    capture : folder of the photographs of the results, or a folder of such folders laid out as the results are
+    """Find the results that `paths` name (a result, a folder of results, two results), or the photographs (a capture, a
+    folder of photographs). `capture`: folder of the photographs of the results, or a folder of such folders laid out as
+    the results are. Raises BadInput if a path is neither, or the capture is none of theirs.
     """
     require(len(paths) <= 2, "name one result, a folder of results, two results, or photographs.")
     if not paths:

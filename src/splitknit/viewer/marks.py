@@ -67,9 +67,8 @@ class Marks:
 
 
 def marks_of(folder: Path, surface: ResultSurface) -> Marks:
-    """Return the minutiae of a result's print: those of its ``minutiae.iso``, or those found in it now.
-
-    Raises BadInput if there is no print, its record cannot be read, or nothing here can find minutiae.
+    """Return the minutiae of a result's print: those of its ``minutiae.iso``, or those found in it now. Raises BadInput
+    if there is no print, its record cannot be read, or nothing here can find minutiae.
     """
     file = print_of(folder)
     rows, columns = file.image.shape

@@ -112,12 +112,9 @@ def align_results(first: CatalogueEntry, a: ResultSurface, second: CatalogueEntr
 def difference(a: ResultSurface, b: ResultSurface, alignment: Alignment) -> tuple[NDArray[np.uint8], dict[str, float]]:
     """How much higher the second finger is than the first, along the camera's axis; in pixels without a scale.
 
-    Raises BadInput if they do not overlap.
-
-    Returns
-    -------
-    picture : (h, w) uint8; over the first one's input: 0 = unknown, 1 to 255 = -``range_um`` to ``range_um``
-    figures : dict; ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``
+    Returns a picture (h, w) uint8 over the first one's input (0 = unknown, 1 to 255 = -``range_um`` to ``range_um``)
+    and ``rms_um``, ``within_um`` (95 % of the area), ``relief_rms_um``, ``area_mm2`` and ``range_um``. Raises BadInput
+    if they do not overlap.
     """
     height, width = (min(side, _PICTURE_PX) for side in a.size)
     rows, columns = ((np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip((height, width), a.size, strict=True))

@@ -43,9 +43,8 @@ class People:
         ]
 
     def picture(self, row: str) -> bytes:
-        """Return the template of a row as PNG: tip up, as the camera sees it, one pixel for each of its own.
-
-        Raises BadInput if there is no such row, or it holds no template.
+        """Return the template of a row as PNG: tip up, as the camera sees it, one pixel for each of its own. Raises
+        BadInput if there is no such row, or it holds no template.
         """
         known = row.isascii() and row.isdigit() and len(row) < 12 and any(one.row == int(row) for one in self._rows)
         require(known, "there is no such row in the gallery.")

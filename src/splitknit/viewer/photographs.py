@@ -57,9 +57,8 @@ class _PhotoFolder:
 
 @lru_cache(maxsize=16)
 def photographs_of(folder: Path) -> _PhotoFolder:
-    """Return the photographs of a capture, or of any folder that holds some, band by band.
-
-    Raises BadInput if ``capture.json`` or its rig cannot be read, or there are no photographs.
+    """Return the photographs of a capture, or of any folder that holds some, band by band. Raises BadInput if
+    ``capture.json`` or its rig cannot be read, or there are no photographs.
     """
     where = shlex.quote(str(folder))
     out = shlex.quote(f"{folder.name}-result")
@@ -129,10 +128,8 @@ def _unit(vector: Any) -> tuple[float, float, float] | None:
 
 
 def photo_jpeg(entry: CatalogueEntry, number: int, width: int) -> bytes:
-    """Return a photograph as JPEG, at most `width` pixels wide.
-
-    Raises BadInput if there is no such photograph, it cannot be read, or it is not the one that the result was made
-    from.
+    """Return a photograph as JPEG, at most `width` pixels wide. Raises BadInput if there is no such photograph, it
+    cannot be read, or it is not the one that the result was made from.
     """
     if entry.capture is None:
         raise BadInput("the photographs are not at hand; name their folder with --capture.")

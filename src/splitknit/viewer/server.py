@@ -97,9 +97,7 @@ _DATABASE = b"SQLite format 3\0"
 
 def open_paths(paths: Sequence[Path], capture: Path | None = None, key_file: Path | None = None) -> Service:
     """Return a service for a result, two results, a folder of results, photographs, a gallery, or an empty page.
-
-    Results that are named are read at once: damage is reported before a page opens. Raises BadInput if there is nothing
-    to show, or it cannot be read.
+    Raises BadInput if there is nothing to show, or it cannot be read.
     """
     if paths and _is_database(paths[0]):
         from splitknit.gallery.key import key_of  # a result needs none of it
@@ -134,16 +132,9 @@ def start(service: Service | LiveService, port: int) -> _ViewerServer:
 
 
 def show(save: Callable[[Path], object], block: bool | None = None) -> str:
-    """Show what `save` writes into a folder; return the page's address.
-
-    Raises BadInput if what was written cannot be shown.
-
-    Parameters
-    ----------
-    save : is given a temporary folder, which only this user may read and which goes when the page ends
-    block : bool, optional
-        Whether to answer until Ctrl-C, or in a thread, as long as this program runs. By default as matplotlib does it:
-        a program waits, an interactive session goes on.
+    """Show what `save` writes into a folder, which goes when the page ends; return the page's address. Raises BadInput
+    if that cannot be shown. `block`: whether to answer until Ctrl-C, or in a thread, as long as this program runs; by
+    default as matplotlib does it: a program waits, an interactive session goes on.
     """
     waits = not (hasattr(sys, "ps1") or sys.flags.interactive) if block is None else block
     with contextlib.ExitStack() as stack:
@@ -165,10 +156,8 @@ def show(save: Callable[[Path], object], block: bool | None = None) -> str:
 
 @contextlib.contextmanager
 def opened_page(url: str) -> Iterator[bool]:
-    """Open `url` in the browser; return whether there is one.
-
-    The browser's command line can be read by every user of the machine and must not hold the token: it is given a file
-    that only its owner may read, which leads on.
+    """Open `url` in the browser; return whether there is one. The browser's command line, which every user of the
+    machine can read, must not hold the token: it is given a file that only its owner may read, which leads on.
     """
     with tempfile.TemporaryDirectory(prefix="splitknit-view-") as folder:  # 0700
         page = Path(folder) / "open.html"

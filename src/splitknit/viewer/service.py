@@ -1,7 +1,4 @@
-"""What the server answers: an address below the token, and what comes back.
-
-What only some answers need is imported where it is needed: the first view waits for none of it.
-"""
+"""What the server answers: an address below the token, and what comes back."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from splitknit.errors import require
 from splitknit.imaging.geometry import bounding_box
+from splitknit.io.pictures import upright_turn
 from splitknit.io.results import read_fields
 from splitknit.model import BoolArray, FloatArray
 
@@ -164,9 +165,8 @@ class ResultSurface:
 
 
 def read_surface(folder: Path) -> ResultSurface:
-    """Read the heights of a result folder; where their scale is unknown, all lengths are in pixels.
-
-    Raises BadInput if ``height.npz`` is missing or damaged, or an array is missing or of another kind than a result's.
+    """Read the heights of a result folder; where their scale is unknown, all lengths are in pixels. Raises BadInput if
+    ``height.npz`` is missing or damaged, or an array is missing or of another kind than a result's.
     """
     arrays = fields_of(folder, ("height_mm", "ridge_mm"), _RAYS, unscaled=True)
     again = f"{folder / 'height.npz'} is not a result's: reconstruct the capture again"
@@ -176,7 +176,7 @@ def read_surface(folder: Path) -> ResultSurface:
     require(bool(mask.any()), f"{again} (it holds no heights).")
     box = bounding_box(mask)
     inside = np.ascontiguousarray(mask[box])
-    turn = _turn(matrix)
+    turn = upright_turn(matrix)
     require(bool(np.abs(turn @ turn.T - np.eye(2)).max() < 1e-3), f"{again} (its frame is no rotation).")
     with np.errstate(over="ignore", invalid="ignore"):  # what is too large is refused below
         x, y = _places(arrays, shape, box, pitch_mm, turn)
@@ -202,13 +202,6 @@ def fields_of(folder: Path, names: Sequence[str], optional: Sequence[str] = (), 
     path = folder / "height.npz"
     require(path.is_file() and not path.is_symlink(), f"'{folder}' is not a result: it holds no height.npz.")
     return read_fields(path, names, optional, unscaled=unscaled)
-
-
-def _turn(input_from_upright: _Values) -> _Values:
-    """See :func:`splitknit.io.pictures.upright_turn`."""
-    turn = np.linalg.inv(input_from_upright[:2, :2])
-    flip = np.diag([1.0, -1.0])
-    return np.asarray(flip @ (turn / np.sqrt(abs(np.linalg.det(turn)))) @ flip)
 
 
 def _places(
@@ -264,15 +257,9 @@ class Section:
 def pick(
     surface: ResultSurface, origin_mm: _Values, direction: _Values, exaggeration: float = 1.0
 ) -> tuple[float, float, float] | None:
-    """Return the first point of the surface on a ray, or None where the ray misses it.
-
-    Raises BadInput if the ray is no ray.
-
-    Parameters
-    ----------
-    origin_mm : (3,)
-    direction : (3,), of any length
-    exaggeration : factor of the relief in the picture that was pointed at; the point returned is on the true surface
+    """Return the first point of the surface on a ray of any length, or None where the ray misses it. `exaggeration`:
+    factor of the relief in the picture that was pointed at; the point is on the true surface. Raises BadInput if the
+    ray is no ray.
     """
     ray = np.concatenate([origin_mm, direction])
     length = float(np.linalg.norm(direction))
@@ -304,9 +291,8 @@ Reading = Callable[[_Values, _Values], tuple[_Values, _Values]]
 def section(
     surface: ResultSurface, start_mm: tuple[float, float], end_mm: tuple[float, float], read: Reading | None = None
 ) -> Section:
-    """Cut the surface between two points given by x and y; `read` gives the values of another one in its frame.
-
-    Raises BadInput if the points are not finite, far away, equal, or neither lies on the surface.
+    """Cut the surface between two points given by x and y; `read` gives the values of another one in its frame. Raises
+    BadInput if the points are not finite, far away, equal, or neither lies on the surface.
     """
     ends = np.array([start_mm, end_mm], dtype=np.float64)
     sound = bool(np.isfinite(ends).all()) and float(np.abs(ends).max()) <= surface.longest_mm

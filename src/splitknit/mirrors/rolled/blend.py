@@ -87,9 +87,7 @@ def seam_lines(fractions: FloatArray, first: int, second: int) -> BoolArray:
 
 def seam_steps(values: FloatArray, line: BoolArray, pitch_mm: float, beside_mm: float = 0.25) -> Array:
     """(K,) by how much the mean beside a seam differs from that on its other side, at every pixel of the seam.
-
-    `values` (n, m) is what should not change there: the relief's error where the truth is known, or what is left of the
-    relief when the ridges are smoothed away.
+    `values` (n, m) is what should not change there: the relief's error, or the relief with its ridges smoothed away.
     """
     reach = max(1, round(beside_mm / pitch_mm))
     padded = np.pad(values.astype(np.float64), ((0, 0), (reach, reach)), mode="edge")

@@ -1,7 +1,5 @@
-"""The smooth finger between its mirrors, and where these lie: outlines of all views, also of those that are cut.
-
-The parts are those of :mod:`splitknit.mirrors`; what is added here is that a view which the border of the picture or of
-its mirror cuts still gives what the rest of its outline shows.
+"""The smooth finger between its mirrors, and where these lie: outlines of all views, of those too that the border of
+the picture or of their mirror cuts.
 """
 
 from __future__ import annotations
@@ -59,16 +57,9 @@ def body_between_mirrors(
     settings: MirrorShapeSettings | None = None,
     slopes_on: Callable[[MirrorShape], Slopes | None] | None = None,
 ) -> _BodyBetweenMirrors:
-    """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front.
-
-    Raises BadInput if no mirror shows enough, or the views do not fit one finger.
-
-    Parameters
-    ----------
-    views : of the front and of the mirrors beside the finger
-    rig : its camera, and its mirrors where they nominally are
-    tip_direction_deg : of the capture
-    slopes_on : measures the skin's slopes, given a first shape: they show how the finger is rolled
+    """Fit a body and the mirrors' poses to all outlines, and to the slopes of the skin in front. `slopes_on` measures
+    these, given a first shape: they show how the finger is rolled. Raises BadInput if no mirror shows enough, or the
+    views do not fit one finger.
     """
     chosen = settings or MirrorShapeSettings()
     camera, built = rig.camera, {mirror.name: mirror for mirror in rig.mirrors}
@@ -120,9 +111,8 @@ def body_between_mirrors(
 
 
 def _still_shown(rows: OutlineRows, side: str, mirror: Mirror, camera: Camera) -> OutlineRows | None:
-    """What a cut view's outline still determines; None if it is straight, but not by its mirror's edge.
-
-    The picture's border leaves a part of the pad's outline; a mirror's edge takes its place.
+    """What a cut view's outline still determines; None if it is straight, but not by its mirror's edge, which takes the
+    place of the pad's outline. The picture's border leaves a part of it.
     """
     edge = rows.left_mm if side == "left" else rows.right_mm
     known = np.flatnonzero(np.isfinite(rows.left_mm) | np.isfinite(rows.right_mm))

@@ -147,9 +147,8 @@ class Sight:
 
 
 def heights(sight: Sight, chart: Chart, radius_mm: Any, x_mm: Array, y_mm: Array) -> FloatArray:
-    """(h, w) height, in the view's frame, of the surface over pixels at x (w,) and y (h,); NaN beside it.
-
-    `radius_mm`: (n, m) surface on the chart.
+    """(h, w) height, in the view's frame, of the surface `radius_mm` (n, m) on the chart, over pixels at x (w,) and y
+    (h,); NaN beside it.
     """
     surface = np.asarray(radius_mm, dtype=np.float32)
     middle = sight.to_view(chart.centre_mm + 0.5 * min(float(chart.length_mm[-1]), 0.0) * chart.axes[1])

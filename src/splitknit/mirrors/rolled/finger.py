@@ -55,12 +55,9 @@ def rolled_finger(
     rolled: RolledSettings | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Rolled:
-    """One finger from its front and its mirrors.
-
-    `capture`: with the white band; the camera's rays are parallel; `views`: the front and one mirror beside the finger
-    at least, where each shows the finger and how the mirrors lie, and the smooth finger; `settings`: of the views'
-    relief. Raises BadInput if the front or every mirror beside the finger is missing, or they do not show the same part
-    of the finger.
+    """One finger from its front and its mirrors. `capture`: with the white band; the camera's rays are parallel;
+    `views`: the front and one mirror beside the finger at least. Raises BadInput if the front or every mirror beside
+    the finger is missing, or they do not show the same part of the finger.
     """
     chosen = rolled or RolledSettings()
     report = progress or (lambda stage, fraction: None)
@@ -134,10 +131,8 @@ def _apart(work: Work) -> list[str]:
 def _view_weight(
     cosine: Array, known: BoolArray, deviation_mm: FloatArray, pitch_mm: float, settings: BlendSettings
 ) -> FloatArray:
-    """(n, m) weight of a view on the chart, zero where it shows nothing.
-
-    `cosine`: (n, m) of the slant as the view sees it; `known`: (n, m) where it shows the finger; `deviation_mm`: (n, m)
-    of its relief, along the skin's normal.
+    """(n, m) weight of a view on the chart, zero where it shows nothing. `cosine`: of the slant as the view sees it;
+    `known`: where it shows the finger; `deviation_mm`: of its relief, along the skin's normal; all (n, m).
     """
     least = np.cos(np.deg2rad(STEEPEST_DEG))
     facing = np.clip((cosine - least) / (1.0 - least), 0.0, 1.0) ** _POWER

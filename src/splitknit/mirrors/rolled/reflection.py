@@ -1,7 +1,4 @@
-"""What a plane mirror does to points, directions and lights.
-
-A mirror shows the camera the reflected finger, in the same frame of the rig, lit by the reflected lights.
-"""
+"""A plane mirror shows the camera the reflected finger, in the same frame of the rig, lit by the reflected lights."""
 
 from __future__ import annotations
 
@@ -89,9 +86,8 @@ EDGE_MM = 0.4
 
 
 def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
-    """Fraction (...) in [0, 1] of a light that the skin is not turned away from.
-
-    `points_mm`, `normals`: (..., 3) of the skin; a finger is convex, so that it is its only obstacle; `led`: alone.
+    """Fraction (...) in [0, 1] of a light that skin at `points_mm` with `normals`, (..., 3), is not turned away from: a
+    finger is convex, so that it is its only obstacle.
     """
     if led.position_mm is None:
         towards = np.broadcast_to(np.asarray(led.direction, dtype=np.float64), points_mm.shape)
@@ -103,14 +99,8 @@ def facing_fraction(points_mm: Array, normals: Array, led: Led) -> FloatArray:
 
 
 def mirrored_fraction(points_mm: Array, image: Led, plane: Plane, corners_mm: Array) -> FloatArray:
-    """Fraction (...) in [0, 1] of an LED's image that points (..., 3) see within the mirror's outline.
-
-    Parameters
-    ----------
-    points_mm : (..., 3) in front of the mirror
-    image : of the LED in this mirror
-    plane : of the mirror
-    corners_mm : (K, 3) its outline, in order, convex
+    """Fraction (...) in [0, 1] of an LED's `image` in a mirror that points (..., 3) before it see within its outline
+    `corners_mm` (K, 3), in order, convex.
     """
     if image.position_mm is None:
         towards = np.broadcast_to(np.asarray(image.direction, dtype=np.float64), points_mm.shape)

@@ -79,11 +79,9 @@ class _Correction:
 
 
 def _shifts_by(sight: Sight, points: Array, rays: Array, steps: tuple[Array, Array]) -> tuple[Array, Array]:
-    """How a view's ridges move on the chart when the surface or the mirror does.
-
-    `points`: (K, 3) on the surface; `rays`: (K, 3) directions along which the surface moves; `steps`: (K, 3) by one
-    column and by one row of the chart, along the surface. Returns `by_radius`, (K, 2) columns and rows for each mm of
-    the surface; `by_pose`, (K, 2, 3) for the mirror's turns (rad) and shift (mm); zero for the front.
+    """How a view's ridges move on the chart when the surface or the mirror does: (K, 2) columns and rows for each mm of
+    the surface, and (K, 2, 3) for the mirror's turns (rad) and shift (mm), zero for the front. `points`: (K, 3) on the
+    surface; `rays`: (K, 3) along which it moves; `steps`: (K, 3) by one column and by one row of the chart.
     """
     here = _pixels(sight, points)
     across, down = (_pixels(sight, points + 0.5 * s) - _pixels(sight, points - 0.5 * s) for s in steps)
@@ -322,10 +320,7 @@ def search(
     mirror: ViewRidges,
     settings: RidgeSearchSettings | None = None,
 ) -> _ViewMatch:
-    """Find how the surface bulges and where the mirror lies.
-
-    `chart`, `radius_mm`: surface (n, m); `front`, `mirror`: the two views.
-    """
+    """Find how the surface `radius_mm` (n, m) bulges and where the mirror lies."""
     chosen = settings or RidgeSearchSettings()
     nothing = _ViewMatch(np.zeros(chart.shape), (0.0, 0.0, 0.0), 0.0)
     rows, columns = np.nonzero(mirror.known)

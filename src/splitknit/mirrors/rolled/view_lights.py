@@ -77,10 +77,8 @@ class _ViewLight:
 
 
 def view_light(rig: Rig, glasses: Sequence[Glass], skin: Skin) -> _ViewLight:
-    """The lights as one view has them: in the frame of the view, its origin moved to that of the skin's grid.
-
-    Light that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]` lights image k; `glasses`: all
-    mirrors; `skin`: as the view shows it.
+    """The lights as one view has them: in the frame of the view, its origin moved to that of the skin's grid. Light
+    that meets two mirrors one after the other is left out. `rig`: `rig.leds[k]` lights image k; `glasses`: all mirrors.
     """
     sight = skin.sight
     leds, inner = [], []

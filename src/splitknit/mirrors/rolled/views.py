@@ -33,9 +33,8 @@ NO_MIRRORS = (
 
 
 def find_mirror_views(capture: Capture, settings: FingerSettings, mirror: MirrorShapeSettings) -> MirrorViews:
-    """Views of the finger in one picture, and mirrors where the views' outlines have them.
-
-    Raises BadInput if there are no mirrors beside the finger, or fewer than two views can be used.
+    """Views of the finger in one picture, and mirrors where the views' outlines have them. Raises BadInput if there are
+    no mirrors beside the finger, or fewer than two views can be used.
     """
     names = [mirror.name for mirror in capture.rig.mirrors]
     require(any(name in SIDES for name in names), NO_MIRRORS)

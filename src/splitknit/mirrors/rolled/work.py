@@ -1,6 +1,5 @@
-"""A finger between its mirrors while it is put together: its views, their ridges, and what makes them meet.
-
-The ridges of a view come from photometric stereo on a surface that is known but for its ridges.
+"""A finger between its mirrors while it is put together: its views, their ridges (by photometric stereo on a surface
+that is known but for its ridges), and what makes them meet.
 """
 
 from __future__ import annotations
@@ -103,11 +102,8 @@ def _view_relief(  # noqa: PLR0917
     settings: ReliefSettings,
     prior: float = 0.0,
 ) -> _ViewRelief:
-    """Ridges of the finger as one view shows them.
-
-    `capture`: its white band is used; `sight`, `mask`: the view, and where (H, W) it shows the finger; `glasses`: all
-    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges; `settings`: of its relief; `prior`: see
-    :func:`splitknit.mirrors.rolled.work._held_normals`.
+    """Ridges of the finger as one view shows them, where `mask` (H, W) holds it, in the white band. `glasses`: all
+    mirrors of the rig; `chart`, `radius_mm`: the finger without its ridges; `prior`: as of :func:`_held_normals`.
     """
     white = capture.bands["white"]
     camera = capture.rig.camera
