@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -349,10 +349,8 @@ def _newton(x: Table, y: Table, fraction: Table, hold: Table) -> Table:
         rate = expit(x @ w)
         return np.asarray((x * (fraction * rate * (1 - rate))[:, None]).T @ x + np.diag(hold + 1e-12))
 
-    options = {"gtol": 1e-12}
-    return np.asarray(
-        minimize(loss, np.zeros(x.shape[1]), jac=True, hess=bend, method="trust-exact", options=options).x
-    )
+    how: Any = {"jac": True, "hess": bend, "method": "trust-exact", "options": {"gtol": 1e-12}}
+    return np.asarray(minimize(loss, np.zeros(x.shape[1]), **how).x)
 
 
 def _spread(scores: Table) -> tuple[Table, Table]:
