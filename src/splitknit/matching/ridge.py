@@ -171,13 +171,9 @@ def _fetched(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[
 
 
 def peaks(rotated: _RotatedViews, directions: Spectra, ridges: Spectra) -> list[_Peak]:
-    """Best alignments, best first, at most one a rotation.
+    """Best alignments of A on B, best first, at most one a rotation.
 
-    Parameters
-    ----------
-    rotated : A
-    directions : (3, 1, rows, columns // 2 + 1) of B, not turned, from :func:`_block_directions`
-    ridges : (rows, columns // 2 + 1) of B, not turned, from :func:`_ridge_view`
+    `directions`, `ridges`: of B, not turned, from :func:`_block_directions` and :func:`_ridge_view`.
     """
     scores = np.concatenate(
         [_agreement(rotated.directions.conj() * directions), _agreement(rotated.directions * directions)]
@@ -327,13 +323,11 @@ class Prepared:
 def ridge_match(
     a: Template | Prepared, b: Template | Prepared, settings: RidgeMatchSettings | None = None
 ) -> RidgeMatch:
-    """Compare two templates. Raises BadInput if the templates have different pitches.
+    """Compare two templates; prepare one that is compared more than once, then with the settings given here.
 
-    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the
-    shift that the neighbouring patches support, times sqrt(min(1, overlap / least)) with least =
-    min(60 mm2, half of the smaller template).
-
-    `a`, `b`: prepare a template that is compared more than once; then its settings must be those given here.
+    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
+    neighbouring patches support, times sqrt(min(1, overlap / least)) with least = min(60 mm2, half of the smaller
+    template). Raises BadInput if the templates have different pitches.
 
     Source: Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A fingerprint matching
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based
