@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, importing, require
+from splitknit.errors import importing, require
 from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -204,15 +204,6 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
 
 def _png(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
-
-
-def installed() -> bool:
-    """Whether nbis-py can be used on this machine."""
-    try:
-        _module()
-    except BadInput:
-        return False
-    return True
 
 
 def _module() -> Any:
