@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION, scripts_of
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
 from splitknit.io.capture import write_capture
 from splitknit.pad import distances, is_judged, judge, pad_features, pad_images, shipped_model, with_probability
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.attacks import simulate_attack
 from splitknit.simulator.twin import twin_settings
+
+with scripts_of(VALIDATION / "pad") as script:
+    simulate_attack = script("attacks").simulate_attack
 
 USUAL = dict(zip(shipped_model()["names"], shipped_model()["mean"], strict=True))
 

@@ -509,7 +509,7 @@ def metric_skin(
         and specular reflection are separated by their colours
     """
     images = coarse_images(bands, grid, p.coarse_pitch_mm, p.plane_mm)
-    shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps, p.coarse)
+    shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps)
     white = bands[0].channels
     colour = {name: shape.brightness[name] / shape.brightness[white[0]] for name in white}
     optics = skin.optics(images.channels, colour)

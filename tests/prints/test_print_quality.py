@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
-from splitknit.prints.print_quality import (
-    PrintQualitySettings,
-    QualityFigures,
-    _Part,
-    _quality_figures,
-    print_quality,
-    score_of,
-)
+from splitknit.prints.print_quality import PARTS, QualityFigures, _quality_figures, print_quality, score_of
 from splitknit.prints.ridge_field import RidgeField, ridge_field
 from splitknit.prints.ridges import ink
 
@@ -110,7 +103,7 @@ BETTER = {
 
 
 def test_the_score_rises_with_every_figure() -> None:
-    assert set(BETTER) == set(PrintQualitySettings().parts())
+    assert set(BETTER) == set(PARTS)
     before, _ = score_of(GOOD)
     assert 50 < before < 100
     for name, step in BETTER.items():
@@ -119,15 +112,12 @@ def test_the_score_rises_with_every_figure() -> None:
 
 
 def test_the_score_is_a_product_of_powers() -> None:
-    none = {name: _Part(0.0, 1.0, 0.0) for name in PrintQualitySettings().parts()}
-    chosen = {"ridge_share": _Part(0.0, 1.0, 3.0), "coherence": _Part(0.0, 1.0, 1.0)}
-    settings = PrintQualitySettings(**{**none, **chosen})
-    score, worth = score_of(replace(GOOD, ridge_share=0.5, coherence=0.25), settings)
-    assert score == pytest.approx(100 * 0.5**3 * 0.25)
-    assert worth["ridge_share"] == pytest.approx(0.5)
-    assert score_of(replace(GOOD, ridge_area_mm2=0.0))[0] == 0.0
     best = QualityFigures(1.0, 100.0, 1.0, 1.0, 0.5, 0.3, 600.0, 600.0, 30.0, 0.0, 0.0)
     assert score_of(best)[0] == pytest.approx(100.0)
+    score, worth = score_of(replace(best, ridge_share=0.6, coherence=0.6))
+    assert score == pytest.approx(100 * 0.5**0.3 * 0.2**0.15)
+    assert worth["ridge_share"] == pytest.approx(0.5)
+    assert score_of(replace(GOOD, ridge_area_mm2=0.0))[0] == 0.0
 
 
 def test_a_figure_that_is_not_known_is_left_out() -> None:
@@ -179,7 +169,3 @@ def test_bad_input() -> None:
         print_quality(values[:100, :100], weight[:100, :100], field)
     with pytest.raises(BadInput, match="nothing of the finger"):
         print_quality(values, 0 * weight, field)
-    with pytest.raises(BadInput, match="two different"):
-        _Part(0.5, 0.5, 1.0)
-    with pytest.raises(BadInput, match="weight"):
-        _Part(0.0, 0.5, -1.0)

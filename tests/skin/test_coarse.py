@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from skin_scene import ALBEDO, COLOURS, Scene, fresnel, make_scene, ring, shape_rms
 
-from splitknit.errors import BadInput
 from splitknit.imaging.band import bin_mean
 from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.skin.diffusion import SkinSettings, diffusion
 from splitknit.skin.grid import BandImages, coarsen
 from splitknit.skin.light import lighting
-from splitknit.skin.shape import CoarsePrior, _start_shape, _wiener, integrate, residual_of
+from splitknit.skin.shape import _start_shape, _wiener, integrate, residual_of
 
 FACTOR = 3
 GLARE = 0.4
@@ -51,7 +50,7 @@ class Coarse:
         height = self.height if height is None else height
         zero = np.zeros(self.grid.shape, dtype=np.float32)
         residual = residual_of(bands, self.grid, height, OPTICS)
-        slope_x, slope_y = _wiener(residual, added or (zero, zero), OPTICS, self.grid, CoarsePrior())
+        slope_x, slope_y = _wiener(residual, added or (zero, zero), OPTICS, self.grid)
         return SimpleNamespace(slope_x=slope_x, slope_y=slope_y, brightness=residual.brightness, glare=residual.glare)
 
 
@@ -223,9 +222,3 @@ def test_corrections_are_those_of_the_images_whatever_the_albedo_ramp(glossy):
 
 def test_ring_of_the_scene_is_not_symmetrical():
     assert len({led.intensity for led in ring("white").leds}) > 1  # or a mix-up of lights would pass
-
-
-@pytest.mark.parametrize("wrong", [{"knee_per_mm": 0.0}, {"cutoff_per_mm": -1.0}, {"glare_ratio": -0.1}])
-def test_prior_is_checked(wrong):
-    with pytest.raises(BadInput, match=r"metric\.coarse"):
-        CoarsePrior(**wrong)

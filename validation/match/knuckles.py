@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 from contactless import SENSORS
 from fvc import kept
+from knuckle import draw_knuckle, knuckle_pose
 from pressed_prints import press
 
 import splitknit
@@ -33,7 +34,6 @@ from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import Template
 from splitknit.model import surface_of
 from splitknit.simulator.finger.finger import draw_finger
-from splitknit.simulator.finger.knuckle import draw_knuckle, knuckle_pose
 from splitknit.simulator.scene import TwinSettings
 
 OUT = Path(__file__).with_suffix(".json")

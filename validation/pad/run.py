@@ -17,10 +17,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import cv2
 import numpy as np
+from attacks import SPECIES, simulate_attack
 
 import splitknit
 from splitknit.pad import pad_features, pad_images
-from splitknit.simulator.attacks import SPECIES, simulate_attack
 from splitknit.simulator.twin import twin_settings
 
 SCALE = 0.2

@@ -13,10 +13,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from print_shape import fingertip_of_print
 
 from splitknit.io.images import write_image
 from splitknit.simulator.finger.finger import draw_finger
-from splitknit.simulator.finger.from_print import fingertip_of_print
 from splitknit.simulator.finger.master_print import MasterPrint
 from splitknit.simulator.finger.shape import FingerBody, FingerShape
 

@@ -107,16 +107,10 @@ def enroll_files(
     key: Key | None = None,
     progress: Progress = no_progress,
 ) -> GalleryEnrolment:
-    """Enrol sources of one finger, all or none.
+    """Enrol sources (captures, results, templates, prints or records of minutiae) of one finger, all or none.
 
-    Raises BadInput, naming what is at fault; the gallery is then as before.
-
-    Parameters
-    ----------
-    gallery : file; made where there is none
-    sources : at least one capture, result, template, print or record of minutiae
-    person, finger : whose
-    session : None: that of the very same source if it is enrolled already, else the next number
+    The gallery is made where there is none. `session`: by default that of the very same source if it is enrolled
+    already, else the next number. Raises BadInput, naming what is at fault; the gallery is then as before.
     """
     require(len(sources) > 0, "name a capture, a result, a template (.skt), a print or a record of minutiae to enrol.")
     require(len(sources) == 1 or session is None, "--session goes with one source; several are numbered by themselves.")

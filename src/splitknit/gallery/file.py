@@ -76,10 +76,7 @@ def create_file(path: Path, about: str, state: bytes) -> bool:
 
 
 def connect(path: Path, *, wait_s: float = WAIT_S) -> sqlite3.Connection:
-    """Open an existing gallery.
-
-    Raises BadInput if it is none, another program's, of another version, damaged, or cannot be opened.
-    """
+    """Open an existing gallery. Raises BadInput if it is none, of another program or version, damaged, or locked."""
     _look_at(path)
     _put_down(path)
     with _told(path):

@@ -33,16 +33,10 @@ class Gallery:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], key: Key | None = None, *, wait_s: float = WAIT_S) -> Gallery:
-        """Open an existing gallery.
+        """Open an existing gallery, with its `key` if it is encrypted; wait so long for another program's change.
 
         Raises BadInput if it is no gallery, damaged, of an unknown version, or the key is missing, wrong, or not
         wanted.
-
-        Parameters
-        ----------
-        path : of the file
-        key : if it is encrypted
-        wait_s : how long to wait for another program's change
         """
         file = Path(path)
         database = connect(file, wait_s=wait_s)
@@ -100,10 +94,7 @@ class Gallery:
         self._rows.require_version()
 
     def require_comparable(self, settings_sha256: str) -> None:
-        """Refuse to mix templates.
-
-        Raises BadInput if its templates are of another version, or made with other settings.
-        """
+        """Raise BadInput if its templates are of another version, or made with other settings: nothing is mixed."""
         require(
             self.template_version == TEMPLATE_VERSION,
             f"the templates in '{self.path}' are of version {self.template_version}, but this program makes version "

@@ -164,17 +164,11 @@ def identify_file(
 ) -> Identification:
     """Who is it? That nobody is found is a result, no error.
 
-    Raises BadInput if a file cannot be used, the gallery's templates were made otherwise, the claimed person or finger
-    is not in it, or the rate was not measured.
-
-    Parameters
-    ----------
-    gallery : file
-    probe : capture folder, result folder, template (``.skt``), print or record of minutiae
-        A gallery that keeps minutiae is searched by minutiae, one that keeps ridges by ridges.
-    preset : by which a capture is reconstructed
-    input_ppi : resolution of a print whose file does not state it
-    shards : folder of the gallery's shards (:func:`splitknit.gallery.manage.index_gallery`), where codes are compared
+    `probe`: capture folder, result folder, template (``.skt``), print or record of minutiae; a gallery that keeps
+    minutiae is searched by minutiae, one that keeps ridges by ridges. `input_ppi`: resolution of a print whose file
+    does not state it; `shards`: folder of the gallery's shards (:func:`splitknit.gallery.manage.index_gallery`), where
+    codes are compared. Raises BadInput if a file cannot be used, the gallery's templates were made otherwise, the
+    claimed person or finger is not in it, or the rate was not measured.
     """
     person = None if question.person is None else check_person(question.person)
     finger = None if question.finger is None else known_finger(question.finger)

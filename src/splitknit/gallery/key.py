@@ -144,12 +144,8 @@ class Key:
 def key_from_bytes(content: bytes, where: str) -> Key:
     """Read a key: 64 hexadecimal digits or 32 bytes that are no text are a key, any other text is a passphrase.
 
-    Raises BadInput if it is empty, larger than 4096 bytes, no text, or a passphrase of fewer than 8 characters.
-
-    Parameters
-    ----------
-    content : of a key file or of an environment variable; line ends after it do not count
-    where : for errors
+    Line ends after it do not count; `where` is for errors. Raises BadInput if it is empty, larger than 4096 bytes, no
+    text, or a passphrase of fewer than 8 characters.
 
     >>> key_from_bytes(b"correct horse battery staple", "the key file")
     Key(raw=False)
@@ -318,10 +314,8 @@ def lock(key: Key | None, scrypt: ScryptSettings | None) -> dict[str, Any]:
 
 
 def box_of(about: dict[str, Any], key: Key | None, path: Path, version: int = VERSION) -> Box:
-    """Box of a gallery.
-
-    Raises BadInput if the key is missing, wrong, of the other kind, or not wanted, the gallery's record is damaged, or
-    its passphrase would take too much memory or time to try.
+    """Box of a gallery. Raises BadInput if the key is missing, wrong, of the other kind, or not wanted, the gallery's
+    record is damaged, or its passphrase would take too much memory or time to try.
     """
     wrong = damaged(path, "its own record cannot be read")
     known = all(isinstance(about.get(name), kind) for name, kind in _ABOUT.items())

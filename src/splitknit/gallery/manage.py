@@ -95,13 +95,9 @@ def index_gallery(
 ) -> dict[str, Any]:
     """Make the search codes that are missing or of another version, and keep them.
 
-    Raises BadInput if the gallery cannot be opened or changed, or the shards not be written or are of another key.
-
-    Parameters
-    ----------
-    shards : folder where the codes, under the gallery's key, are kept for searches through millions as well; brought up
-        to date where it is there
-    renew : the shards under a new salt: those of before cannot be compared with them
+    `shards`: folder where the codes, under the gallery's key, are kept for searches through millions as well, brought
+    up to date where it is there; `renew`: under a new salt: those of before cannot be compared with them. Raises
+    BadInput if the gallery cannot be opened or changed, or the shards not be written or are of another key.
     """
     require(shards is not None or not renew, "--renew is for shards; name their folder with --shards.")
     made = 0

@@ -129,15 +129,9 @@ def export_records(
 ) -> dict[str, Any]:
     """Write fingers in a format of other systems, one file each, all or none; return the facts of ``export.json``.
 
-    Raises BadInput, naming the source at fault: it cannot be read, holds no picture where one is needed, or nothing at
-    all.
-
-    Parameters
-    ----------
-    sources : captures, results, prints, records, templates and galleries
-    out : folder to write
-    settings : the format, and what the sources do not state
-    key : of an encrypted gallery
+    `sources`: captures, results, prints, records, templates and galleries; `settings`: the format, and what they do not
+    state; `key`: of an encrypted gallery. Raises BadInput, naming the source at fault: it cannot be read, holds no
+    picture where one is needed, or nothing at all.
     """
     require(len(sources) > 0, "name what is to be exported: captures, results, prints, records or galleries.")
     for source in sources:

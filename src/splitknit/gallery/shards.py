@@ -92,19 +92,12 @@ def write_shards(
 ) -> dict[str, Any]:
     """Make a folder of shards what a gallery holds; return facts.
 
-    Files whose rows are as they were stay as they are; those that are damaged, or that something else changed, are
-    written anew. The same rows, codes, key and salt give the same bytes, in however many steps they were added. Raises
-    BadInput if there is no code, the codes are of another shape, the rows do not ascend, the folder holds something
-    else, links, or shards under another key, or it cannot be written.
-
-    Parameters
-    ----------
-    folder : made where there is none
-    rows : (N,) int64, ascending
-    codes : (N, K) int8 of :func:`splitknit.matching.code.code_of`
-    key : of the gallery; without one the codes are not protected, as anyone can make the transform from the salt
-    renew : under a new salt: everything is written anew, and nothing of before can be compared with it
-    rows_a_shard : row numbers that share a file
+    Files whose rows (N,), ascending, and codes (N, K) int8 are as they were stay as they are; those that are damaged,
+    or that something else changed, are written anew. The same rows, codes, key and salt give the same bytes, in however
+    many steps they were added. `key`: of the gallery; without one the codes are not protected, as anyone can make the
+    transform from the salt; `renew`: under a new salt, with which nothing of before can be compared; `rows_a_shard`:
+    row numbers that share a file. Raises BadInput if there is no code, the codes are of another shape, the rows do not
+    ascend, the folder holds something else, links, or shards under another key, or it cannot be written.
     """
     require(
         len(rows) > 0, f"there is no code to keep in shards; enrol fingers first (and remove '{folder}' if it is old)."
@@ -316,16 +309,10 @@ class Shards:
         require(place == len(rows), _behind(self.files[0].parent))
 
     def search(self, template: Template, k: int = 500, settings: ProbeSettings | None = None) -> Hits:
-        """The `k` fingers whose codes are most similar.
+        """The `k` fingers whose codes are most similar, equal ones in the order of their rows; at most `RESCORED`.
 
-        Raises BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile. The result
-        is the same, whatever the number of shards and threads; equal ones in the order of their rows.
-
-        Parameters
-        ----------
-        template : not empty
-        k : at least 1; fewer come back from fewer fingers, and never more than `RESCORED`
-        settings : of the probe's variants
+        The result is the same, whatever the number of shards and threads. `settings`: of the probe's variants. Raises
+        BadInput if the probe is a failure to acquire, k is less than 1, or a shard changed meanwhile.
         """
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         probe = self.probe(template, settings)

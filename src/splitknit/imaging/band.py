@@ -92,20 +92,11 @@ def shading_is_srgb(codes: NDArray[np.floating], vectors: NDArray[np.float64]) -
 def linear_image(
     pixels: PixelArray, encoding: str, exposure: float = 1.0, black_level: float = 0.0, binning: float = 1
 ) -> FloatArray:
-    """Linear light of one stored image, all its channels.
+    """Linear light (H // binning, W // binning, C) float32 of one stored image (H, W, C) uint8 or uint16.
 
-    Parameters
-    ----------
-    pixels : (H, W, C) uint8 or uint16
-    encoding : ``linear`` or ``srgb``
-    exposure : relative exposure (time times gain) by which the light is divided
-    black_level : stored value of no light
-    binning : average blocks of this many pixels a side, a multiple of 1/8 from 1 upwards; rows and columns that fill no
-        block are dropped
-
-    Returns
-    -------
-    (H // binning, W // binning, C) float32
+    `exposure`: relative (time times gain), by which the light is divided; `black_level`: stored value of no light;
+    `binning`: average blocks of this many pixels a side, a multiple of 1/8 from 1 upwards; rows and columns that fill
+    no block are dropped.
     """
     height, width = (int(n // binning) for n in pixels.shape[:2])
     table = decode_table(pixels.dtype, encoding)
@@ -171,19 +162,10 @@ def linear_channels(
 ) -> FloatArray:
     """Linear light (C, L, h, w) of a band inside `window`: black level and ambient removed, exposures made equal.
 
-    Parameters
-    ----------
-    encoding : ``linear`` or ``srgb``
-    channels : names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them
-    window : rows and columns, optional
-    binning : average blocks of this many pixels a side, see :func:`linear_image`
-
-    Returns
-    -------
-    (C, L, h, w) float32
-        L is the number of `band.lights`: where coloured LEDs share an exposure, each colour has an image of its own,
-        without what the other colours leave in its pixels; it is had as ``grey`` alone. Negative values, which noise
-        gives where there is no light, are kept: clipping would bias dark pixels upwards.
+    `channels`: names out of ``grey``, ``red``, ``green``, ``blue``; a grey file gives its one channel for all of them.
+    L is the number of `band.lights`: where coloured LEDs share an exposure, each colour has an image of its own,
+    without what the other colours leave in its pixels; it is had as ``grey`` alone. Negative values, which noise gives
+    where there is no light, are kept: clipping would bias dark pixels upwards. `binning`: as of :func:`linear_image`.
     """
     for channel in channels:
         require(channel == "grey" or channel in CHANNELS, f"channel '{channel}' is not known.")

@@ -101,23 +101,13 @@ _BLACK = 0.02
 
 
 def composed(capture: Capture, exposures: int = 2) -> Capture:
-    """Put a capture under coloured LEDs together from one of at least 3 x `exposures` white images in colour.
+    """Put a capture under coloured LEDs together from one of at least 3 x `exposures` (1 to 3) white images in colour.
 
-    The red channel of image i, the green one of image j and the blue one of image k become one exposure, mixed as the
-    IMX219's pixels mix coloured LEDs (:data:`splitknit.model.CROSSTALK`). Three things are not as they would be: a
-    channel under a white LED sees a broad band (and some of its neighbours' light) where a coloured LED is a line; what
-    a finger moved between the white shots is within an exposure; and each channel has the noise of its own shot. Raises
-    BadInput if the white images are grey or too few.
-
-    Parameters
-    ----------
-    capture : whose white LEDs stand around the finger
-    exposures : 1 to 3
-
-    Returns
-    -------
-    Capture
-        With 16-bit images; other bands, mask and truth are the capture's own.
+    The red channel of image i, the green one of image j and the blue one of image k become one exposure (16 bits),
+    mixed as the IMX219's pixels mix coloured LEDs (:data:`splitknit.model.CROSSTALK`). Three things are not as they
+    would be: a channel under a white LED sees a broad band where a coloured LED is a line; what a finger moved between
+    the white shots is within an exposure; and each channel has the noise of its own shot. Raises BadInput if the white
+    images are grey or too few.
     """
     from splitknit.model import CROSSTALK, shared_exposures  # the twin's sensor
 

@@ -52,19 +52,11 @@ def split_mosaic(mosaic: NDArray[Any], film_deg: float, *, colour: bool = False)
     channels or sides that hold no whole blocks. Source: E. Collett, "Field Guide to Polarization", 2005: Stokes
     parameters, Malus's law.
 
-    Parameters
-    ----------
-    mosaic : (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees (Sony IMX250MZR)
-    film_deg : direction of the film before the LEDs, as the camera states its own: 0 along the rows
-    colour : whether the blocks lie behind a Bayer pattern: red, green / green, blue (Sony IMX250MYR)
+    `mosaic`: (H, W) or (H, W, 1) uint8 or uint16, linear, blocks of 90, 45 / 135, 0 degrees (Sony IMX250MZR);
+    `film_deg`: direction of the film before the LEDs, as the camera states its own: 0 along the rows; `colour`: whether
+    the blocks lie behind a Bayer pattern (red, green / green, blue; Sony IMX250MYR). Returns (H / 2, W / 2, C) of the
+    mosaic's type, the parallel image clipped where one of a block's pixels is.
 
-    Returns
-    -------
-    parallel, crossed : (H / 2, W / 2, C), of the mosaic's type
-        Where one of the block's pixels clips, the parallel image does.
-
-    Examples
-    --------
     >>> import numpy as np
     >>> mirrored = np.tile(np.array([[200, 100], [100, 0]], np.uint8), (4, 4))  # polarised along 90 degrees
     >>> [int(image[2, 2, 0]) for image in split_mosaic(mirrored, film_deg=90.0)]

@@ -89,13 +89,10 @@ class View:
         return np.stack([rx + a * common, ry + b * common, c * rz - sideways], axis=-1)
 
     def stretch(self, pitch_mm: float, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """How far one pixel moves sideways in the pixel's frame, over `pitch_mm`, on an image of `shape`.
+        """Movements (x_x, x_y, y_x, y_y), (H, W) each, in the pixel's frame, over `pitch_mm`, on an image of `shape`.
 
-        Returns
-        -------
-        x_x, x_y, y_x, y_y : (H, W)
-            Movement along the frame's x by a step to the right (``x_x``) and by a step up (``x_y``), and along its y.
-            Under parallel rays on a regular grid: 1, 0, 0, 1.
+        Along the frame's x by a step of a pixel to the right (``x_x``) and up (``x_y``), and along its y. Under
+        parallel rays on a regular grid: 1, 0, 0, 1.
         """
         x, y = (np.broadcast_to(v, shape) for v in self.on_plane())
         x_right, x_up = np.gradient(x, axis=1) / pitch_mm, -np.gradient(x, axis=0) / pitch_mm
@@ -230,13 +227,9 @@ def lens_shading(  # noqa: PLR0917
 ) -> FloatArray:
     """(h, w) brightness of the lens relative to the image's centre: 1 + a r^2 + b r^4 + ...
 
-    Parameters
-    ----------
-    shading : a, b, ... of :class:`splitknit.model.Camera`
-    image_size : rows, columns of the whole image; r is the distance from its centre over half its diagonal
-    first_row, first_column : where the window starts
-    binning : pixels a side of a block of the window
-    shape : of the window in blocks; the whole image by default
+    `shading`: a, b, ... of :class:`splitknit.model.Camera`; `image_size`: rows, columns of the whole image, half whose
+    diagonal is r = 1; `first_row`, `first_column`: where the window starts; `binning`: pixels a side of its blocks;
+    `shape`: of the window in blocks, by default that of the whole image.
     """
     rows, columns = int(image_size[0]), int(image_size[1])
     height, width = (int(rows // binning), int(columns // binning)) if shape is None else (int(shape[0]), int(shape[1]))

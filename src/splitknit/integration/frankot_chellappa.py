@@ -13,14 +13,10 @@ from splitknit.errors import require
 from splitknit.integration.gradient_field import check_gradients, zero_mean
 from splitknit.model import FloatArray
 
-# Least-squares integration in the frequency domain, with one radial transfer function.
-#
-# The height whose gradient is nearest to (p, q) has the spectrum Z = -i (w_x P + w_y Q) / |w|^2 (Frankot and Chellappa
-# 1988, eq. 21). A filter of the height is one more factor, T(|w|). Two rectangles are offered:
-#
-# * ``zero``: the gradient field continued by zeros, periodic beyond that;
-# * ``mirror``: the height mirrored about the rectangle's borders, where dz/dx changes sign at the left and right border
-#   and dz/dy at the top and bottom. Nothing is enlarged: sines and cosines of the rectangle itself are the basis.
+# Least-squares integration in the frequency domain: the height whose gradient is nearest to (p, q) has the spectrum
+# Z = -i (w_x P + w_y Q) / |w|^2 (Frankot and Chellappa 1988, eq. 21); a filter of it is one more factor, T(|w|).
+# Outside the rectangle the gradient field is zero (``zero``), or the height is mirrored about the borders (``mirror``):
+# dz/dx then changes sign at the left and right one and dz/dy at the top and bottom.
 
 Transfer = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Gain of the height as a function of the radial frequency in radians per pixel."""
@@ -35,12 +31,8 @@ def integrate_spectrum(
 ) -> FloatArray:
     """Height (H, W) in pixels, mean undefined, from dz/dx and dz/dy (y up), zero outside the surface.
 
-    Parameters
-    ----------
-    gradient_x, gradient_y : (H, W) float32
-    transfer : radial gain of the height, or None for one
-    padding : ``zero`` or ``mirror``
-    margin : zeros to append at least, in pixels (``zero`` only), so that the filter does not wrap around
+    `transfer`: radial gain of the height, or None for one; `padding`: ``zero`` or ``mirror``; `margin`: zeros to append
+    at least, in pixels (``zero`` only), so that the filter does not wrap around.
     """
     require(padding in PADDINGS, f"padding must be one of {', '.join(PADDINGS)}, but it is '{padding}'.")
     if padding == "mirror":

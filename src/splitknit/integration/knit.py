@@ -40,24 +40,11 @@ def crossover(
     """Fine detail from one surface and the rest from the other, each frequency once: H visible + (1 - H) shape.
 
     Computed as shape + H (visible - shape), so that only the difference of the two, which is small and smooth at the
-    outline, is filtered. Where both agree the result is either of them, whatever H is. Raises BadInput if shapes
-    differ, the mask is empty, or a value inside the mask is not finite.
+    outline, is filtered. `visible_mm`, `shape_mm`: (H, W) of one unit, NaN is allowed outside `mask`; `response`: H,
+    from angular frequencies in rad/px (an array) to gains, zero at zero and one where the detail is fine. Returns (H,
+    W) float32, NaN outside the mask. Raises BadInput if shapes differ, the mask is empty, or a value inside the mask is
+    not finite.
 
-    Parameters
-    ----------
-    visible_mm : (H, W), surface from white light; NaN is allowed outside the mask
-    shape_mm : (H, W), finger shape, in the same unit
-    response : callable
-        H: from angular frequencies in rad/px (an array) to gains, zero at zero and one where the detail is fine; the
-        normalised response of a shapelet bank, say.
-    mask : (H, W) bool, optional
-
-    Returns
-    -------
-    (H, W) float32, NaN outside the mask
-
-    Examples
-    --------
     >>> import numpy as np
     >>> flat, bumps = np.zeros((32, 32)), np.tile(np.cos(np.arange(32) * np.pi), (32, 1))
     >>> knitted = crossover(bumps + 5.0, flat, lambda omega: omega > 0.5)

@@ -374,21 +374,11 @@ _BLOCK = 4
 
 
 def trusted_height(gradient_x: FloatArray, gradient_y: FloatArray, weights: FloatArray) -> FloatArray:
-    """Height of a whole rectangle by weighted least squares, the weights acting on a grid four times coarser.
+    """Height (H, W) of a whole rectangle in pixels, its mean about zero, by weighted least squares.
 
-    :func:`poisson` with weights takes ten seconds for five megapixels. Where the weights are even nearly everywhere,
-    the unweighted height, which cosine transforms give in one, differs from it by what is smooth: the weighted height
-    of the slopes that it leaves, in means over blocks of pixels.
-
-    Parameters
-    ----------
-    gradient_x, gradient_y : (H, W) float32, dz/dx and dz/dy, y up
-    weights : (H, W) float32, trust in each pixel's gradient, in [0, 1]
-
-    Returns
-    -------
-    (H, W) float32
-        Height in pixels, its mean about zero.
+    :func:`poisson` with weights takes ten seconds for five megapixels. Where the weights (in [0, 1]) are even nearly
+    everywhere, the unweighted height differs from the weighted one by what is smooth: the weighted height of the slopes
+    that it leaves, in means over blocks of pixels.
     """
     height = poisson(gradient_x, gradient_y)
     if min(height.shape) < 8 * _BLOCK:

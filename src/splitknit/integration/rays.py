@@ -44,15 +44,9 @@ def place(  # noqa: PLR0917
 ) -> _Placed:
     """Turn heights along the rays into z, and find the points and normals.
 
-    Parameters
-    ----------
-    height_mm, shape_mm : (h, w) along the rays (:mod:`splitknit.imaging.view`), as if the pixels lay on a regular grid;
-    finite
-        inside the mask
-    mask : (h, w)
-    camera : that saw them
-    window : rows and columns of `mask` in its image
-    top_mm : assumed height of the highest point above the finger plane; one camera does not see how far away it is
+    `height_mm`, `shape_mm`: (h, w) along the rays (:mod:`splitknit.imaging.view`), as if the pixels lay on a regular
+    grid, finite inside the mask; `window`: rows and columns of `mask` in the camera's image; `top_mm`: assumed height
+    of the highest point above the finger plane, as one camera does not see how far away it is.
     """
     if camera.model == "orthographic":
         seen = np.where(mask, height_mm, np.float32(np.nan)).astype(np.float32)

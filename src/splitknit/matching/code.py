@@ -123,11 +123,8 @@ def laid_on(probe: Template, other: Template, turn_rad: float, right_mm: float, 
 def sampled(
     field: _CodeField, turn_rad: NDArray[np.float64], right_mm: NDArray[np.float64], down_mm: NDArray[np.float64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Channels and weights on the grid of a code, for the finger turned and then shifted by several amounts.
-
-    `turn_rad`: (V,) counter-clockwise as seen. `right_mm`, `down_mm`: (V,).
-
-    Returns channels (V, CHANNELS, CELLS) and weights (V, CELLS), 0 to 1, both float32.
+    """Channels (V, CHANNELS, CELLS) and weights (V, CELLS), 0 to 1, on the grid of a code, of a finger that is turned
+    by `turn_rad` (V,), counter-clockwise as seen, and then shifted by `right_mm` and `down_mm` (V,).
     """
     x = (np.arange(COLUMNS) - (COLUMNS - 1) / 2) * STEP_MM
     y = (1.0 + np.arange(ROWS)) * STEP_MM
@@ -218,16 +215,11 @@ def code_size() -> int:
 
 
 def code_of(template: Template) -> NDArray[np.int8]:
-    """Code of a gallery finger.
+    """Code (K,) int8 of a gallery finger, K = :func:`code_size`; zeros for a failure to acquire, which is never found.
 
-    Source: Cappelli 2011, Fast and accurate fingerprint indexing based on ridge orientation and frequency (what is
-    described); Prince and Elder 2007, Probabilistic linear discriminant analysis (how it is reduced).
-
-    Returns
-    -------
-    (K,) int8 with K = :func:`code_size`; zeros for a failure to acquire, which a search never finds. The same template
-    gives the same code (of this `CODE_VERSION`); a code reveals roughly how a finger's ridges run, and should be
-    protected like the template.
+    It reveals roughly how a finger's ridges run, and should be protected like the template. Source: Cappelli 2011, Fast
+    and accurate fingerprint indexing based on ridge orientation and frequency (what is described); Prince and Elder
+    2007, Probabilistic linear discriminant analysis (how it is reduced).
     """
     if template.empty:
         return np.zeros(code_size(), dtype=np.int8)
@@ -302,9 +294,8 @@ class FactorModel:
 
     @cached_property
     def _upper(self) -> list[tuple[int, int, FloatArray]]:
-        """What each cell adds to the precision of z, a band of rows of the upper triangle at a time.
-
-        First and last row, and an array (M, rows columns).
+        """What each cell adds to the precision of z, a band of rows of the upper triangle at a time: first and last
+        row, and an array (M, rows columns).
         """
         right = np.ascontiguousarray(self.loading.transpose(1, 0, 2))
         left: FloatArray = (right / self.noise.T[:, :, None]).transpose(0, 2, 1)

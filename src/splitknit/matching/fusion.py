@@ -16,15 +16,7 @@ from numpy.typing import NDArray
 from splitknit.matching.elastic import Affine, Agreement, PatchGrid, bent, bent_by, compare_patches, rigid, shown_in_a
 from splitknit.matching.minutia_pairs import Laid, Places, agreeing, pair_minutiae
 from splitknit.matching.minutiae_record import pack_minutiae
-from splitknit.matching.ridge import (
-    Prepared,
-    RidgeMatch,
-    placed,
-    refined,
-    ridge_match,
-    scored,
-    starts_by_ridges,
-)
+from splitknit.matching.ridge import Prepared, RidgeMatch, placed, refined, ridge_match, scored, starts_by_ridges
 from splitknit.matching.score import prepared_sides
 from splitknit.matching.template import Template
 from splitknit.model import BoolArray, FloatArray

@@ -216,10 +216,7 @@ def make_template_file(
     progress: Progress = no_progress,
     input_ppi: float | None = None,
 ) -> tuple[ComparedSide, TemplateFile]:
-    """Write the template of one finger; parameters as of :func:`match_files`.
-
-    Raises BadInput, naming the file at fault.
-    """
+    """Write the template of one finger; parameters and refusals as of :func:`match_files`."""
     chosen = settings if isinstance(settings, MatchingSettings) else override(MatchingSettings(), settings or {})
     _check_template_file(template, finger)
     side = read_side(finger, preset, chosen, progress, input_ppi)

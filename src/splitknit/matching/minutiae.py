@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, importing, require
+from splitknit.errors import importing, require
 from splitknit.matching.minutiae_record import (
     BIFURCATION,
     ENDING,
@@ -85,25 +85,16 @@ def extract(
     print_image: NDArray[np.uint8], ppi: float = PPI, enhance: bool | PressedRidges = False, *,
     edge_mm: float | None = None,
 ) -> Minutiae:  # fmt: skip
-    """Find the minutiae of a print with mindtct.
+    """Find the minutiae of a print (H, W) uint8, ridges dark, with mindtct: at most 150, by column and row.
 
-    Raises BadInput if the image or the resolution is of another kind, or `nbis-py` is not installed. The result lists
-    at most 150, the most reliable ones, by column and row. None where there are no ridges: a failure to
-    acquire.
+    None where there are no ridges: a failure to acquire. Other resolutions than 500 ppi are resampled first. `enhance`:
+    whether the print is enhanced first, or its enhancement, for prints pressed on glass or paper; relief prints of
+    reconstructions, whose contrast is even, are taken as they are. Minutiae nearer to the print's outline than
+    `edge_mm` are left out, for there every ridge ends: by default :data:`splitknit.matching.minutiae.EDGE_MM`, and half
+    of it after `enhance`, as pressed prints fade out. Raises BadInput if the image or the resolution is of another
+    kind, or `nbis-py` is not installed.
 
     Source: C. I. Watson et al., "User's Guide to NIST Biometric Image Software (NBIS)", NIST 2007: MINDTCT.
-
-    Parameters
-    ----------
-    print_image : (H, W) uint8; ridges dark, as ink on paper
-    ppi : its resolution; other ones than 500 are resampled first
-    enhance : bool or PressedRidges
-        Whether the print is enhanced first, or its enhancement: for prints pressed on glass or paper. Without,
-        it is taken as it is: right for the relief prints of reconstructions, whose contrast is even.
-    edge_mm : float, optional
-        Minutiae nearer to the print's outline are left out, for there every ridge ends. By default
-        :data:`splitknit.matching.minutiae.EDGE_MM` for prints taken as they are, and half of it after `enhance`:
-        pressed prints fade out at their border.
     """
     image = at_500_ppi(print_image, ppi)
     if min(image.shape) < MIN_SIDE_PX:
@@ -213,15 +204,6 @@ def at_500_ppi(print_image: NDArray[np.uint8], ppi: float) -> NDArray[np.uint8]:
 
 def _png(image: NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
-
-
-def installed() -> bool:
-    """Whether nbis-py can be used on this machine."""
-    try:
-        _module()
-    except BadInput:
-        return False
-    return True
 
 
 def _module() -> Any:

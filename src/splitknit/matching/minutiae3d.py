@@ -321,9 +321,8 @@ def minutiae3d_match(
 ) -> SpaceMatch:
     """Compare the minutiae in space of two fingers.
 
-    Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space.
-
-    `a`, `b`: prepare a side that is compared more than once; then its settings must be those given here.
+    Comparing A with B gives what B with A gives, and neither depends on how the fingers lie in space. Prepare a side
+    that is compared more than once; then its settings must be those given here.
 
     Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
     Trans. PAMI 37(3), 2015: a reference minutia pair aligns two sets; minutiae match within tolerances of place, theta

@@ -58,9 +58,7 @@ class RenewableCode:
         """By which codes under the same key are recognised; reveals nothing of it."""
 
     def stored(self, codes: NDArray[np.int8]) -> tuple[NDArray[np.uint8], NDArray[np.int8]]:
-        """Codes as a gallery keeps them.
-
-        `codes`: (N, K) int8 of :func:`splitknit.matching.code.code_of`.
+        """Codes (N, K) int8 of :func:`splitknit.matching.code.code_of` as a gallery keeps them.
 
         Returns packed bits (N, BITS / 8) uint8, and the turned codes (N, K) int8, whose products are those of `codes`
         but for rounding.

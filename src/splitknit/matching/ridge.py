@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -31,7 +30,6 @@ from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.score import prepared_side, prepared_sides
 from splitknit.matching.template import Template, pack
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits
 
 Spectra = NDArray[np.complex64]
 
@@ -56,17 +54,11 @@ _CANDIDATES = 2
 _LOW = 0.7
 """Peaks lower than this fraction of the highest are not: of 2,024 pairs tried, ten of those led to another score, by at
 most 0.04, and none changed a rate."""
+_WHITENING = 0.5
+"""Power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone."""
 _HALF = round(180 / _STEP_DEG)
 """Steps of half a turn. What is turned by half a turn more is the same upside down: its spectrum is conjugate, and the
 peak of a correlation with it lies one pixel further on both axes."""
-
-
-@dataclass(frozen=True, slots=True)
-class PhaseSettings(Checked):
-    """The coarse search."""
-
-    whitening: Annotated[float, Limits(0, 1)] = 0.5
-    """Power of the magnitude that each spectrum is divided by: 0 correlates, 1 keeps phase alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +80,9 @@ class _RotatedViews:
     The latter take up to 7 MB, as whole numbers of 16 bits.
     """
 
-    def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float, settings: PhaseSettings) -> None:
+    def __init__(self, value: FloatArray, valid: BoolArray, pitch_mm: float) -> None:
         """Take the band; its middle becomes the middle of the grids."""
-        self._soft, self._pitch_mm, self._settings = _softened(value, pitch_mm), pitch_mm, settings
+        self._soft, self._pitch_mm = _softened(value, pitch_mm), pitch_mm
         self.directions = _block_directions(value, valid, pitch_mm, _STEP_DEG * np.arange(_HALF, dtype=np.float64))
         count = 2 * _HALF
         self._ridges = np.zeros((count, _PLANE_PX[0], 2 * (_PLANE_PX[1] // 2 + 1)), dtype=np.int16)
@@ -100,7 +92,7 @@ class _RotatedViews:
         """Spectrum, turned by `number` half steps (less half a turn), and its unit."""
         k = number % len(self._unit)
         if self._unit[k] == 0:
-            view = _ridge_view(self._soft, self._pitch_mm, _angle_deg(k), self._settings).view(np.float32)
+            view = _ridge_view(self._soft, self._pitch_mm, _angle_deg(k)).view(np.float32)
             self._unit[k] = max(float(np.abs(view).max()), 1e-30) / np.iinfo(np.int16).max
             self._ridges[k] = np.round(view / self._unit[k])
         return self._ridges[k].astype(np.float32).view(np.complex64), float(self._unit[k])
@@ -146,13 +138,13 @@ def _softened(value: FloatArray, pitch_mm: float) -> FloatArray:
     return gaussian_blur(value, 0.4 * _PITCH_MM / pitch_mm)
 
 
-def _ridge_view(soft: FloatArray, pitch_mm: float, angle_deg: float, settings: PhaseSettings) -> Spectra:
+def _ridge_view(soft: FloatArray, pitch_mm: float, angle_deg: float) -> Spectra:
     """Whitened spectrum (rows, columns // 2 + 1) of a soft band (H, W), turned; its middle is the grid's middle.
 
     Correlated with itself, it has a peak of 1.
     """
     turned = _fetched(soft, float(np.deg2rad(angle_deg)), _PITCH_MM / pitch_mm, _PLANE_PX)
-    return _whitened(spectrum_of(turned), settings)
+    return _whitened(spectrum_of(turned))
 
 
 def _fetched(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[int, int]) -> FloatArray:
@@ -171,13 +163,9 @@ def _fetched(picture: FloatArray, angle_rad: float, step_px: float, size: tuple[
 
 
 def peaks(rotated: _RotatedViews, directions: Spectra, ridges: Spectra) -> list[_Peak]:
-    """Best alignments, best first, at most one a rotation.
+    """Best alignments of A on B, best first, at most one a rotation.
 
-    Parameters
-    ----------
-    rotated : A
-    directions : (3, 1, rows, columns // 2 + 1) of B, not turned, from :func:`_block_directions`
-    ridges : (rows, columns // 2 + 1) of B, not turned, from :func:`_ridge_view`
+    `directions`, `ridges`: of B, not turned, from :func:`_block_directions` and :func:`_ridge_view`.
     """
     scores = np.concatenate(
         [_agreement(rotated.directions.conj() * directions), _agreement(rotated.directions * directions)]
@@ -216,10 +204,10 @@ def _agreement(products: Spectra) -> NDArray[np.float32]:
     return np.asarray((both[0] / np.sqrt(overlap)).reshape(both.shape[1], -1).max(axis=1))
 
 
-def _whitened(spectrum: Spectra, settings: PhaseSettings) -> Spectra:
+def _whitened(spectrum: Spectra) -> Spectra:
     size = np.abs(spectrum)
     floor = max(0.05 * float(size.max()), 1e-12)
-    result = spectrum * (_ridge_pass() / np.maximum(size, np.float32(floor)) ** settings.whitening)
+    result = spectrum * (_ridge_pass() / np.maximum(size, np.float32(floor)) ** _WHITENING)
     # twice the power of the half plane, but for its first column, where ridges have little
     power = 2 * float((np.abs(result) ** 2).sum())
     result *= np.float32(np.sqrt(_PLANE_PX[0] * _PLANE_PX[1] / max(power, 1e-30)))
@@ -247,7 +235,6 @@ FIRST_PATCHES = PatchSettings(patch_mm=2.4, step_mm=2.4, search_mm=0.8)
 class RidgeMatchSettings:
     """How two templates are compared."""
 
-    phase: PhaseSettings = field(default_factory=PhaseSettings)
     patches: PatchSettings = field(default_factory=PatchSettings)
     """Patches that give the score."""
 
@@ -292,7 +279,7 @@ class Prepared:
     @cached_property
     def rotated(self) -> _RotatedViews:
         """Views under all rotations."""
-        return _RotatedViews(self.value, self.template.valid, self.template.pitch_mm, self.settings.phase)
+        return _RotatedViews(self.value, self.template.valid, self.template.pitch_mm)
 
     @cached_property
     def directions(self) -> Spectra:
@@ -303,7 +290,7 @@ class Prepared:
     def ridges(self) -> Spectra:
         """Ridges without rotation."""
         soft = _softened(self.value, self.template.pitch_mm)
-        return _ridge_view(soft, self.template.pitch_mm, 0.0, self.settings.phase)
+        return _ridge_view(soft, self.template.pitch_mm, 0.0)
 
     @cached_property
     def cylinders(self) -> Cylinders | None:
@@ -327,13 +314,11 @@ class Prepared:
 def ridge_match(
     a: Template | Prepared, b: Template | Prepared, settings: RidgeMatchSettings | None = None
 ) -> RidgeMatch:
-    """Compare two templates. Raises BadInput if the templates have different pitches.
+    """Compare two templates; prepare one that is compared more than once, then with the settings given here.
 
-    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the
-    shift that the neighbouring patches support, times sqrt(min(1, overlap / least)) with least =
-    min(60 mm2, half of the smaller template).
-
-    `a`, `b`: prepare a template that is compared more than once; then its settings must be those given here.
+    The `similarity` is the mean, over the patches of the overlap, of the local correlation at the shift that the
+    neighbouring patches support, times sqrt(min(1, overlap / least)) with least = min(60 mm2, half of the smaller
+    template). Raises BadInput if the templates have different pitches.
 
     Source: Kuglin and Hines 1975, The phase correlation image alignment method; Ito et al. 2004, A fingerprint matching
     algorithm using phase-only correlation (band limit, rotation search); Bazen et al. 2000, A correlation-based

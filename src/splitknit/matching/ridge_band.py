@@ -79,23 +79,15 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 ) -> RidgeBand:
     """Return the ridge band of a relief.
 
-    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive. The band's
-    pixels are `settings.pitch_mm` wide; `valid` may be empty (failure to acquire).
+    `ridge_mm`: (H, W) ridges up, of any unit, ignored outside `mask`; `pitch_mm`: of the input on the finger plane;
+    `shape_mm`: (H, W) finger without its ridges: without it nothing is unrolled and no slant is known;
+    `input_from_upright`: (3, 3), takes (column, row, 1) of the upright frame, of `upright_size` rows and columns, to
+    the input; without it the input is upright. `valid` of the result may be empty (failure to acquire). Raises BadInput
+    if shapes disagree, the mask is empty, or the pitch is not positive.
 
     Source: Hong, Wan and Jain 1998, Fingerprint image enhancement (normalisation, orientation by the structure tensor);
     Chen, Parziale, Diaz-Santana and Jain 2006, 3D touchless fingerprints: compatibility with legacy rolled images
     (unrolling by arc length).
-
-    Parameters
-    ----------
-    ridge_mm : (H, W) float32; relief, ridges up, of any unit; ignored outside `mask`
-    mask : (H, W) bool
-    pitch_mm : side of a pixel of the input on the finger plane
-    shape_mm : (H, W) float32, optional
-        Finger without its ridges, mm; without it nothing is unrolled and no slant is known.
-    input_from_upright : (3, 3), optional
-        Takes (column, row, 1) of the upright frame to the input; the input is upright where it is missing.
-    upright_size : (rows, columns) of the upright frame, optional
     """
     settings = settings or RidgeBandSettings()
     require(
@@ -140,10 +132,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
 
 
 def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> RidgeBand:
-    """Take out what is wider than a ridge, make contrast even, and keep what has ridges.
-
-    `value` (H, W) lies on the band's grid already.
-    """
+    """Keep ridges of even contrast of `value` (H, W), which lies on the band's grid; what is wider is taken out."""
     pitch = settings.pitch_mm
     weight = inside.astype(np.float32)
     narrow, window = settings.ridge_mm / pitch, settings.window_mm / pitch
@@ -172,13 +161,8 @@ def print_band(
 ) -> RidgeBand:  # fmt: skip
     """Return the ridge band of a print: mirrored back to what a camera sees, ridges (dark) positive.
 
-    Raises BadInput if it is no grey image or the resolution is not positive.
-
-    Parameters
-    ----------
-    image : (H, W) uint8; grey, ridges dark, upright, as ink on paper
-    ppi : pixels per inch
-    inside : (H, W) bool, optional; where there are ridges; by default wherever there is contrast
+    `image`: (H, W) uint8, ridges dark, upright, as ink on paper; `inside`: (H, W) bool, where there are ridges, by
+    default wherever there is contrast. Raises BadInput if it is no grey image or the resolution is not positive.
     """
     settings = settings or RidgeBandSettings()
     require(

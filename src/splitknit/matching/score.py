@@ -42,10 +42,7 @@ def prepared_side(side: Any, kind: type[Side], settings: Any = None) -> Side:
 
 
 def prepared_sides(a: Any, b: Any, kind: type[Side], settings: Any) -> tuple[Side, Side]:
-    """Both sides, see :func:`prepared_side`.
-
-    Raises BadInput if one was prepared with other settings than the other, or than `settings`.
-    """
+    """Both sides, see :func:`prepared_side`. Raises BadInput if they were prepared with different settings."""
     left, right = (prepared_side(side, kind, settings) for side in (a, b))
     require(
         left.settings == right.settings,

@@ -85,15 +85,10 @@ class CodeIndex:
     def search(
         self, probe: Template, k: int = 50, settings: ProbeSettings | None = None
     ) -> tuple[list[str], FloatArray]:
-        """The `k` fingers whose codes are most like the probe's.
+        """Ids and scores (k,) of the fingers whose codes are most like those of a probe that is not empty.
 
-        Returns ids, best first, equal ones in the order of their ids, and scores (k,) float32, -1 to about 1.
-
-        Parameters
-        ----------
-        probe : Template, not empty
-        k : at least 1; fewer come back from a smaller index
-        settings : of the probe's variants
+        Best first, equal ones in the order of their ids; scores from -1 to about 1; fewer than `k` from a smaller
+        index. `settings`: of the probe's variants.
         """
         require(k >= 1, f"k must be at least 1, but it is {k}.")
         if not self.ids:
@@ -133,28 +128,13 @@ def identify(
 ) -> list[Candidate]:
     """Who is it? Codes choose `k` fingers of the gallery, a glance at their ridges a few, and those are compared.
 
-    Parameters
-    ----------
-    probe : Template
-    gallery : templates (or prepared ones) by id, or a function that fetches one by its id; it is asked for the
-        candidates only
-    index : codes of the gallery
-    k : candidates of the codes; `settings.candidates` if None. Where k reaches the size of the index, codes are not
-        used at all: all are compared. For galleries up to `EXHAUSTIVE` fingers that is the safe choice.
-    settings : SearchSettings, optional
-    match : of the comparison of ridges
-
-    Returns
-    -------
-    list of Candidate, highest similarity first, at most `settings.finalists` (all of a gallery that is compared as a
-    whole); equal ones in the order of their ids. Empty if the probe is a failure to acquire. A finger is who it is
-    taken for only where its similarity passes a threshold: `splitknit match` prints false match rates of one
-    comparison; a search among N fingers makes N chances of a false match.
-
-    Raises
-    ------
-    BadInput
-        If k is less than 1, or a template has another pitch than the probe.
+    `gallery`: templates (or prepared ones) by id, or a function that fetches one by its id, which is asked for the
+    candidates only; `index`: codes of the gallery; `k`: candidates of the codes, by default `settings.candidates`.
+    Where k reaches the size of the index, all are compared and codes not used: the safe choice for galleries up to
+    `EXHAUSTIVE` fingers. Returns at most `settings.finalists` (all of a gallery that is compared as a whole), highest
+    similarity first, equal ones in the order of their ids; none if the probe is a failure to acquire. A search among N
+    fingers makes N chances of a false match. Raises BadInput if k is less than 1, or a template has another pitch than
+    the probe.
     """
     settings = settings or SearchSettings()
     k = settings.candidates if k is None else k
@@ -185,10 +165,8 @@ def identify(
 def glance(probe: Prepared, other: Prepared, settings: ProbeSettings, variant: int) -> float:
     """How well patches of the probe's ridges are found in the other finger, laid as its code fits best.
 
-    Raises BadInput if the templates have different pitches. Returns agreement times the root of the number of
-    patches; -1 for a failure to acquire.
-
-    `settings`: of the probe's variants. `variant`: number of the one that fits best.
+    Returns agreement times the root of the number of patches; -1 for a failure to acquire. `variant`: number of the
+    probe's variant that fits best. Raises BadInput if the templates have different pitches.
     """
     if other.template.empty:
         return -1.0

@@ -91,16 +91,9 @@ def in_space(
     """Where places of a print lie on the surface, in the upright finger's frame, and their directions there.
 
     Returns (N, 6) x, y, z in mm and the direction; NaN where the print shows nothing, or the surface is not known.
-
-    Parameters
-    ----------
-    places : (N, 2) column and row on the print
-    directions_rad : (N,) counter-clockwise, as seen in the print
-    print_map : between the print and the input
-    height_mm : (H, W), NaN where it is not known
-    pitch_mm : of the input
-    input_from_upright : (3, 3)
-    xy_mm : x and y (H, W) of the surface's points, where the camera's rays spread
+    `places`: (N, 2) column and row on the print; `directions_rad`: (N,) counter-clockwise, as seen in the print;
+    `height_mm`: (H, W), NaN where it is not known, of the input's `pitch_mm`; `xy_mm`: x and y (H, W) of the surface's
+    points, where the camera's rays spread.
     """
     require(height_mm.ndim == 2, f"heights must be (H, W), but they are {height_mm.shape}.")
     there = print_map.input_from_print(places)

@@ -83,18 +83,13 @@ class SurfaceCode:
 def make_surface_code(
     shape_index: FloatArray, mask: BoolArray, settings: SurfaceCodeSettings | None = None
 ) -> SurfaceCode:
-    """Code of a shape index on an upright grid of the settings' pitch.
+    """Code of a shape index (H, W), 0 to 1, on an upright grid of `CODE_PITCH_MM`; NaN has none.
 
     Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
     Trans. PAMI 37(3), 2015: finger surface codes; V. Kanhangad, A. Kumar and D. Zhang, "A unified framework for
     contactless hand verification", IEEE Trans. IFS 6(3), 2011: nine surface types in four bits; J. Koenderink and A.
     van Doorn, "Surface shape and curvature scales", Image and Vision Computing 10, 1992. Which bits stand for which
     type is not printed in the accessible text: the Gray code is chosen by us.
-
-    Parameters
-    ----------
-    shape_index : (H, W) 0 to 1; ignored where it is NaN or outside `mask`
-    mask : (H, W) bool
 
     >>> ridge_and_valley = np.array([[0.75, 0.25]], dtype=np.float32)
     >>> make_surface_code(ridge_and_valley, np.ones((1, 2), bool), SurfaceCodeSettings(least_area_mm2=0)).code.tolist()
@@ -275,13 +270,10 @@ def surface_code_match(
 ) -> _SurfaceMatch:
     """Compare two surface codes.
 
-    Comparing A with B gives what B with A gives. Raises BadInput if the codes have different pitches.
-
-    `a`, `b`: prepare a side that is compared more than once; then its settings must be those given here.
-
-    Source: A. Kumar and C. Kwong, "Towards contactless, low-cost and accurate 3D fingerprint identification", IEEE
-    Trans. PAMI 37(3), 2015: normalised Hamming distance of masked codes, minimum over shifts. Rotations are our
-    addition.
+    Comparing A with B gives what B with A gives. Prepare a side that is compared more than once; then its settings must
+    be those given here. Raises BadInput if the codes have different pitches. Source: A. Kumar and C. Kwong, "Towards
+    contactless, low-cost and accurate 3D fingerprint identification", IEEE Trans. PAMI 37(3), 2015: normalised Hamming
+    distance of masked codes, minimum over shifts. Rotations are our addition.
     """
     left, right = prepared_sides(a, b, PreparedSurface, settings)
     pitch = left.surface_code.pitch_mm

@@ -69,12 +69,8 @@ class Template:
 def make_template(band: RidgeBand, settings: TemplateSettings | None = None) -> Template:
     """Return the template of a ridge band, cut to what is valid.
 
-    Raises BadInput if the band is larger than the format allows: larger than any finger. The result is empty where
-    less than ``least_area_mm2`` is valid: a failure to acquire.
-
-    Parameters
-    ----------
-    band : as :func:`splitknit.matching.ridge_band` gives it
+    It is empty where less than ``least_area_mm2`` is valid: a failure to acquire. Raises BadInput if the band is larger
+    than the format allows: larger than any finger.
 
     >>> import numpy as np
     >>> from splitknit.matching.ridge_band import ridge_band

@@ -47,11 +47,6 @@ def vote(pictures: Sequence[Minutiae], settings: VoteSettings | None = None) -> 
 
     Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
     2018, as the thesis describes it (section 2.2.1).
-
-    Parameters
-    ----------
-    pictures : lists of minutiae, all on prints of one size
-
     >>> import numpy as np
     >>> def one(x):
     ...     small = np.array([1], np.uint8)
@@ -257,9 +252,7 @@ def voted_minutiae(
 ) -> Minutiae:
     """Minutiae on which enough pictures of all sets agree; their quality is the fraction that does.
 
-    Raises BadInput as :func:`left_out_pictures`, or if `nbis-py` is not installed.
-
-    `capture`, `settings`, `chosen`: as of :func:`left_out_pictures`.
+    Parameters as of :func:`left_out_pictures`. Raises BadInput as that, or if `nbis-py` is not installed.
     """
     found = [extract(one.print_image, PPI) for one in left_out_pictures(capture, settings, chosen)]
     return vote(found, votes) if found else no_minutiae()

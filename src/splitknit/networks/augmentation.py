@@ -89,16 +89,10 @@ def mean_over_orientations(
     orientations: Sequence[int],
     earlier: FloatArray | None = None,
 ) -> FloatArray:
-    """Mean of a network's output over orientations of its input.
+    """Mean of a network's output (m, h, w) over `orientations` (of the eight, 0 to 7) of its input `fields` (n, h, w).
 
-    Parameters
-    ----------
-    network : from (n, h, w) to (m, h, w)
-    fields : (n, h, w) float32, contiguous
-        Overwritten: beside the network, which needs most memory, there is no copy of them.
-    symmetries : of the network's input and of its output
-    orientations : of the eight (0 to 7)
-    earlier : (m, h, w) output in one more orientation, optional
+    `fields`, contiguous float32, is overwritten: beside the network, which needs most memory, there is no copy of it.
+    `symmetries`: of the network's input and of its output; `earlier`: output in one more orientation.
     """
     outputs = [] if earlier is None else [earlier]
     current = UPRIGHT

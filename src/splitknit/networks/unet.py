@@ -64,13 +64,9 @@ def running() -> Running:
 def use_device(device: str = "cpu", threads: int = _THREADS) -> str:
     """Choose how networks of this process are loaded, and so run, from now on.
 
-    Raises BadInput if there is no such device, or onnxruntime has no provider for it. Returns ``cpu``, always the
-    same result; or ``cuda``, the same within :data:`CUDA_TOLERANCE` of its largest value.
-
-    Parameters
-    ----------
-    device : one of :data:`DEVICES`; ``auto`` is ``cuda`` where onnxruntime offers it, and else ``cpu``
-    threads : of a network; not a bit of a result depends on it
+    Returns ``cpu``, whose results are always the same, whatever the `threads` of a network; or ``cuda``, the same
+    within :data:`CUDA_TOLERANCE` of the largest value. `device`: one of :data:`DEVICES`; ``auto`` is ``cuda`` where
+    onnxruntime offers it, and else ``cpu``. Raises BadInput if there is no such device, or no provider for it.
 
     >>> use_device("auto") in ("cpu", "cuda")
     True
@@ -104,13 +100,8 @@ class Network:
 def load_network(name: str | os.PathLike[str]) -> Network:
     """Load a network, check its hash and prepare it for running.
 
-    Raises BadInput if weights or card are missing or damaged, or onnxruntime is not installed.
-
-    Parameters
-    ----------
-    name
-        Name of a network in the package (loaded once while it is in use), or path of an ``.onnx`` file with its card
-        beside it.
+    `name`: of a network in the package (loaded once while it is in use), or path of an ``.onnx`` file with its card
+    beside it. Raises BadInput if weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
     return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running)
@@ -191,20 +182,13 @@ def _onnxruntime() -> Any:
 
 
 def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> FloatArray:
-    """Run `network` on every image.
+    """Run `network` on every image, (N, H, W) or (N, C, H, W) float32; returns (N, D, H, W) float32.
 
-    Images whose sides are no multiples of the stride are lengthened by reflection at their lower and right borders, and
-    the result is cut back. Tiles overlap by the network's reach. Raises BadInput if the images have the wrong number of
-    channels, hold NaN, or are smaller than the network's stride. Returns (N, D, H, W) float32.
-
-    Parameters
-    ----------
-    images : (N, H, W) or (N, C, H, W) float32
-        Of any size from the network's stride upwards. (N, H, W) are images of one channel. One channel is repeated for
-        a network that takes more, as the thesis gives its grey images to a network for three channels.
-    tile : int
-        Side in pixels of a square as large as what is worked on at once; the memory needed grows with its square. The
-        result does not depend on it, but for rounding (about 1e-6).
+    One channel is repeated for a network that takes more. Sides that are no multiples of the stride are lengthened by
+    reflection at the lower and right borders, and the result is cut back; tiles overlap by the network's reach. `tile`:
+    side in pixels of a square as large as what is worked on at once; the memory needed grows with its square, the
+    result changes by rounding (about 1e-6). Raises BadInput if the images have the wrong number of channels, hold NaN,
+    or are smaller than the network's stride.
     """
     stack = _checked(images, network.card)
     count, channels, height, width = stack.shape

@@ -67,14 +67,8 @@ def _shipped_names() -> list[str]:
 def read_network(name: str | os.PathLike[str]) -> tuple[Card, bytes]:
     """Read a network's card and weights, and check that they belong together.
 
-    Raises BadInput if either file is missing or damaged, or the weights are not those that the card describes.
-
-    `name`: name of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it.
-
-    Returns
-    -------
-    card : Card
-    weights : bytes of the ONNX file
+    `name`: of a network in the package, or path of an ``.onnx`` file with its card, a ``.json``, beside it. Returns the
+    card and the bytes of the ONNX file. Raises BadInput if one is missing or damaged, or they do not belong together.
     """
     weights_file, card_file, remedy = _files(name)
     weights = _read(weights_file, f"the weights '{weights_file}'", remedy)

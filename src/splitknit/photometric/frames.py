@@ -104,17 +104,12 @@ class LightFit:
 def fit_lights(stack: Any, lights: Any, mask: Any = None) -> LightFit:
     """Compare photographs with the lights that they are given, in this and in every other order and frame.
 
-    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`.
+    Raises BadInput as :func:`splitknit.photometric.lambertian.lambertian`, whose parameters these are; `mask` is the
+    whole object, and a few hundred pixels a side are enough.
 
     Sources: rank three, A. Shashua, "On photometric issues in 3D visual recognition from a single 2D image", IJCV 21
     (1997). The best order is a quadratic assignment of the photographs' inner products to the lights', searched by
     exchanges of two: R. E. Burkard, M. Dell'Amico and S. Martello, "Assignment Problems" (2009), section 8.2.
-
-    Parameters
-    ----------
-    stack : (L, H, W) float32; linear light, one image a light; three at least. A few hundred pixels a side are enough.
-    lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
-    mask : (H, W) bool, optional; the whole object; everything by default
 
     >>> import numpy as np
     >>> y, x = np.mgrid[30:-31:-1, -30:31] / 40.0

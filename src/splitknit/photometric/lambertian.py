@@ -93,23 +93,15 @@ def left_out(stack: Any, lights: Any, mask: Any = None) -> Iterator[tuple[FloatA
     """Normals and albedo of a matt surface from all images but one, for every image in its turn.
 
     Yields normals (H, W, 3) and albedo (H, W) without image k, k = 0 ... L - 1: as :func:`lambertian` of the other
-    images gives them, but for rounding.
-
-    Leaving out a row of a least-squares problem is a rank-one change of its normal equations. With A = L^T L, g the
-    solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, the solution without image k is g_k = g -
-    A^-1 l_k (I_k - l_k . g) / (1 - h_k): one scaled picture is added, nothing is solved again. What is kept between two
-    turns is g and the L residuals, the size of the stack and three pictures more. Raises BadInput if shapes or numbers
-    disagree, the lights are fewer than four, or the others lie in one plane when one of them is left out.
+    images gives them, but for rounding. Leaving out a row of a least-squares problem is a rank-one change of its normal
+    equations: with A = L^T L, g the solution of all images and h_k = l_k . A^-1 l_k the leverage of light k, it is
+    g_k = g - A^-1 l_k (I_k - l_k . g) / (1 - h_k). Parameters as of :func:`lambertian`, but four images at least.
+    Raises BadInput if shapes or numbers disagree, the lights are fewer than four, or the others lie in one plane when
+    one of them is left out.
 
     Source: Q. Zheng, A. Kumar and G. Pan, "Contactless 3D fingerprint identification without 3D reconstruction", IWBF
     2018: the leave-one-out sets. J. Sherman and W. Morrison, "Adjustment of an inverse matrix corresponding to a change
     in one element of a given matrix", Annals of Mathematical Statistics 21 (1950).
-
-    Parameters
-    ----------
-    stack : (L, H, W) float32; linear light, one image a light; four at least
-    lights : (L, 3); directions towards the lights (x right, y up, z to the camera); the length is the relative strength
-    mask : (H, W) bool, optional; the surface; everything by default
     """
     images = check_stack(stack, least=4)
     count, rows, columns = images.shape

@@ -24,20 +24,13 @@ _ROUNDS = 3
 
 
 def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
-    """Pixels that printed dark dots cover, their blurred edge included.
+    """Pixels (H, W) bool that printed dark dots of `diameter_px` (2 at least) cover, their blurred edge included.
 
     A dot absorbs every colour; a slope that turns from one light is still lit by the others. So a pixel belongs to a
-    dot where *all* images are darker than their surroundings (the closing of the image by a square of 1.5 diameters,
-    which removes dark spots up to that size) by a quarter or more, and the spot is about as large as a dot. Raises
-    BadInput if the diameter is out of range. Returns (H, W) bool.
-
-    Source: J. Serra, "Image analysis and mathematical morphology", Academic Press 1982, chapter XII (the top-hat
-    transform).
-
-    Parameters
-    ----------
-    light : (L, H, W); linear light, not divided by a flat photograph
-    diameter_px : of a dot, at least 2
+    dot where *all* images of linear `light` (L, H, W), not divided by a flat photograph, are darker than their
+    surroundings (the closing of the image by a square of 1.5 diameters) by a quarter or more, and the spot is about as
+    large as a dot. Raises BadInput if the diameter is out of range. Source: J. Serra, "Image analysis and mathematical
+    morphology", Academic Press 1982, chapter XII (the top-hat transform).
 
     >>> import numpy as np
     >>> light = np.full((3, 60, 80), 0.5)
@@ -69,20 +62,13 @@ def find_markers(light: NDArray[np.floating], diameter_px: float) -> BoolArray:
 
 
 def bridge(fields: NDArray[np.floating], mask: BoolArray, reach_px: float) -> FloatArray:
-    """Fields whose masked pixels are replaced by means of the others near them.
+    """`fields` (N, H, W) float32 whose masked pixels are replaced by means of the others near them.
 
-    The means have a bell-shaped kernel (triangles along rows and columns) and are normalised by how much of it is not
-    masked, first of `reach_px`, then, inside larger holes, of two and four times that and so on. Then each masked pixel
-    becomes the mean of a square around it, a few times over: a field that is linear across a hole stays so. Raises
-    BadInput if everything is masked. Returns (N, H, W) float32.
-
-    Source: H. Knutsson and C.-F. Westin, "Normalized and differential convolution", CVPR 1993.
-
-    Parameters
-    ----------
-    fields : (N, H, W)
-    mask : (H, W) bool; what is replaced
-    reach_px : standard deviation of the kernel, about half the diameter of the holes
+    The means have a bell-shaped kernel (triangles along rows and columns) of standard deviation `reach_px`, about half
+    the diameter of the holes, and inside larger holes of two and four times that and so on, normalised by how much of
+    it is not masked. Then each masked pixel becomes the mean of a square around it, a few times over: a field that is
+    linear across a hole stays so. Raises BadInput if everything is masked. Source: H. Knutsson and C.-F. Westin,
+    "Normalized and differential convolution", CVPR 1993.
 
     >>> import numpy as np
     >>> hole = np.zeros((30, 30), bool)

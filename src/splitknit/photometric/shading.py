@@ -127,23 +127,12 @@ def term_count(lights: int, degree: int) -> int:
 
 
 def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slopes of a surface from its images, and their standard deviation.
+    """Slopes (2, H, W) of a surface, dz/dx and dz/dy with y up, and the standard deviation (H, W) of either.
 
-    Raises BadInput if the images have another number of lights or another size than those of the calibration, or it
-    holds no balls.
-
-    Parameters
-    ----------
-    shading : of the sensor that took the images
-    images : (L, H, W) float32
-        Linear light, divided by the flat surface's; L is the number of lights (or of the colours of one frame). A
-        common factor does not matter (:func:`facing_level`).
-
-    Returns
-    -------
-    gradient : (2, H, W) float32
-        dz/dx and dz/dy, y up. Slopes beyond 1.5 times the steepest calibrated one are shortened to it.
-    deviation : (H, W) float32; standard deviation of either slope
+    `images`: (L, H, W) linear light divided by the flat surface's, of the sensor's L lights (or the colours of one
+    frame); a common factor does not matter (:func:`facing_level`). Slopes beyond 1.5 times the steepest calibrated one
+    are shortened to it. Raises BadInput if the images have another number of lights or another size than those of the
+    calibration, or it holds no balls.
     """
     lights, rows, columns = check_shading(shading, images)
     count = term_count(lights, shading.degree)

@@ -81,17 +81,10 @@ def curvature(
 ) -> _Curvature:
     """Principal curvatures and shape index of a surface.
 
-    Raises BadInput if shapes disagree, the mask is empty, or the pitch is not positive.
-
-    Source: the thesis, section 5.5, eq. 5.3. The Weingarten matrix is the first fundamental form's inverse times the
-    second (do Carmo 1976, section 3.3).
-
-    Parameters
-    ----------
-    height_mm : (H, W) float32; ridges and shape together; ignored outside `mask`
-    mask : (H, W) bool
-    pitch_mm : of the input on the finger plane
-    xy_mm : (H, W) float32, twice, optional; x and y of the surface points (perspective cameras)
+    `height_mm`: (H, W) float32, ridges and shape together, ignored outside `mask`; `xy_mm`: x and y (H, W) of the
+    surface points, for perspective cameras. Raises BadInput if shapes disagree, the mask is empty, or the pitch is not
+    positive. Source: the thesis, section 5.5, eq. 5.3; the Weingarten matrix is the first fundamental form's inverse
+    times the second (do Carmo 1976, section 3.3).
     """
     settings = settings or CurvatureSettings()
     require(bool(np.isfinite(pitch_mm)) and pitch_mm > 0, f"pitch_mm must be a positive number, not {pitch_mm}.")

@@ -53,16 +53,10 @@ class Enhanced:
 
 
 def gabor_enhance(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> Enhanced:
-    """Enhance a print. Raises BadInput if the image is of another kind, or has no ridges.
+    """Enhance a print (h, w) uint8, ridges dark; nothing is printed beside `inside` (h, w), where that is known.
 
-    Source: L. Hong, Y. Wan and A. Jain 1998, Fingerprint image enhancement: algorithm and performance evaluation,
-    section 2.6.
-
-    Parameters
-    ----------
-    image : (h, w) uint8; ridges dark
-    ppi : pixels per inch
-    inside : (h, w) bool, optional; where the finger is, if it is known: nothing is printed beside it
+    Raises BadInput if the image is of another kind, or has no ridges. Source: L. Hong, Y. Wan and A. Jain 1998,
+    Fingerprint image enhancement: algorithm and performance evaluation, section 2.6.
     """
     found = ridge_field(image, ppi, inside)
     coefficients = node_amplitudes(image, found, _SIGMA_PERIODS)
@@ -102,12 +96,10 @@ def _wave_vectors(found: RidgeField) -> tuple[FloatArray, FloatArray]:
 def node_amplitudes(
     image: NDArray[np.uint8] | FloatArray, found: RidgeField, sigma_periods: float
 ) -> NDArray[np.complex64]:
-    """Fit one plane wave, with a node's own direction and frequency, at every node.
+    """Fit one plane wave, with a node's own direction and frequency, at every node of an image (h, w).
 
     Returns (n, m) complex64: amplitude and phase at the node, in the image's unit; zero outside the field's mask.
-
-    `image`: (h, w) uint8 or float32. `sigma_periods`: standard deviation of the window in which a wave is fitted, in
-    local ridge periods.
+    `sigma_periods`: standard deviation of the window in which a wave is fitted, in local ridge periods.
     """
     step, (n, m) = found.step_px, found.mask.shape
     frequency = found.frequency_px[found.mask]

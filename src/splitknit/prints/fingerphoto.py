@@ -60,25 +60,12 @@ def is_fingerphoto(path: str | os.PathLike[str]) -> bool:
 
 
 def read_fingerphoto(path: str | os.PathLike[str], px_per_mm: float | None = None) -> Source:
-    """Read a photograph of one finger.
+    """Read a photograph of one finger, any picture of :func:`splitknit.io.photos.read_photo` in colour.
 
-    Parameters
-    ----------
-    path : any picture of :func:`splitknit.io.photos.read_photo`, in colour
-    px_per_mm : its scale on the finger; None: by the finger's width and its ridges, known to some 8 %
+    `px_per_mm`: its scale on the finger; None: by the finger's width and its ridges, known to some 8 %. Raises BadInput
+    as :func:`source_of_photo`, naming the file. Returns what :func:`splitknit.prints.make.make_print` prints with the
+    method ``photo``; its `scale` says what was taken for what.
 
-    Returns
-    -------
-    Source
-        For :func:`splitknit.prints.make.make_print` with the method ``photo``; `scale` says what was taken for what.
-
-    Raises
-    ------
-    BadInput
-        As :func:`source_of_photo`, naming the file.
-
-    Examples
-    --------
     >>> from splitknit.prints.make import make_print
     >>> make_print(read_fingerphoto("thumb.jpg"), "photo", "free").image.shape  # doctest: +SKIP
     (492, 431)
@@ -91,16 +78,10 @@ def read_fingerphoto(path: str | os.PathLike[str], px_per_mm: float | None = Non
 def source_of_photo(pixels: NDArray[np.uint8] | NDArray[np.uint16], px_per_mm: float | None = None) -> Source:
     """Find the finger in a photograph (H, W, 3); parameters as of :func:`read_fingerphoto`.
 
-    Raises
-    ------
-    BadInput
-        If it is not in colour, nothing in it is redder than the rest and lies like a finger, or the finger touches
-        three borders, is too small, shows no ridges, or has an impossible width by the given scale.
-
-    References
-    ----------
-    C. Rother, V. Kolmogorov and A. Blake, "GrabCut", ACM Transactions on Graphics 23, 2004 (segmentation); C. Stein,
-    C. Nickel and C. Busch, "Fingerphoto recognition with smartphone cameras", BIOSIG 2012 (the chain of steps).
+    Raises BadInput if it is not in colour, nothing in it is redder than the rest and lies like a finger, or the finger
+    touches three borders, is too small, shows no ridges, or has an impossible width by the given scale. Source: C.
+    Rother, V. Kolmogorov and A. Blake, "GrabCut", ACM Transactions on Graphics 23, 2004 (segmentation); C. Stein, C.
+    Nickel and C. Busch, "Fingerphoto recognition with smartphone cameras", BIOSIG 2012 (the chain of steps).
     """
     require(is_coloured(pixels), "a photograph of a finger has to be in colour, of 8 or 16 bits.")
     require(px_per_mm is None or px_per_mm > 0, f"`px_per_mm` must be positive, but it is {px_per_mm}.")

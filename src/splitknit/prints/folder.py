@@ -131,7 +131,7 @@ def print_to_folder(job: PrintJob, progress: Progress = no_progress) -> dict[str
         if around is not None:
             facts["rolled"] = write_rolled(target, around)
         clock = time.perf_counter()
-        quality = measured(made, enhanced, ppi, settings)
+        quality = measured(made, enhanced, ppi)
         timings["quality"] = time.perf_counter() - clock
         nfiq2 = _nfiq2_of(pictures, ppi)
         advised = method not in ("file", "specular")  # nobody captures a file again; flanks that shine are no edges

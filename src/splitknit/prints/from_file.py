@@ -37,11 +37,9 @@ _CLEAR = 15.0
 def read_print_file(path: str | os.PathLike[str], input_ppi: float | None = None) -> tuple[PrintFile | FingerView, ...]:
     """Read the prints of a file, of known resolution, or its minutiae.
 
-    Raises BadInput as :func:`splitknit.io.print_formats.read_prints`; if a picture does not state its resolution, with
-    the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
-
-    `path`: file of any format of :data:`splitknit.io.print_formats.FORMATS`. `input_ppi`: resolution of pictures,
-    whatever they state.
+    `path`: of any format of :data:`splitknit.io.print_formats.FORMATS`; `input_ppi`: resolution of pictures, whatever
+    they state. Raises BadInput as :func:`splitknit.io.print_formats.read_prints`; if a picture does not state its
+    resolution, with the one that its ridges suggest; or if it is below 200 or above 5080 ppi.
     """
     require(
         input_ppi is None or MIN_PPI <= input_ppi <= MAX_PPI,

@@ -17,7 +17,7 @@ from splitknit.prints.curvature import CurvatureSettings, curvature
 from splitknit.prints.enhance import Enhanced, gabor_enhance, stft_enhance
 from splitknit.prints.phase_minutiae import by_phase
 from splitknit.prints.print_map import PrintMap, plane_map, resample, unrolled_map
-from splitknit.prints.print_quality import PrintQuality, PrintQualitySettings, print_quality
+from splitknit.prints.print_quality import PrintQuality, print_quality
 from splitknit.prints.ridges import PrintSettings, ink
 from splitknit.prints.rolled import KINDS as ROLLED_KINDS
 from splitknit.prints.rolled import laid_flat
@@ -41,7 +41,6 @@ class PrintingSettings:
     """How ``enhanced.png`` is made."""
     minutiae: Literal["phase", "print", "enhanced"] = "phase"
     """``phase``: minutiae are read off the phase of the enhanced ridges; else the picture in which mindtct seeks."""
-    quality: PrintQualitySettings = field(default_factory=PrintQualitySettings)
     rolled: RolledSettings = field(default_factory=RolledSettings)
     """Of ``rolled``: how the views of a capture with mirrors become one finger."""
 
@@ -158,11 +157,10 @@ def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -
     return gabor_enhance(made.image, ppi, made.weight > 0.5)
 
 
-def measured(made: Print, enhanced: Enhanced, ppi: float, settings: PrintingSettings | None = None) -> PrintQuality:
+def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
     """How good a print is; `enhanced` is what :func:`enhance` made of it."""
     values = (np.float32(1000.0) * made.values).astype(np.float32) if made.in_mm else made.values
-    chosen = (settings or PrintingSettings()).quality
-    return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm, settings=chosen)
+    return print_quality(values, made.weight, enhanced.field, ppi, in_um=made.in_mm)
 
 
 def minutiae_by_phase(made: Print, enhanced: Enhanced, ppi: float) -> Minutiae:

@@ -51,19 +51,12 @@ def phase_minutiae(
 
     The wave `w` of the ridges has the phase `atan2(-dw/dn / k, w)`, `n` across the ridges and `k` their wave number. It
     is known up to its sign, which is made the same around each square of four pixels; where it turns by 2 pi around
-    one, a ridge more begins there. Raises BadInput if the print and its enhancement have different sizes. They come by
-    rows, then columns.
+    one, a ridge more begins there. `image`: (h, w) uint8, ridges dark; `enhanced`: of the same print; `confidence`: (h,
+    w) 0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter. They come by
+    rows, then columns. Raises BadInput if the print and its enhancement have different sizes.
 
     Source: K. Larkin and P. Fletcher, "A coherent framework for fingerprint analysis: are fingerprints holograms?",
     Optics Express 15, 2007.
-
-    Parameters
-    ----------
-    image : (h, w) uint8; the print, ridges dark
-    enhanced : of the same print
-    ppi : pixels per inch
-    confidence : (h, w) float32, optional
-        0 to 1, how sure the ridges are: the quality of minutiae is lowered where that is below a quarter.
     """
     require(
         image.shape == enhanced.wave.shape,

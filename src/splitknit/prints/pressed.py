@@ -81,26 +81,12 @@ class PressedRidges:
 
 
 def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
-    """Enhance a print that was pressed on glass or paper.
+    """Enhance a print (H, W) uint8 of 500 ppi, ridges dark, that was pressed on glass or paper; white without ridges.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        At 500 ppi, ridges dark.
+    Source: S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern
+    Recognition 40, 2007 (windows, filters); A. Rosenfeld, R. Hummel and S. Zucker, "Scene labeling by relaxation
+    operations", IEEE Trans. SMC 6, 1976, equation 10 (directions that support each other).
 
-    Returns
-    -------
-    PressedRidges
-        White, and nowhere inside, where there are no ridges.
-
-    References
-    ----------
-    S. Chikkerur, A. Cartwright and V. Govindaraju, "Fingerprint enhancement using STFT analysis", Pattern Recognition
-    40, 2007 (windows, filters); A. Rosenfeld, R. Hummel and S. Zucker, "Scene labeling by relaxation operations", IEEE
-    Trans. SMC 6, 1976, equation 10 (directions that support each other).
-
-    Examples
-    --------
     >>> waves = 127 + 90 * np.sin(np.arange(160) * 2 * np.pi / 9)[None] * np.ones((160, 1))
     >>> bool(pressed_ridges(waves.astype(np.uint8)).inside[80, 80])
     True

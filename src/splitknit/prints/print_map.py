@@ -310,18 +310,10 @@ def _carried(move: object, points: Array, angles_rad: Array) -> Array:
 def resample(
     field: FloatArray, mask: BoolArray, pitch_mm: float, print_map: PrintMap, sigma_px: float = 0.5
 ) -> tuple[FloatArray, FloatArray]:
-    """Read `field` on a print.
+    """Read `field` (H, W), ignored outside `mask`, on a print: values (h, w), and how much of a pixel is on the finger.
 
-    Returns values (h, w) and weight (h, w), the fraction of a pixel that lies on the finger, 0 to 1, both float32.
-
-    Parameters
-    ----------
-    field : (H, W) float32; ignored outside `mask`
-    mask : (H, W) bool
-    pitch_mm : of the input
-    sigma_px : float
-        Of the Gaussian, in pixels of the print, that takes out what the print is too coarse for; used only where it is
-        coarser than the input.
+    `pitch_mm`: of the input; `sigma_px`: of the Gaussian, in pixels of the print, that takes out what the print is too
+    coarse for; used only where it is coarser than the input.
     """
     mask = check_mask(mask, (field.shape[0], field.shape[1]))
     step = MM_PER_INCH / print_map.ppi / pitch_mm

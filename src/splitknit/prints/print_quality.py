@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -168,66 +168,24 @@ def _at_nodes(image: FloatArray, found: RidgeField) -> FloatArray:
 
 _MIN_PART = 0.01
 """Rating of the worst figure: no single one makes the score 0."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """How one figure is rated: 0.01 at `useless`, 1 from `good` on, linear in between."""
-
-    useless: float
-    """Figure of the lowest rating; above `good` where less is better."""
-    good: float
-    """Figure of the highest rating."""
-    weight: float
-    """Exponent in the score; 0 leaves the figure out."""
-
-    def __post_init__(self) -> None:
-        usable = bool(np.isfinite([self.useless, self.good, self.weight]).all())
-        require(usable and self.useless != self.good, "useless and good of a quality must be two different numbers.")
-        require(self.weight >= 0, f"a quality's weight must not be negative, but it is {self.weight}.")
-
-    def rating(self, figure: float) -> float:
-        """0.01 to 1, the better the higher."""
-        return float(np.clip((figure - self.useless) / (self.good - self.useless), _MIN_PART, 1.0))
-
-
 _MIN_PURITY = 0.3
 """Fraction of what varies around a place that one wave must explain, or there are no ridges."""
 _MIN_HEIGHT_UM = 10.0
 """Ridges that rise less above their valleys count as none (prints of the relief)."""
 _PERIOD_TOLERANCE = 0.35
 """A ridge period further from the finger's median than this, relative, is not plausible."""
-
-
-@dataclass(frozen=True, slots=True)
-class PrintQualitySettings:
-    """What counts as ridges, and how the figures make the score."""
-
-    ridge_share: _Part = field(default_factory=lambda: _Part(0.2, 1.0, 0.3))
-    """Fraction of the finger's area on the print that has ridges."""
-    ridge_height_um: _Part = field(default_factory=lambda: _Part(5.0, 50.0, 0.3))
-    """Height of the ridges above their valleys in um (prints of the relief)."""
-    coherence: _Part = field(default_factory=lambda: _Part(0.5, 1.0, 0.15))
-    """How much ridges agree in their direction, 0 to 1."""
-    plausible_share: _Part = field(default_factory=lambda: _Part(0.5, 1.0, 0.15))
-    """Fraction of the ridges whose period is plausible."""
-    sharpness: _Part = field(default_factory=lambda: _Part(0.02, 0.11, 0.15))
-    """Second harmonic of the ridges over the first."""
-    ridge_area_mm2: _Part = field(default_factory=lambda: _Part(20.0, 300.0, 0.15))
-    """Ridges in mm2."""
-    ridge_length_mm: _Part = field(default_factory=lambda: _Part(6.0, 20.0, 0.3))
-    """From the tip to the last ridges in mm."""
-    gap_share: _Part = field(default_factory=lambda: _Part(0.4, 0.0, 0.15))
-    """Fraction without ridges of what ridges surround: creases, scars, specular reflection, shadows."""
-    centre_offset_mm: _Part = field(default_factory=lambda: _Part(8.0, 1.0, 0.1))
-    """How far the ridges' centre lies beside the finger's middle, in mm."""
-
-    def __post_init__(self) -> None:
-        require(sum(part.weight for part in self.parts().values()) > 0, "a quality's weight must be above 0.")
-
-    def parts(self) -> dict[str, _Part]:
-        """Parts of the score by the name of their figure."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), _Part)}
+PARTS = {
+    "ridge_share": (0.2, 1.0, 0.3),
+    "ridge_height_um": (5.0, 50.0, 0.3),
+    "coherence": (0.5, 1.0, 0.15),
+    "plausible_share": (0.5, 1.0, 0.15),
+    "sharpness": (0.02, 0.11, 0.15),
+    "ridge_area_mm2": (20.0, 300.0, 0.15),
+    "ridge_length_mm": (6.0, 20.0, 0.3),
+    "gap_share": (0.4, 0.0, 0.15),
+    "centre_offset_mm": (8.0, 1.0, 0.1),
+}
+"""Of the score, by figure: where its rating is lowest, where it is 1 (linear in between), and its exponent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,37 +206,33 @@ def print_quality(
     ppi: float = 500.0,
     *,
     in_um: bool = True,
-    settings: PrintQualitySettings | None = None,
 ) -> PrintQuality:
     """Measure how good a print is. Raises BadInput if the shapes disagree or nothing lies on the finger.
+
+    `values`: (h, w) float32, what is inked: the relief in um, or anything else that is high on ridges (`in_um` false:
+    no heights then); `weight`: (h, w) float32, fraction of the pixel that lies on the finger, the tip at row 0;
+    `found`: ridges of the print.
 
     Source: ISO/IEC 29794-4:2017, Biometric sample quality, part 4, sections on orientation certainty and ridge-valley
     uniformity; M. Lim, X. Jiang and W. Yau 2002, Fingerprint quality and validity analysis, section 2 (coherence,
     periods, ridge strength). Second harmonic against the first: the idea of the bispectrum (D. Brillinger 1965).
-
-    Parameters
-    ----------
-    values : (h, w) float32
-        What is inked: the relief in um, or anything else that is high on ridges (`in_um` false: no heights then).
-    weight : (h, w) float32; fraction of the pixel that lies on the finger, 0 to 1; the tip is at row 0
-    found : of the print
     """
-    settings = settings or PrintQualitySettings()
     figures = _quality_figures(values, weight, found, ppi, _MIN_HEIGHT_UM if in_um else None)
-    score, ratings = score_of(figures, settings)
+    score, ratings = score_of(figures)
     return PrintQuality(score, figures, ratings)
 
 
-def score_of(figures: QualityFigures, settings: PrintQualitySettings | None = None) -> tuple[float, dict[str, float]]:
-    """Score of figures, 0 to 100, and the rating of each.
+def score_of(figures: QualityFigures) -> tuple[float, dict[str, float]]:
+    """Score of figures, 0 to 100, and the rating of each, 0.01 to 1.
 
     100 times the product of the ratings, each to the power of its weight: it never falls when a figure gets better, and
-    many good figures do not make up for a bad one. 0 where there are no ridges. Figures that are
-    None are left out.
+    many good figures do not make up for a bad one. 0 where there are no ridges. Figures that are None are left out.
     """
-    parts = (settings or PrintQualitySettings()).parts()
-    measured = {name: value for name, value in asdict(figures).items() if name in parts and value is not None}
-    ratings = {name: parts[name].rating(value) for name, value in measured.items()}
+    ratings = {
+        name: float(np.clip((figure - useless) / (good - useless), _MIN_PART, 1.0))
+        for name, (useless, good, _) in PARTS.items()
+        if (figure := getattr(figures, name)) is not None
+    }
     if figures.ridge_area_mm2 <= 0.0:
         return 0.0, ratings
-    return 100.0 * float(np.prod([value ** parts[name].weight for name, value in ratings.items()])), ratings
+    return 100.0 * float(np.prod([rating ** PARTS[name][2] for name, rating in ratings.items()])), ratings

@@ -55,19 +55,14 @@ class RidgeField:
 
 
 def ridge_field(image: NDArray[np.uint8], ppi: float = 500.0, inside: BoolArray | None = None) -> RidgeField:
-    """Find direction, frequency and extent of the ridges of a print.
+    """Find direction, frequency and extent of the ridges of a print (h, w) uint8, ridges dark.
 
-    Raises BadInput if the image is of another kind, or has no ridges.
+    `inside`: (h, w) bool, where the finger is, if it is known. Raises BadInput if the image is of another kind, or has
+    no ridges.
 
     Source: A. Bazen and S. Gerez 2002, Systematic methods for the computation of the directional fields and singular
     points of fingerprints, section 2 (averaged squared gradients). S. Chikkerur, A. Cartwright and V. Govindaraju 2007,
     Fingerprint enhancement using STFT analysis, section 3 (frequencies).
-
-    Parameters
-    ----------
-    image : (h, w) uint8; ridges dark
-    ppi : pixels per inch
-    inside : (h, w) bool, optional; where the finger is, if it is known
     """
     if image.ndim != 2 or image.dtype != np.uint8:
         raise BadInput(f"a print must be (h, w) uint8, but it is {image.shape} {image.dtype}.")

@@ -52,15 +52,9 @@ def relief_print(
     is exactly ``25.4 / ppi`` mm; the middle of the print is the middle of the upright frame. Column 0 shows the right
     edge of the upright camera image, as paper does.
 
-    Parameters
-    ----------
-    ridge_mm : (H, W) float32
-        Height of the skin relief in mm, ridges up, on the input's pixel grid; ignored outside `mask`.
-    mask : (H, W) bool; True on the finger
-    px_per_mm : scale of the input, the same along both axes
-    input_from_upright : (3, 3) float64; takes (column, row, 1) of the upright frame to the input
-    upright_size : (rows, columns) of the upright frame
-    settings : resolution and contrast, optional
+    `ridge_mm`: (H, W) height of the relief, ridges up, on the input's pixel grid, ignored outside `mask`; `px_per_mm`:
+    of the input; `input_from_upright`: (3, 3), takes (column, row, 1) of the upright frame to the input;
+    `upright_size`: its rows and columns.
 
     >>> import numpy as np
     >>> relief = np.zeros((40, 60), np.float32)

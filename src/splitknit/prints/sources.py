@@ -71,11 +71,8 @@ def read_source(
 
     Raises BadInput if it is neither, is damaged, has no scale or two, or holds no photograph where one is needed.
 
-    Parameters
-    ----------
-    photo : whether the photograph is needed
-    surface : whether the surface is needed
-    px_per_mm, ridge_period_mm : the scale, or the distance of the ridges that it follows from, where it is unknown
+    `photo`, `surface`: whether these are needed; `px_per_mm`, `ridge_period_mm`: the scale, or the distance of the
+    ridges that it follows from, where it is unknown.
     """
     progress("reading", 0.05)
     try:

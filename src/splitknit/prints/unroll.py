@@ -58,14 +58,10 @@ class _Distortion:
 def distortion(points_mm: Array, flat_mm: Array, inside: NDArray[np.bool_]) -> _Distortion:
     """Compare a flat map with the surface, cell by cell.
 
-    Source: The stretches are the roots of the eigenvalues of J G^-1 J^T, J the map's and G the surface's first
-    derivatives over the grid (Floater and Hormann 2005, Surface parameterization, section 2).
-
-    Parameters
-    ----------
-    points_mm : (n, m, 3); surface points of the nodes
-    flat_mm : (n, m, 2); where the map lays them
-    inside : (n, m) bool; cells with four corners inside count
+    `points_mm`: (n, m, 3) surface points of the nodes; `flat_mm`: (n, m, 2) where the map lays them; `inside`: (n, m)
+    bool, cells with four corners inside count. Source: the stretches are the roots of the eigenvalues of J G^-1 J^T, J
+    the map's and G the surface's first derivatives over the grid (Floater and Hormann 2005, Surface parameterization,
+    section 2).
     """
     right, down = _differences(points_mm)
     flat_right, flat_down = _differences(flat_mm)

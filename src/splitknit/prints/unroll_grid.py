@@ -74,14 +74,8 @@ def surface_grid(
 
     Raises BadInput if the mask is empty, too small for a surface, or the pitch is not positive.
 
-    Parameters
-    ----------
-    shape_mm : (H, W) float32; height without ridges, mm; ignored outside `mask`
-    mask : (H, W) bool
-    pitch_mm : of the input on the finger plane
-    input_from_upright : (3, 3), upright_size : (rows, columns); the upright frame
-    xy_mm : (H, W) float32, twice, optional
-        x and y of the surface points (perspective cameras); without them pixels lie at their pitch.
+    `shape_mm`: (H, W) height without ridges, ignored outside `mask`; `xy_mm`: x and y (H, W) of the surface points, for
+    perspective cameras; without them pixels lie at their pitch. The upright frame has `upright_size` rows and columns.
     """
     settings = settings or GridSettings()
     require(

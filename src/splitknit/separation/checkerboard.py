@@ -1,14 +1,12 @@
 """Direct and global light from shifted checkerboards (or any binary high-frequency patterns).
 
-The plain method takes each pixel's maximum and minimum over the images. Over *noisy* images both are biased: of 25
-images with noise of standard deviation sigma the direct light comes out about 3.3 sigma too large. Where the pattern's
-state at each pixel is known, or found with :func:`splitknit.separation.states.estimate_patterns`, least squares over
-the lit and the dark images has no such bias and less variance.
+Maximum and minimum over *noisy* images are biased: of 25 images with noise of standard deviation sigma the direct light
+comes out about 3.3 sigma too large. Least squares with states that are known, or found with
+:func:`splitknit.separation.states.estimate_patterns`, has no such bias and less variance.
 
-Skin adds a twist. Its global light is not the same under all shifts: some of it comes from less than a check away, so
-that a pixel at the rim of a lit check records less than one in its middle. Maximum minus minimum is what it records in
-the *middle* of lit and dark checks; the mean over all lit and dark images is a fifth to a third less. With `check_px`
-the spread of the light is fitted too, and the result is that of the middle.
+In skin some global light comes from less than a check away: a pixel at the rim of a lit check records less than one in
+its middle. Maximum minus minimum is what it records in the middle; the mean over all lit and dark images is a fifth to
+a third less. With `check_px` the spread of the light is fitted too, and the result is that of the middle.
 """
 
 from __future__ import annotations

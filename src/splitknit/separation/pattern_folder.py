@@ -2,27 +2,7 @@
 
 Without more, all PNG, TIFF and JPEG images of the folder are the stack, in the order of their names (``a_2`` before
 ``a_10``), except files named ``black``, ``white`` and ``mask``. Numbers in the names, one or two of them, are taken for
-the shifts and must leave no gap. A file ``separation.json`` states it exactly; all but its first two fields are
-optional::
-
-    {
-      "format": "splitknit-separation", "version": 1,
-      "method": "checkerboard",                 checkerboard, symmetry, sinusoid, occluder or single
-      "images": ["p_0.png", "p_1.png", "..."],  in order; paths stay inside the folder
-      "encoding": "linear",                     or srgb
-      "black": "black.png",                     source off or showing black; taken off every image
-      "white": "white.png",                     whole source lit; compared with direct + global; part of symmetry
-      "mask": "mask.png",                       white = to be separated
-      "alpha": 0.5, "dark": 0.0,                lit fraction; brightness of the unlit part (0 if `black` shows it)
-      "patterns": ["s_0.png", "..."],           state of each image on the camera's pixels, 255 = lit; or "estimate"
-      "shifts": [[0, 0], [0, 3], "..."],        of each image: numbers, or pairs; a full grid, each once
-      "period": 16,                             of the pattern, in units of the shifts
-      "kind": "line", "shadow_percent": 0,      of an occluder: line or mesh (with alpha); fraction of images in shadow
-      "check_px": 8,                            side of a check, for a single image; for checkerboards on skin, where
-                                                patterns are then found in the images unless they are given
-      "block": 16,                              side of a block of a single image's result
-      "noise_std": 0.0                          of one image, linear light (sinusoid)
-    }
+the shifts and must leave no gap. A file ``separation.json`` states it exactly, see ``docs/guide/separation.md``.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import check_image, require
+from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.separation.stacks import (
     DEFAULTS,
@@ -39,7 +39,6 @@ def sinusoid(
     phases_rad: Any = None,
     *,
     dark: float = 0.0,
-    known_phase_rad: Any = None,
     noise_std: float = 0.0,
     mask: Any = None,
     settings: StackSettings = DEFAULTS,
@@ -52,9 +51,8 @@ def sinusoid(
 
     B is the length of a noisy vector and so biased upwards, by v / (2 B) for a variance v of its two components (H.
     Gudbjartsson and S. Patz, "The Rician distribution of noisy MRI data", Magnetic Resonance in Medicine 34(6), 1995).
-    Two remedies: `known_phase_rad`, (H, W) from a calibrated projector or a smooth fit, with which B is linear in the
-    images and has no bias; or `noise_std`, of one image in units of linear light, by which this bias is taken off, to
-    second order in noise over B (sound where B exceeds about three standard deviations).
+    With `noise_std`, of one image in units of linear light, this bias is taken off, to second order in noise over B
+    (sound where B exceeds about three standard deviations).
 
     `stack`: (N, H, W) or (N, H, W, C) linear light, black level removed, three images at least; `phases_rad`: (N,),
     equal steps of 2 pi / N where None; `dark`: least brightness of the source relative to its greatest, in [0, 1);
@@ -72,17 +70,9 @@ def sinusoid(
     inverse = np.linalg.pinv(design)
     mean, along, across = _fit(images.light, inverse)  # (H, W, C) each
     _check_residual(images, design, inverse)
-    if known_phase_rad is None:
-        phase = np.arctan2(across.sum(axis=-1), along.sum(axis=-1))
-    else:
-        phase = np.asarray(check_image(known_phase_rad, name="known_phase_rad"), dtype=np.float64)
-        require(
-            phase.shape == mean.shape[:2],
-            f"known_phase_rad must have the shape {mean.shape[:2]} of the images, but it has {phase.shape}.",
-        )
-        phase = np.mod(phase + np.pi, 2 * np.pi) - np.pi
+    phase = np.arctan2(across.sum(axis=-1), along.sum(axis=-1))
     amplitude = along * np.cos(phase)[..., None] + across * np.sin(phase)[..., None]
-    if known_phase_rad is None and noise_std > 0:
+    if noise_std > 0:
         covariance = np.linalg.inv(design.T @ design)
         amplitude = _unbiased(amplitude, float(noise_std**2 * (covariance[1, 1] + covariance[2, 2]) / 2))
     swing = np.abs(amplitude).astype(np.float32)

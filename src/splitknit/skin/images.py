@@ -22,7 +22,6 @@ from splitknit.settings import Checked, Limits, check_fields
 from splitknit.skin.grid import BandImages, Grid
 from splitknit.skin.learned import Networks, can_learn
 from splitknit.skin.relief import ColourSettings
-from splitknit.skin.shape import CoarsePrior
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +38,6 @@ class MetricSettings(Checked):
     """Estimates of the relief, each on the shape as refined with the one before it."""
     coarse_steps: Annotated[int, Limits(1)] = 3
     """Corrections of the shape on the coarse grid."""
-    coarse: CoarsePrior = field(default_factory=CoarsePrior)
-    """Expected slopes of shape and glare on the coarse grid."""
     relief: Literal["network", "colour"] = "network"
     """``network``, or ``colour``: relief and glare separated by their colours alone. Grey images, and rigs with too
     few lights for the network, are always reconstructed by colour."""

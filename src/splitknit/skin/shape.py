@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -14,7 +13,6 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.integration.poisson import poisson
 from splitknit.model import BoolArray, FloatArray
 from splitknit.photometric.near_light import pseudo_normals
-from splitknit.settings import Checked, Limits
 from splitknit.skin.colour import unmixing_weights
 from splitknit.skin.diffusion import Diffusion
 from splitknit.skin.glare import GlareFit, MicrofacetGlare, fit_glare
@@ -25,21 +23,12 @@ Slopes = tuple[FloatArray, FloatArray]
 """dz/dx and dz/dy (h, w), y up."""
 START_ROUNDS = 2
 """Turns of photometric stereo and integration for the first shape."""
-
-
-@dataclass(frozen=True, slots=True)
-class CoarsePrior(Checked):
-    """Expected slopes on the coarse grid."""
-
-    _group = "metric.coarse"
-    knee_per_mm: Annotated[float, Limits(0, above=True)] = 5.0
-    """Angular frequency (rad/mm) from which the shape's slopes fall off."""
-    glare_ratio: Annotated[float, Limits(0)] = 0.16
-    """Apparent slope of the glare (in red) over the shape's slopes at low frequencies."""
-    noise_ratio: Annotated[float, Limits(0, above=True)] = 0.1
-    """Noise of the slopes over the shape's slopes at low frequencies."""
-    cutoff_per_mm: Annotated[float, Limits(0, above=True)] = 8.0
-    """Angular frequency beyond which slopes are left to the fine grid."""
+_KNEE_PER_MM = 5.0
+"""Angular frequency (rad/mm) from which the shape's slopes are expected to fall off."""
+_GLARE_RATIO, _NOISE_RATIO = 0.16, 0.1
+"""Apparent slope of the glare (in red), and noise of the slopes, over the shape's slopes at low frequencies."""
+_CUTOFF_PER_MM = 8.0
+"""Angular frequency beyond which slopes are left to the fine grid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,14 +75,13 @@ def coarse_images(bands: tuple[BandImages, ...], grid: Grid, pitch_mm: float, pl
     return CoarseImages(coarse, low, bands[0], grid, factor, plane_mm)
 
 
-def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: int, prior: CoarsePrior) -> Shape:
+def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: int) -> Shape:
     """Analysis by synthesis: the surface whose images, behind scattering, agree with the photographs.
 
     The regularised inverse W acts on everything that was measured, z <- W (p - F(z) + M z), so that repeating it
     settles. The ridges need not be known: as much light enters a ridged patch of skin and scatters below it as enters a
     smooth one, because facets that lean away from the light are larger as they are darker. `optics`: transfer function
-    of each channel; `steps`: comparisons of prediction and images, one at least; `prior`: expected slopes of shape and
-    specular reflection.
+    of each channel; `steps`: comparisons of prediction and images, one at least.
     """
     grid = images.grid
     start = _start_shape(images.bands[-1], grid, images.plane_mm)
@@ -102,7 +90,7 @@ def coarse_shape(images: CoarseImages, optics: Mapping[str, Diffusion], steps: i
     for _ in range(steps):
         residual = residual_of(images.bands, grid, above_plane(height, images) * grid.mask, optics)
         added = slopes_inside(height - start, grid)
-        slopes = _wiener(residual, added, optics, grid, prior)
+        slopes = _wiener(residual, added, optics, grid)
         facing = normals_from_gradients(*slopes_inside(height, grid))[..., 2]
         height = height + integrate(slopes[0] - added[0], slopes[1] - added[1], grid, facing)
     return Shape(height, facing, residual.brightness, residual.glare)
@@ -226,9 +214,7 @@ def residual_slopes(measured: FloatArray, predicted: FloatArray, grid: Grid) -> 
     return slopes[0], slopes[1]
 
 
-def _wiener(
-    residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid, prior: CoarsePrior
-) -> Slopes:
+def _wiener(residual: Residual, added: Slopes, optics: Mapping[str, Diffusion], grid: Grid) -> Slopes:
     """Slopes (h, w) of the surface beyond its start: W (residual + M added), with the minimum-mean-square-error W.
     `added`: slopes put in by earlier comparisons; `optics`: M of each channel.
     """
@@ -242,11 +228,11 @@ def _wiener(
     weights = unmixing_weights(
         np.stack([optics[name](omega) for name in names]),
         glare,
-        1 / (1 + (omega / prior.knee_per_mm) ** 2) ** 2,
-        np.full(omega.shape, prior.glare_ratio**2),
-        np.full(len(names), prior.noise_ratio**2),
+        1 / (1 + (omega / _KNEE_PER_MM) ** 2) ** 2,
+        np.full(omega.shape, _GLARE_RATIO**2),
+        np.full(len(names), _NOISE_RATIO**2),
     )
-    weights = weights * np.exp(-0.5 * (omega / prior.cutoff_per_mm) ** 2)
+    weights = weights * np.exp(-0.5 * (omega / _CUTOFF_PER_MM) ** 2)
     gains = [grid.radial(omega, w) for w in weights]
     kept = sum(w * grid.sampled(optics[name]) for w, name in zip(gains, names, strict=True))
     slope_x, slope_y = (

@@ -18,13 +18,7 @@ from splitknit.model import FloatArray
 from splitknit.networks.augmentation import Symmetry
 from splitknit.settings import Limits
 from splitknit.skin.learned import RELIEF_MM, RELIEF_SYMMETRY
-from splitknit.training.fields import (
-    FIELDS,
-    FieldsSettings,
-    FieldsTask,
-    Run,
-    Sample,
-)
+from splitknit.training.fields import FIELDS, FieldsSettings, FieldsTask, Run, Sample
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT, ReliefData, training_crops, training_sample
 from splitknit.training.trainer import NetworkKind, files_of
 from splitknit.training.trainer import Sample as Stored

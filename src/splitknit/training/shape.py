@@ -17,13 +17,7 @@ from splitknit.errors import require
 from splitknit.model import FloatArray
 from splitknit.settings import Limits
 from splitknit.skin.learned import SHAPE_SLOPE, SHAPE_SYMMETRY
-from splitknit.training.fields import (
-    FIELDS,
-    FieldsSettings,
-    FieldsTask,
-    Run,
-    Sample,
-)
+from splitknit.training.fields import FIELDS, FieldsSettings, FieldsTask, Run, Sample
 from splitknit.training.networks import load_torch
 from splitknit.training.shape_data import shape_sample
 from splitknit.training.trainer import NetworkKind, files_of

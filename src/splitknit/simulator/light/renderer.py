@@ -21,14 +21,7 @@ from splitknit.model import FloatArray, Led
 from splitknit.settings import Checked, Limits
 from splitknit.simulator.light.coat import CoatedPatch
 from splitknit.simulator.light.lighting import Patch, cut_out, light_on, towards
-from splitknit.simulator.light.skin import (
-    CHANNELS,
-    Channel,
-    Medium,
-    diffuse_transmittance,
-    diffusion_profile,
-    fresnel,
-)
+from splitknit.simulator.light.skin import CHANNELS, Channel, Medium, diffuse_transmittance, diffusion_profile, fresnel
 from splitknit.simulator.surface import SimulatedSurface
 
 LED_RADIUS_MM = 1.5

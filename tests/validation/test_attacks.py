@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
-from splitknit.simulator.attacks import SPECIES, simulate_attack
 from splitknit.simulator.twin import twin_settings
+
+with scripts_of(VALIDATION / "pad") as script:
+    attacks = script("attacks")
+SPECIES, simulate_attack = attacks.SPECIES, attacks.simulate_attack
 
 SETTINGS = twin_settings(0.08, {"render.workers": 1})
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from script_folder import VALIDATION, scripts_of
 from splitknit.errors import BadInput
-from splitknit.simulator.finger.from_print import fingertip_of_print
+
+with scripts_of(VALIDATION / "thesis") as script:
+    fingertip_of_print = script("print_shape").fingertip_of_print
 
 PITCH_MM = 0.1
 

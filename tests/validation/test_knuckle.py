@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from splitknit.simulator.finger.knuckle import draw_knuckle, knuckle_pose
+from script_folder import VALIDATION, scripts_of
+
+with scripts_of(VALIDATION / "match") as script:
+    knuckle = script("knuckle")
+draw_knuckle, knuckle_pose = knuckle.draw_knuckle, knuckle.knuckle_pose
 
 
 def test_creases_stay_and_all_depths_change_together() -> None:
