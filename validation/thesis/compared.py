@@ -18,7 +18,7 @@ from trials import Captures, Pairs, Trial, Values
 
 from splitknit.matching.score import dissimilarity
 from splitknit.matching.thesis import FingerImages, align_masks, to_box
-from splitknit.model import FloatArray
+from splitknit.model import BoolArray, FloatArray
 
 Extract = Callable[[FloatArray, float], NDArray[np.float32]]
 """Features of a channel (h, w) at a number of pixels per mm."""
@@ -59,9 +59,11 @@ def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, 
     jobs : processes
     """
     order = np.argsort(pairs.a, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(pairs.a[order])) + 1)  # one database finger each
+    starts = np.flatnonzero(np.diff(pairs.a[order])) + 1  # of the database fingers
     names = pairs.captures.names
-    tasks = [(str(names[pairs.a[group[0]]]), [str(names[b]) for b in pairs.b[group]]) for group in groups]
+    tasks = [
+        [(str(names[pairs.a[k]]), str(names[pairs.b[k]])) for k in block] for block in np.split(order, starts[15::16])
+    ]
     rows = np.concatenate(each(partial(_compare, read, tuple(ways), scratch), tasks, jobs))
     found = np.empty_like(rows)
     found[order] = rows
@@ -72,31 +74,43 @@ def compare_pairs(pairs: Pairs, read: Read, ways: Sequence[Way], scratch: Path, 
     )
 
 
-def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: tuple[str, list[str]]) -> Values:
-    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2); NaN where a capture failed."""
-    first, others = task
+def _compare(read: Read, ways: tuple[Way, ...], scratch: Path, task: list[tuple[str, str]]) -> Values:
+    """(N, 1 + ways) overlap of the masks and dissimilarities (5.2) of pairs; NaN where a capture failed.
+
+    Queries are read once each, beside the features of all fingers that they are compared with.
+    """
     key = repr((task, [(way.name, way.attribute, way.channels) for way in ways]))
     file = scratch / (hashlib.sha256(key.encode()).hexdigest()[:24] + ".npy")
     if file.is_file():
         return np.asarray(np.load(file))
-    database = read(first)
-    known = [] if database is None else [features_of(database, way) for way in ways]
-    result = np.full((len(others), 1 + len(ways)), np.nan)
-    for row, other in zip(result, others, strict=True):
+    databases = {name: _known(read(name), ways) for name in dict.fromkeys(first for first, _ in task)}
+    of_query: dict[str, list[int]] = {}
+    for k, (_, other) in enumerate(task):
+        of_query.setdefault(other, []).append(k)
+    needed = dict.fromkeys(name for way in ways for name in way.channels)
+    result = np.full((len(task), 1 + len(ways)), np.nan)
+    for other, rows in of_query.items():
         query = read(other)
-        if database is None or query is None:
-            continue
-        laid = align_masks(database.mask, query.mask)
-        size = (database.mask.shape[0], database.mask.shape[1])
-        needed = dict.fromkeys(name for way in ways for name in way.channels)
-        boxed = {name: to_box(query.channels[name], size) for name in needed}
-        laid_query = FingerImages(boxed, database.mask, database.px_per_mm)
-        row[0] = laid.ratio
-        for k, way in enumerate(ways):
-            far = [float(np.linalg.norm(a - b)) for a, b in zip(known[k], features_of(laid_query, way), strict=True)]
-            row[1 + k] = dissimilarity(laid.ratio, far)
+        for k in rows:
+            database = databases[task[k][0]]
+            if database is None or query is None:
+                continue
+            mask, px_per_mm, known = database
+            laid = align_masks(mask, query.mask)
+            boxed = {name: to_box(query.channels[name], (mask.shape[0], mask.shape[1])) for name in needed}
+            on_database = FingerImages(boxed, mask, px_per_mm)
+            result[k, 0] = laid.ratio
+            for j, way in enumerate(ways):
+                both = zip(known[j], features_of(on_database, way), strict=True)
+                result[k, 1 + j] = dissimilarity(laid.ratio, [float(np.linalg.norm(a - b)) for a, b in both])
     keep(file, lambda stream: np.save(stream, result))
     return result
+
+
+def _known(
+    images: FingerImages | None, ways: tuple[Way, ...]
+) -> tuple[BoolArray, float, list[list[NDArray[np.float32]]]] | None:
+    return None if images is None else (images.mask, images.px_per_mm, [features_of(images, way) for way in ways])
 
 
 def features_of(images: FingerImages, way: Way) -> list[NDArray[np.float32]]:

@@ -117,23 +117,41 @@ def run_matchers(options: argparse.Namespace, store: Any, truth: Mapping[str, Ro
 def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
     """The systems that SnK is measured against, by the established matchers and by those of their own."""
     cases = list(dict.fromkeys([*options.cases, *FAMILY_CASES]))
+    return _by_matchers(options, store, truth, "family", cases, dict.fromkeys(FAMILY_MATCHERS, ""))
+
+
+def run_people(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """One finger each of many people, by the present matchers and the thesis's."""
+    matchers = {"ridge": "", "minutiae": "", "thesis": "relief"}
+    return _by_matchers(options, store, truth, "people", options.cases, matchers)
+
+
+def _by_matchers(  # noqa: PLR0917
+    options: argparse.Namespace,
+    store: Any,
+    truth: Mapping[str, Row],
+    part: str,
+    cases: Sequence[str],
+    matchers: Mapping[str, str],
+) -> Row:
+    """Rates of `cases` by `matchers` (with the attribute), and their differences from ``ea`` or ``ea-split``."""
     captures = read_captures(store, cases)
     facts: Row = {}
     rows, differences = [], []
-    for matcher in FAMILY_MATCHERS:
+    for matcher, attribute in matchers.items():
         try:
             table = read_table(store, captures, cases, (matcher,))
         except SystemExit as nothing:
             facts[matcher] = {"missing": [str(nothing)]}
             continue
         work = _work(options, table, truth)
-        trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, "")]
+        trials = [trial.labelled(f"{trial.case}, {matcher}") for trial in _of(table, matcher, attribute)]
         rows += rate_rows(work, trials, options.jobs, (PLAIN, WHOLE))
         base = next((trial for name in ("ea", "ea-split") for trial in trials if trial.case == name), None)
         groups = [(trial, base) for trial in trials if base is not None and trial is not base]
         differences += difference_rows(work, groups, (WHOLE,), options.jobs)
         facts[matcher] = _facts(table, trials)
-    _write(options, "family", rows, differences)
+    _write(options, part, rows, differences)
     return facts
 
 
@@ -276,18 +294,17 @@ def run_neighbours(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row
     return _facts(table, table.trials) | {"people": people, "scales": list(scales), "own_seed": seed}
 
 
-def run_normals(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
-    """Normals of the surface and normals as measured, by case, on four fingers of each person."""
-    from neighbours import FINGERS
-    from normals import normals_table
+def run_normals(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
+    """Normals of the surface, which the store has, and normals as measured, by case."""
+    from normals import MEASURED_AS, normals_table
 
-    table = normals_table(options.population, options.scratch / "normals", FINGERS, options.jobs)
+    table = normals_table(store, read_captures(store, tuple(MEASURED_AS)), options)
     work = _work(options, table, truth)
     groups = list(zip(table.trials[::2], table.trials[1::2], strict=True))
-    groups += [(table.trials[k], table.trials[k + 2]) for k in range(4)]
+    groups += [(table.trials[k], table.trials[k + 2]) for k in range(len(table.trials) - 2)]
     rows = rate_rows(work, table.trials, options.jobs, (PLAIN, THESIS))
     _write(options, "normals", rows, difference_rows(work, groups, (PLAIN,), options.jobs))
-    return _facts(table, table.trials) | {"fingers_of_a_person": list(FINGERS)}
+    return _facts(table, table.trials)
 
 
 def run_figures(options: argparse.Namespace, truth: Mapping[str, Row]) -> Row:
@@ -308,8 +325,8 @@ PARTS = (
     "fusion", "cases", "matchers", "sensitivity", "failures", "rolls", "descriptors", "figures", "scales", "neighbours",
     "normals",
 )  # fmt: skip
-"""What ``all`` makes; ``family`` has cases of its own, and a store of its own, of fewer people."""
-WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "normals": run_normals, "figures": run_figures}
+"""What ``all`` makes; ``family`` and ``people`` have populations and stores of their own."""
+WITHOUT_STORE = {"scales": run_scales, "neighbours": run_neighbours, "figures": run_figures}
 PART_OF = {
     "descriptors": run_descriptors,
     "fusion": run_fusion,
@@ -318,7 +335,9 @@ PART_OF = {
     "sensitivity": run_sensitivity,
     "failures": run_failures,
     "rolls": run_rolls,
+    "normals": run_normals,
     "family": run_family,
+    "people": run_people,
 }
 
 

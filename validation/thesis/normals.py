@@ -1,21 +1,21 @@
 """Both readings of the thesis's "normals": of the integrated surface, and as photometric stereo measured them.
 
-The text does not say which. The same captures of a population, four fingers of each person, are reconstructed by each
-case, and compared by local binary patterns of either field of normals.
+The text does not say which. Those of the surface are in the store; here the measured ones are compared by the same
+local binary patterns, alignment and score, on the same comparisons.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
-from compared import Way, captures_of, compare_pairs, each, kept_images, read_images
-from trials import Pairs, Table, Trial
+from compared import Way, compare_pairs, drawn, each, kept_images, read_images
+from trials import Captures, Pairs, StoreLike, Table, Trial, read_table
 
 from splitknit import __version__
-from splitknit.evaluation.protocol import comparisons
 from splitknit.io.capture import read_capture
 from splitknit.io.provenance import settings_hash
 from splitknit.matching.features import lbp_features
@@ -25,42 +25,54 @@ from splitknit.model import surface_of
 from splitknit.pipeline import reconstruct
 from splitknit.presets import preset_settings
 
-CASES = ("snk", "pr", "ea")
-MEASURED = tuple(f"measured_{name}" for name in NORMALS)
-WAYS = (
-    Way("of the surface", lbp_features, "normals", NORMALS),
-    Way("measured", lbp_features, "measured normals", MEASURED),
-)
+MEASURED_AS: Mapping[str, str] = {"snk": "pr", "pr": "pr", "ea": "ea"}
+"""Case, and the case that measures the same normals: `snk` and `pr` differ after photometric stereo only."""
+FIELDS = {case: tuple(f"{case}_{name}" for name in NORMALS) for case in dict.fromkeys(MEASURED_AS.values())}
 
 
-def normals_table(population: Path, scratch: Path, fingers: Sequence[str], jobs: int) -> Table:
-    """Trials of each case and reading, all pairs. Images and comparisons are kept in `scratch`."""
-    names = [path.parent.relative_to(population).as_posix() for path in population.glob("S*/session_*/*/capture.json")]
-    captures = captures_of([name for name in names if name.split("/")[2] in fingers])
-    every = comparisons(captures.finger.tolist(), captures.session.tolist())
-    pairs = Pairs(captures, every.a, every.b)
+def normals_table(store: StoreLike, captures: Captures, options: argparse.Namespace) -> Table:
+    """Trials of each case and reading on the comparisons that the store has of all cases.
+
+    `options`: of ``run.py``; ``fraction`` of the impostor pairs is compared, and finished captures and comparisons are
+    kept in ``scratch``.
+    """
+    table = read_table(store, captures, tuple(MEASURED_AS), ("thesis",))
+    every, finger = table.pairs, captures.finger
+    kept = every.genuine | drawn(finger[every.a], finger[every.b], options.fraction, options.seed)
+    pairs = Pairs(captures, every.a[kept], every.b[kept])
+    origin = [preset_settings(case) for case in FIELDS] + [__version__, str(options.population)]
+    place = options.scratch / "normals" / settings_hash(origin)[:12]
+    each(partial(_keep, options.population, place), captures.names.tolist(), options.jobs)
+    ways = [Way(case, lbp_features, "measured normals", names) for case, names in FIELDS.items()]
+    measured = {
+        trial.case: trial for trial in compare_pairs(pairs, partial(_read, place), ways, place / "scores", options.jobs)
+    }
     trials: list[Trial] = []
-    for case in CASES:
-        place = scratch / settings_hash([preset_settings(case), __version__, str(population)])[:12]
-        each(partial(_keep, population, place, case), captures.names.tolist(), jobs)
-        found = compare_pairs(pairs, partial(_read, place), WAYS, place / "scores", jobs)
-        trials += [replace(trial, case=case) for trial in found]
-    return Table(pairs, tuple(trials), ())
+    for case, like in MEASURED_AS.items():
+        of_surface = table.trial(case, "thesis", "normals")
+        if of_surface is not None:
+            trials += [
+                of_surface.at(kept).labelled(f"{case}, of the surface"),
+                replace(measured[like], case=case).labelled(f"{case}, measured"),
+            ]
+    return Table(pairs, tuple(trials), table.missing)
 
 
-def _keep(population: Path, place: Path, case: str, name: str) -> None:
+def _keep(population: Path, place: Path, name: str) -> None:
     def images() -> FingerImages:
-        result = reconstruct(read_capture(population / name), case)
-        surface, measured = surface_of(result), result.normals_measured
-        assert measured is not None  # the thesis's cases measure normals
-        found, other = surface_images(surface), surface_images(replace(surface, normals=measured))
-        channels = {key: found.channels[key] for key in NORMALS}
-        channels |= {to: other.channels[key] for key, to in zip(NORMALS, MEASURED, strict=True)}
-        return replace(found, channels=channels)
+        capture = read_capture(population / name)
+        channels = {}
+        for case, fields in FIELDS.items():
+            result = reconstruct(capture, case)
+            assert result.normals_measured is not None  # the thesis's cases measure normals
+            found = surface_images(replace(surface_of(result), normals=result.normals_measured))
+            channels |= {field: found.channels[name] for field, name in zip(fields, NORMALS, strict=True)}
+        return replace(found, channels=channels)  # both cases find the same mask
 
     kept_images(_file(place, name), images)
 
 
+@lru_cache(maxsize=48)
 def _read(place: Path, name: str) -> FingerImages | None:
     return read_images(_file(place, name))
 

@@ -86,9 +86,13 @@ def blocks(folder: Path) -> dict[str, str]:
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
         made[name] = rate_table(rows, "case", lambda row: row["case"])
         made[f"{name}_margin"] = margin_table(rows)
-    made["family"] = rate_table(
-        read(folder / "family.csv"), "case, matcher", lambda row: f"{row['case']}, {row['matcher']}", (PLAIN, WHOLE)
-    )
+    for name in ("family", "people"):
+        made[name] = rate_table(
+            read(folder / f"{name}.csv"),
+            "case, matcher",
+            lambda row: f"{row['case']}, {row['matcher']}",
+            (PLAIN, WHOLE),
+        )
     made["family_differences"] = difference_table(read(folder / "family_differences.csv"), (WHOLE,))
     described, apart = (read(folder / f"descriptors{ending}.csv") for ending in ("", "_differences"))
     near, nearer = (read(folder / f"neighbours{ending}.csv") for ending in ("", "_differences"))

@@ -1,10 +1,10 @@
 """The thesis's matching experiments on a simulated population: one command each, tables and plots beside this file.
 
     python validation/thesis/run.py all --store STORE --population POPULATION
-    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|descriptors --store STORE \\
-        --population POPULATION
-    python validation/thesis/run.py scales|neighbours|normals|figures --population POPULATION
-    python validation/thesis/run.py family --store STORE --population POPULATION
+    python validation/thesis/run.py fusion|cases|matchers|sensitivity|failures|rolls|descriptors|normals \\
+        --store STORE --population POPULATION
+    python validation/thesis/run.py scales|neighbours|figures --population POPULATION
+    python validation/thesis/run.py family|people --store STORE --population POPULATION
     python validation/thesis/run.py chain --population DIR            # simulate, batch, all, and the page
     python validation/thesis/run.py chain --population DIR --prints FOLDER    # with ridges of real prints for a third
     python validation/thesis/run.py chain --population DIR --small    # a smoke of a few minutes
@@ -132,7 +132,7 @@ def _store(options: argparse.Namespace) -> Any:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=[*PARTS, "family", "all", "chain"])
+    parser.add_argument("part", choices=[*PARTS, "family", "people", "all", "chain"])
     parser.add_argument("--population", type=Path, required=True)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--out", type=Path, default=None, help="of tables and plots (default: this folder)")
@@ -144,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--cases", nargs="+", default=list(CASES))
     parser.add_argument("--people", type=int, default=5, help="whose fingers the part scales takes, from the first on")
     parser.add_argument(
-        "--fraction", type=float, default=1.0, help="of the impostor pairs, in the parts scales and descriptors"
+        "--fraction", type=float, default=1.0, help="of the impostor pairs, in scales, descriptors and normals"
     )
     parser.add_argument(
         "--impostors", type=float, default=0.06, help="fraction of the impostor pairs of a chain's batch"
