@@ -46,8 +46,13 @@ def truth(twin_folder: Path) -> Truth:
 
 
 @pytest.fixture(scope="module")
-def results(capture: Capture) -> dict[str, Reconstruction]:
-    return {preset: reconstruct(capture, preset) for preset in PRESETS}
+def memory(capture: Capture) -> Memory:
+    return Memory(capture)
+
+
+@pytest.fixture(scope="module")
+def results(capture: Capture, memory: Memory) -> dict[str, Reconstruction]:
+    return {preset: reconstruct(capture, preset, memory=memory) for preset in PRESETS}
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -237,10 +242,10 @@ def differing(first: PipelineSettings, second: PipelineSettings) -> dict[str, An
     ],
 )
 def test_one_setting_changes_one_thing(
-    capture: Capture, results: dict[str, Reconstruction], change: dict[str, Any]
+    capture: Capture, memory: Memory, results: dict[str, Reconstruction], change: dict[str, Any]
 ) -> None:
     base = results["snk"]
-    result = reconstruct(capture, "snk", change)
+    result = reconstruct(capture, "snk", change, memory=memory)
     before, after = flatten(base.settings), flatten(result.settings)
     assert {name: after[name] for name in after if after[name] != before[name]} == change
     np.testing.assert_array_equal(result.mask, base.mask)
@@ -297,8 +302,9 @@ def test_blur_is_undone_where_the_material_is_skin(capture: Capture) -> None:
 
 @pytest.mark.slow
 def test_cases_that_share_a_memory_are_what_they_are_alone(
-    capture: Capture, results: dict[str, Reconstruction], monkeypatch: pytest.MonkeyPatch
+    capture: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    results = {preset: reconstruct(capture, preset) for preset in PRESETS}
     asked: list[int] = []
     network = pipeline.direct_light
     monkeypatch.setattr(pipeline, "direct_light", lambda *given: (asked.append(1), network(*given))[1])

@@ -192,8 +192,10 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("which", [1, 30, 100, 200, 300])
+@pytest.mark.parametrize(
+    ("which", "number"),
+    [(1, signal.SIGTERM), (30, signal.SIGINT), (100, signal.SIGTERM), (200, signal.SIGINT), (300, signal.SIGTERM)],
+)
 def test_an_interrupt_in_an_import_is_one_line(tmp_path: Path, which: int, number: signal.Signals) -> None:
     """Of the verb, of numpy, of what the verb loads."""
     arguments = [str(which), str(int(number)), "reconstruct", "nowhere", "--out", "x"]

@@ -102,7 +102,7 @@ def test_a_mirrored_finger_is_mirrored(piece: Piece, straight) -> None:
     same_surface((shape[:, ::-1], relief[:, ::-1]), straight, piece.grid)
 
 
-@pytest.mark.parametrize("turn_deg", [30.0, 90.0, 137.0, 180.0])
+@pytest.mark.parametrize("turn_deg", [137.0, *(pytest.param(a, marks=pytest.mark.slow) for a in (30.0, 90.0, 180.0))])
 def test_a_turned_finger_is_turned(piece: Piece, straight, turn_deg: float) -> None:
     side = piece.grid.shape[0]
     matrix = cv2.getRotationMatrix2D(((side - 1) / 2, (side - 1) / 2), turn_deg, 1.0)
