@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from splitknit.io.capture import write_capture
+from enrolled import people
+from splitknit.io.capture import read_capture, write_capture
 from splitknit.matching import methods, minutiae
+from splitknit.model import Capture
 from splitknit.prints import from_file
 from splitknit.prints.pressed import pressed_ridges
 from splitknit.simulator.finger import finger
@@ -23,6 +25,7 @@ from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
+from splitknit.steps import Memory
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # started in the background by a shell: what tests interrupt would inherit the deafness
@@ -68,6 +71,24 @@ def twin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     capture, truth = simulate_capture(3, "whorl", settings)
     write_capture(capture, folder, truth)
     return folder
+
+
+@pytest.fixture(scope="session")
+def twin_capture(twin_folder: Path) -> Capture:
+    """It, read; not to be changed."""
+    return read_capture(twin_folder)
+
+
+@pytest.fixture(scope="session")
+def twin_memory(twin_capture: Capture) -> Memory:
+    """What the cases of `twin_capture` share."""
+    return Memory(twin_capture)
+
+
+@pytest.fixture(scope="session")
+def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Enrolment of two people, three fingers, two sessions, as result folders; not to be changed."""
+    return people(tmp_path_factory.mktemp("people"))
 
 
 @pytest.fixture(scope="session")

@@ -71,8 +71,8 @@ settings = BatchSettings(cases=preset_cases(("snk",)), matchers=(), chunk_captur
 run_batch(Path(people), Path("store"), settings, jobs=2)
 assert "onnxruntime" not in sys.modules  # but in the workers
 """
-VERBS_RUN = [  # snk runs its network at any size of the images, metric its two at 0.165 of the full one
-    ["demo", "--scale", "0.165"],
+DEMO_RUN = [["demo", "--scale", "0.165"]]  # metric runs its two networks from this size of the images on
+VERBS_RUN = [  # snk runs its network at any size
     ["reconstruct", "CAPTURE", "--out", "result", "--preset", "snk"],
     ["print", "CAPTURE", "--out", "print", "--preset", "snk"],
     ["pad", "CAPTURE", "--preset", "snk"],
@@ -82,7 +82,7 @@ VERBS_RUN = [  # snk runs its network at any size of the images, metric its two 
     ["export", "CAPTURE", "--to", "iso-19794-2", "--out", "records", "--preset", "snk"],
     ["batch", "PEOPLE", "--out", "store", "--cases", "pr", "--matchers", "none"],
 ]
-NETWORKS = {"verbs": ("relief.onnx", "shape.onnx", "direct.onnx"), "processes": ("direct.onnx",)}
+NETWORKS = {"demo": ("relief.onnx", "shape.onnx"), "verbs": ("direct.onnx",), "processes": ("direct.onnx",)}
 
 
 SYSTEM = re.compile(r"/dev/(null|tty|shm/sem\.[^/]*|shm/joblib_memmapping_folder_[^/]*)|/proc/self/[^/]*")
@@ -205,12 +205,12 @@ def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("run", NETWORKS)
+@pytest.mark.parametrize("run", ["verbs", "processes", pytest.param("demo", marks=pytest.mark.slow)])
 def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> None:
     places = {"PEOPLE": str(people), "CAPTURE": str(people / "S01" / "session_1" / "right_index")}
     before = sorted(people.rglob("*"))
-    if run == "verbs":
-        arguments = [[places.get(word, word) for word in verb] for verb in VERBS_RUN]
+    if run != "processes":
+        arguments = [[places.get(word, word) for word in verb] for verb in (VERBS_RUN if run == "verbs" else DEMO_RUN)]
         events = watched(VERBS, tmp_path, json.dumps(arguments), strace=STRACE)
     else:
         pytest.importorskip("joblib")
@@ -223,4 +223,4 @@ def test_nothing_leaves_the_machine(tmp_path: Path, people: Path, run: str) -> N
 def test_every_verb_that_loads_a_network_is_watched() -> None:
     (verbs,) = (action.choices for action in build_parser()._actions if isinstance(action.choices, dict))
     reconstruct = {name for name, verb in verbs.items() if {"--preset", "--cases"} & set(verb._option_string_actions)}
-    assert reconstruct | {"demo"} == {verb[0] for verb in VERBS_RUN}
+    assert reconstruct | {"demo"} == {verb[0] for verb in DEMO_RUN + VERBS_RUN}

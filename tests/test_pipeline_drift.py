@@ -6,18 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
 from splitknit.model import Capture
 from splitknit.pipeline import reconstruct
-from splitknit.simulator.scene import TwinSettings
-from splitknit.simulator.twin import simulate_capture
-
-
-@pytest.fixture(scope="module")
-def capture() -> Capture:
-    taken, _ = simulate_capture(5, settings=TwinSettings(scale=0.2))
-    return taken
 
 
 def said(capture: Capture, changes: dict[int, float], provenance: dict[str, Any]) -> tuple[list[str], dict[str, Any]]:
@@ -28,18 +19,18 @@ def said(capture: Capture, changes: dict[int, float], provenance: dict[str, Any]
     return [text for text in result.warnings if "calibration" in text], dict(result.quality)
 
 
-def test_an_led_that_got_darker_is_named(capture: Capture) -> None:
-    words, quality = said(capture, {9: 1 / 0.9}, {"radiometry": {"calibrated": True}})
+def test_an_led_that_got_darker_is_named(twin_capture: Capture) -> None:
+    words, quality = said(twin_capture, {9: 1 / 0.9}, {"radiometry": {"calibrated": True}})
     assert len(words) == 1
     assert words[0].startswith("nir band: LED nir 2 is")
     assert "darker than at the calibration" in words[0]
     assert np.argmin(quality["nir"]["light_drift"]["gain"]) == 2
 
 
-def test_nothing_is_said_of_a_rig_that_holds_or_was_never_calibrated(capture: Capture) -> None:
-    words, quality = said(capture, {}, {"radiometry": {"calibrated": True}})
+def test_nothing_is_said_of_a_rig_that_holds_or_was_never_calibrated(twin_capture: Capture) -> None:
+    words, quality = said(twin_capture, {}, {"radiometry": {"calibrated": True}})
     assert words == []
     assert np.abs(np.array(quality["white"]["light_drift"]["gain"]) - 1).max() < 0.03
-    words, quality = said(capture, {9: 1 / 0.9}, {})
+    words, quality = said(twin_capture, {9: 1 / 0.9}, {})
     assert words == []
     assert "light_drift" not in quality["nir"]

@@ -25,6 +25,7 @@ from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_su
 from splitknit.simulator.light.skin import SkinOptics
 from splitknit.simulator.scene import BackgroundSettings, TwinSettings
 from splitknit.simulator.twin import photograph, simulate_capture
+from splitknit.steps import Memory
 
 Truth = dict[str, np.ndarray]
 
@@ -37,8 +38,8 @@ def quick(capture: Capture, preset: str) -> Reconstruction:
 
 
 @pytest.fixture(scope="module")
-def capture(twin_folder: Path) -> Capture:
-    return read_capture(twin_folder)
+def capture(twin_capture: Capture) -> Capture:
+    return twin_capture
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +76,7 @@ KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = 
 `snk` see every kind, each of the others two kinds that differ."""
 
 METRIC = ("grey skin", "grey opaque", "distant leds", "perspective", "no nir")
-"""Kinds that the metric recipe treats in another way; that fewer lights or no ambient image do is told by the presets."""
+"""Kinds that the metric recipe treats in another way; the presets tell that other numbers of lights and images do."""
 
 
 @pytest.mark.parametrize(
@@ -197,8 +198,8 @@ def test_the_tips_direction_from_a_file(tip_deg: int, capture: Capture, tmp_path
 
 
 @pytest.fixture(scope="module")
-def upright(capture: Capture) -> Reconstruction:
-    return reconstruct(capture, "ea")
+def upright(capture: Capture, twin_memory: Memory) -> Reconstruction:
+    return reconstruct(capture, "ea", memory=twin_memory)
 
 
 @pytest.mark.parametrize("quarter_turns", [1, 2])

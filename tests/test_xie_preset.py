@@ -10,21 +10,16 @@ import pytest
 
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.io.capture import read_capture
 from splitknit.model import Capture, Reconstruction
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS
 from splitknit.settings import flatten
+from splitknit.steps import Memory
 
 
 @pytest.fixture(scope="module")
-def capture(twin_folder: Path) -> Capture:
-    return read_capture(twin_folder)
-
-
-@pytest.fixture(scope="module")
-def xie(capture: Capture) -> Reconstruction:
-    return reconstruct(capture, "xie")
+def xie(twin_capture: Capture, twin_memory: Memory) -> Reconstruction:
+    return reconstruct(twin_capture, "xie", memory=twin_memory)
 
 
 def test_it_differs_from_ea_by_the_reflectance_alone() -> None:
@@ -36,8 +31,8 @@ def test_it_differs_from_ea_by_the_reflectance_alone() -> None:
     }
 
 
-def test_surface_follows_from_the_layers(capture: Capture, xie: Reconstruction) -> None:
-    plain = reconstruct(capture, "ea")
+def test_surface_follows_from_the_layers(twin_capture: Capture, twin_memory: Memory, xie: Reconstruction) -> None:
+    plain = reconstruct(twin_capture, "ea", memory=twin_memory)
     np.testing.assert_array_equal(xie.mask, plain.mask)
     between = np.sum(xie.normals * plain.normals, axis=-1)[xie.mask]
     turned = np.degrees(np.arccos(np.clip(between, -1, 1)))
@@ -49,11 +44,12 @@ def test_surface_follows_from_the_layers(capture: Capture, xie: Reconstruction) 
     assert tilt[steep].mean() < flat[steep].mean()
 
 
-def test_settings_reach_the_fit(capture: Capture, xie: Reconstruction) -> None:
-    other = reconstruct(capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.37})
+def test_settings_reach_the_fit(twin_capture: Capture, twin_memory: Memory, xie: Reconstruction) -> None:
+    change = {"normals.hanrahan_krueger.layers.refractive_index": 1.37}
+    other = reconstruct(twin_capture, "xie", change, memory=twin_memory)
     assert not np.array_equal(other.height_mm, xie.height_mm, equal_nan=True)
     with pytest.raises(BadInput, match="refractive_index"):
-        reconstruct(capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.0})
+        reconstruct(twin_capture, "xie", {"normals.hanrahan_krueger.layers.refractive_index": 1.0})
 
 
 def test_bad_settings_are_one_sentence(twin_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from enrolled import facts_of, people, refusal_of
+from enrolled import facts_of, refusal_of
 from splitknit.batch.chunks import column_type, load, read_chunk, write_chunk
 from splitknit.batch.scores import score_schema
 from splitknit.cli.main import main
@@ -20,10 +20,11 @@ S01, S02 = "S01/session_1/right_index", "S02/session_1/right_index"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(people_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gallery with its shards, the enrolment it was made of, exports, and a store; not to be changed."""
     root = tmp_path_factory.mktemp("kept")
-    for result in people(root / "people").glob("*/*/*"):
+    shutil.copytree(people_folder, root / "people")
+    for result in (root / "people").glob("*/*/*"):
         _write_manifest(result)
     gallery = str(root / "people.skg")
     for words in (

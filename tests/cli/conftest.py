@@ -1,4 +1,4 @@
-"""Enrolled people, made once."""
+"""Impressions, made once."""
 
 from __future__ import annotations
 
@@ -6,15 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from enrolled import people
 from perfect_results import write_impressions
 from splitknit.simulator.finger.finger import FingerPose
-
-
-@pytest.fixture(scope="session")
-def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Enrolment of two people, three fingers, two sessions, as result folders; not to be changed."""
-    return people(tmp_path_factory.mktemp("people"))
 
 
 @pytest.fixture(scope="session")

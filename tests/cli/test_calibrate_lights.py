@@ -272,34 +272,44 @@ def test_photographs_of_a_ball(capsys, tmp_path):
     assert "empty" in refused(capsys, *words)
 
 
-@pytest.mark.parametrize(("name", "options"), [("lights.txt", ()), ("rig.json", ()), ("places.txt", (
-    "--led-height-cm", "14"))])  # fmt: skip
-def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, name, options):
-    """The same bench, as a camera writes JPEG files of it: first the ball, then the lights of other photographs."""
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """A ball on the bench, as a camera writes JPEG files of it, its mask, and its outline in pixels."""
+    folder = tmp_path_factory.mktemp("ball")
     rig = default_rig(0.2)
     scene = SphereScene(camera=rig.camera, leds=rig.leds, chrome=False, ground=0.0)
-    (tmp_path / "ball").mkdir()
+    (folder / "ball").mkdir()
     for k in range(7):
         image = photograph_bench(scene, [k], k, exposure=well_exposed(scene, [[k]]))
         code = np.rint(255.0 * srgb_code(image / np.iinfo(image.dtype).max)).astype(np.uint8)
-        Image.fromarray(code[..., 0] if code.shape[2] == 1 else code).save(tmp_path / "ball" / f"{k}.jpg", quality=95)
+        Image.fromarray(code[..., 0] if code.shape[2] == 1 else code).save(folder / "ball" / f"{k}.jpg", quality=95)
     edge = scene.outline_px()
     column, row = edge.mean(axis=0)
     rows, columns = np.mgrid[:440, :640]
     inside = np.hypot(columns - column, rows - row) < np.ptp(edge[:, 0]) / 2
-    write_image(tmp_path / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
+    write_image(folder / "mask.png", np.where(inside, 255, 0).astype(np.uint8))
+    return folder / "ball", folder / "mask.png", edge
+
+
+@pytest.mark.parametrize(("name", "options"), [("lights.txt", ()), ("rig.json", ()), ("places.txt", (
+    "--led-height-cm", "14"))])  # fmt: skip
+def test_a_ball_gives_the_lights_of_a_surface(capsys, tmp_path, ball, name, options):
+    """First the ball, then the lights of other photographs."""
+    photographs, mask, edge = ball
     out, result = tmp_path / name, tmp_path / "result"
-    words = ("--sphere", "grey", "--images", tmp_path / "ball", "--mask", tmp_path / "mask.png", "--out", out, *options)
+    words = ("--sphere", "grey", "--images", photographs, "--mask", mask, "--out", out, *options)
     code, said, err = run(capsys, *words)
     assert code == 0, err
     assert "encoding srgb is assumed of the .jpg files (--encoding changes it)" in said
     assert f"splitknit reconstruct --images PHOTOS --lights {out}" in said
-    given = ["--rig" if name == "rig.json" else "--lights", str(out), "--mask", str(tmp_path / "mask.png")]
-    given += ["--px-per-mm", f"{rig.camera.px_per_mm}"]
-    assert main(["reconstruct", "--images", str(tmp_path / "ball"), *given, "--out", str(result)]) == 0
+    given = ["--rig" if name == "rig.json" else "--lights", str(out), "--mask", str(mask)]
+    given += ["--px-per-mm", f"{default_rig(0.2).camera.px_per_mm}"]
+    assert main(["reconstruct", "--images", str(photographs), *given, "--out", str(result)]) == 0
     with np.load(result / "height.npz") as arrays:
         normals = arrays["normals"].astype(float)
     radius = np.ptp(edge[:, 0]) / 2
+    column, row = edge.mean(axis=0)
+    rows, columns = np.mgrid[:440, :640]
     x, y = (columns - column) / radius, (row - rows) / radius
     truth = np.stack([x, y, np.sqrt(np.clip(1 - x * x - y * y, 0, 1))], axis=-1)
     middle = np.hypot(x, y) < 0.7

@@ -20,6 +20,7 @@ from splitknit.photometric.lambertian import lambertian
 from splitknit.photometric.robust import robust
 from splitknit.pipeline import reconstruct
 from splitknit.report.result import FILES
+from splitknit.steps import Memory
 
 pytestmark = pytest.mark.external
 
@@ -68,6 +69,16 @@ def phalange(data_dir: Path) -> Capture:
     images = [folder / f"light_{k:02d}.png" for k in range(12)]
     lights = read_named_lights(folder / "lights.txt")[0]
     return capture_from_plain_images(images, lights, 40.0, PhotographOptions(folder / "mask.png", background=71))
+
+
+@pytest.fixture(scope="module")
+def memory_of_phalange(phalange: Capture) -> Memory:
+    return Memory(phalange)
+
+
+@pytest.fixture(scope="module")
+def memory_of_ball(ball: tuple[Capture, np.ndarray]) -> Memory:
+    return Memory(ball[0])
 
 
 def sound(result: Reconstruction, mask: BoolArray) -> None:
@@ -129,21 +140,21 @@ def test_measured_normals_are_those_of_photometric_stereo(bear: tuple[Capture, n
     [("metric", {}, 0.04), ("snk", {}, 0.03), ("ea", {}, 0.03), ("pr", LINEAR, 0.05), ("pr", {}, 0.105)],
 )
 def test_heights_of_the_ball(
-    ball: tuple[Capture, np.ndarray], preset: str, changes: dict[str, str], limit: float
+    ball: tuple[Capture, np.ndarray], memory_of_ball: Memory, preset: str, changes: dict[str, str], limit: float
 ) -> None:
     """Within a few per cent of the radius, though the camera's response is not known and its lens not orthographic."""
     capture, sphere = ball
     assert capture.mask is not None
-    result = reconstruct(capture, preset, changes)
+    result = reconstruct(capture, preset, changes, memory=memory_of_ball)
     sound(result, capture.mask)
     error = (result.height_mm - sphere)[np.isfinite(sphere)]
     assert error.std() < limit * np.nanmax(sphere)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, preset: str) -> None:
+def test_the_phalange_is_a_finger_with_ridges(phalange: Capture, memory_of_phalange: Memory, preset: str) -> None:
     assert phalange.mask is not None
-    result = reconstruct(phalange, preset)
+    result = reconstruct(phalange, preset, memory=memory_of_phalange)
     sound(result, phalange.mask)
     middle = result.ridge_mm[250:450, 500:700]
     window = np.outer(np.hanning(200), np.hanning(200))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -16,20 +17,28 @@ TONES = {
 }
 
 
+GREY = np.array([0.299, 0.587, 0.114], dtype=np.float32)
+
+
 @dataclass(frozen=True)
 class Scene:
     rgb: np.ndarray
     """(H, W, 3) mean of the shots."""
-    stack: np.ndarray
-    """(L, H, W) grey."""
     mask: np.ndarray
     px_per_mm: float
     tip: tuple[float, float]
     lights: np.ndarray
+    shot: Callable[[int], np.ndarray]
+    """(H, W, 3) of the light k."""
 
     @property
     def grey(self) -> np.ndarray:
-        return self.stack.mean(axis=0)
+        return self.rgb @ GREY
+
+    @cached_property
+    def stack(self) -> np.ndarray:
+        """(L, H, W) grey, which few tests look at."""
+        return np.stack([self.shot(k) @ GREY for k in range(len(self.lights))])
 
 
 def draw(
@@ -73,7 +82,7 @@ def draw(
     angles = 2 * np.pi * np.arange(7) / 7
     lights = np.stack([0.35 * np.cos(angles), 0.35 * np.sin(angles), np.full(7, 0.937)], axis=1)
     shade = (-dz_dx * lights[:, 0, None, None] - dz_dy * lights[:, 1, None, None] + lights[:, 2, None, None]) / norm
-    shade = 0.9 * np.maximum(shade, 0.0) + 0.1
+    shade = (0.9 * np.maximum(shade, 0.0) + 0.1).astype(np.float32)
     albedo = np.ones_like(z)
     for distance, depth in creases:
         offset = along - distance - across * np.tan(np.deg2rad(crease_tilt_deg))
@@ -88,22 +97,27 @@ def draw(
         light = np.where(across > 2.0, 0.3, 1.0)
     skin = np.asarray(TONES[tone] if isinstance(tone, str) else tone, dtype=np.float32)
     backdrop = np.broadcast_to(np.maximum(paper * (1.0 + paper_slope * x / 15.0), 0.0), z.shape)
-    rgb = (shade * (light * albedo)).astype(np.float32)[..., None] * skin
-    rgb[:, ~inside] = backdrop[~inside, None]
-    if infrared:
-        rgb += np.where(inside, infrared * shade, infrared * paper).astype(np.float32)[..., None]
+    brightness, spots = (light * albedo).astype(np.float32), []
     for _ in range(specks):
         spot = rng.uniform(-0.5, 0.5, 2) * np.array([size_mm[1], size_mm[0]])
         radius = rng.uniform(0.05, 0.4)
         speck = ((x - spot[0]) ** 2 + (y - spot[1]) ** 2 < radius**2) & ~inside
-        rgb[:, speck] = rng.uniform(0.1, 0.6)
+        spots.append((speck, rng.uniform(0.1, 0.6)))
     if glare:
-        spot = ((across - 1.0) ** 2 + (along - 9.0) ** 2 < 1.2**2) & inside
-        rgb[:, spot] = 1.0
-    rgb += np.float32(noise) * rng.standard_normal(rgb.shape, dtype=np.float32)
-    stack = np.einsum("lhwc,c->lhw", rgb, np.array([0.299, 0.587, 0.114], dtype=np.float32))
+        spots.append((((across - 1.0) ** 2 + (along - 9.0) ** 2 < 1.2**2) & inside, 1.0))
+
+    def photographed(shade: np.ndarray, noise: float, seed: int) -> np.ndarray:
+        rgb = (shade * brightness)[..., None] * skin
+        rgb[~inside] = backdrop[~inside, None]
+        if infrared:
+            rgb += np.where(inside, infrared * shade, infrared * paper).astype(np.float32)[..., None]
+        for where, value in spots:
+            rgb[where] = value
+        return rgb + np.float32(noise) * np.random.default_rng(seed).standard_normal(rgb.shape, dtype=np.float32)
+
+    rgb = photographed(shade.mean(axis=0), noise / np.sqrt(len(shade)), seed)
     tip = ((width - 1) / 2 + tip_at[0] * px_per_mm, (height - 1) / 2 - tip_at[1] * px_per_mm)
-    return Scene(rgb.mean(axis=0), stack, inside, px_per_mm, tip, lights)
+    return Scene(rgb, inside, px_per_mm, tip, lights, lambda k: photographed(shade[k], noise, 1000 * (seed + 1) + k))
 
 
 @pytest.fixture(scope="session")

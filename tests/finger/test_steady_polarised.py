@@ -34,7 +34,7 @@ def moved(capture: Capture, right_mm: float, up_mm: float) -> Capture:
 def polarised() -> Capture:
     """A finger without specular reflection, as crossed films show it, and with it."""
     one, other = (
-        splitknit.simulate_capture(3, settings={"scale": 0.25, "skin.glare": [strength, strength]})[0]
+        splitknit.simulate_capture(3, settings={"scale": 0.2, "skin.glare": [strength, strength]})[0]
         for strength in (1.0, 0.0)
     )
     white, dark = one.bands["white"], other.bands["white"]

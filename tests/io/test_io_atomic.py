@@ -328,4 +328,4 @@ def test_the_next_program_removes_what_a_killed_one_left(tmp_path: Path, where: 
     assert {path.name for path in tmp_path.iterdir()} == {"kept", "at_work", *(path.name for path in mine)}
     assert visible(tmp_path / "kept") == {"one": "1"}
     for path in mine:
-        assert path.is_file() or (path / "mine").read_text() == "mine"
+        assert (path if path.is_file() else path / "mine").read_text() == "mine"

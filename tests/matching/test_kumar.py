@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from splitknit.errors import BadInput
 from splitknit.imaging.geometry import smoothed
-from splitknit.io.capture import read_capture
 from splitknit.matching.space_features import space_minutiae, surface_code
 from splitknit.matching.surface_code import GRAY, SurfaceCodeSettings
-from splitknit.model import Surface, default_rig
+from splitknit.model import Capture, Surface, default_rig
 from splitknit.pipeline import reconstruct
 from splitknit.presets import PRESETS, preset_settings
 from splitknit.settings import override
 from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_surface
+from splitknit.steps import Memory
 
 
-def test_kumar_is_ea_smoothed(twin_folder: Path) -> None:
+def test_kumar_is_ea_smoothed(twin_capture: Capture, twin_memory: Memory) -> None:
     assert override(PRESETS["kumar"], {"smooth.sigma_mm": 0.0}) == PRESETS["ea"]
-    capture = read_capture(twin_folder)
-    plain, smooth = reconstruct(capture, "ea"), reconstruct(capture, "kumar")
+    plain, smooth = (reconstruct(twin_capture, preset, memory=twin_memory) for preset in ("ea", "kumar"))
     np.testing.assert_array_equal(smooth.mask, plain.mask)
     inside = plain.mask
     np.testing.assert_allclose((smooth.ridge_mm + smooth.shape_mm)[inside], smooth.height_mm[inside], atol=1e-5)

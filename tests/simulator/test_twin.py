@@ -208,7 +208,7 @@ def test_seeds_repeat_and_workers_do_not_matter(egg, rig):
 
 
 def test_a_simulated_finger_end_to_end():
-    settings = TwinSettings(scale=0.15, render=RenderSettings(workers=2))
+    settings = TwinSettings(scale=0.1, render=RenderSettings(workers=2))
     capture, truth = simulate_capture(11, "whorl", settings)
     again = simulate_capture(11, "whorl", replace(settings, render=RenderSettings(workers=1)))
     assert _digest(capture, truth) == _digest(*again)
