@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from enrolled import people
+import enrolled
+from splitknit.batch.simulate import simulate_population
 from splitknit.io.capture import read_capture, write_capture
 from splitknit.matching import methods, minutiae
 from splitknit.model import Capture
@@ -23,6 +24,7 @@ from splitknit.prints.pressed import pressed_ridges
 from splitknit.simulator.finger import finger
 from splitknit.simulator.finger.finger import FingerPose
 from splitknit.simulator.finger.master_print import MasterPrint, MasterPrintSettings, master_print
+from splitknit.simulator.population.sessions import PopulationSettings
 from splitknit.simulator.scene import TwinSettings
 from splitknit.simulator.twin import simulate_capture
 from splitknit.steps import Memory
@@ -88,7 +90,16 @@ def twin_memory(twin_capture: Capture) -> Memory:
 @pytest.fixture(scope="session")
 def people_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Enrolment of two people, three fingers, two sessions, as result folders; not to be changed."""
-    return people(tmp_path_factory.mktemp("people"))
+    return enrolled.people(tmp_path_factory.mktemp("people"))
+
+
+@pytest.fixture(scope="session")
+def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two people's right index fingers in two sessions, simulated; not to be changed."""
+    folder = tmp_path_factory.mktemp("batch") / "people"
+    settings = PopulationSettings(seed=3, scale=0.08)
+    simulate_population(folder, settings, subjects=2, sessions=2, fingers=("right_index",), workers=1)
+    return folder
 
 
 @pytest.fixture(scope="session")

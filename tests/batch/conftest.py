@@ -1,4 +1,4 @@
-"""A small population that is reconstructed once, and a larger one whose templates are invented."""
+"""The small population reconstructed once, and a larger one whose templates are invented."""
 
 from __future__ import annotations
 
@@ -13,19 +13,8 @@ from splitknit.batch.engine import run_batch
 from splitknit.batch.features import BANDS, QUALITY, _feature_schema
 from splitknit.batch.population import read_population
 from splitknit.batch.settings import BatchSettings, preset_cases
-from splitknit.batch.simulate import simulate_population
 from splitknit.batch.store import open_store
 from splitknit.capture.enrolment import open_enrolment
-from splitknit.simulator.population.sessions import PopulationSettings
-
-
-@pytest.fixture(scope="session")
-def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two people's right index fingers in two sessions."""
-    folder = tmp_path_factory.mktemp("batch") / "people"
-    settings = PopulationSettings(seed=3, scale=0.08)
-    simulate_population(folder, settings, subjects=2, sessions=2, fingers=("right_index",), workers=1)
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -7,18 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from splitknit.batch.simulate import simulate_population
 from splitknit.cli.batch import _case
 from splitknit.cli.main import main
 from splitknit.errors import BadInput
-from splitknit.simulator.population.sessions import PopulationSettings
 
 
-def test_a_population_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    people, store = tmp_path / "people", tmp_path / "store"
-    simulate_population(
-        people, PopulationSettings(seed=4, scale=0.08), subjects=2, sessions=2, fingers=("left_index",), workers=1
-    )
+def test_a_population_on_the_command_line(people: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = tmp_path / "store"
     words = ["batch", str(people), "--out", str(store), "--cases", "ea", "--jobs", "1"]
     assert main([*words, "--matchers", "ridge", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
