@@ -396,4 +396,4 @@ def test_a_window_is_a_disc_of_the_finger(thesis: Script) -> None:
     assert shown.area_mm2 == pytest.approx(np.pi * 9.0, rel=0.06)
     assert max(shown.valid.shape) <= 61
     assert not shown.level[~shown.valid].any()
-    assert windows.disc(template, 15.0, rng) is None, "there is no place for it"
+    assert windows.disc(template, 16.0, rng) is None, "there is no place for it"
