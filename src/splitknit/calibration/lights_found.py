@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import combinations
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from splitknit.calibration.nail import STRAY_MM, JointFit, NailSettings, by_join
 from splitknit.errors import BadInput, require
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera, Led, Rig
+from splitknit.settings import Checked, Limits
 
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
@@ -23,24 +25,22 @@ OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "uncheck
 
 
 @dataclass(frozen=True, slots=True)
-class LightLimits:
+class LightLimits(Checked):
     """What is refused."""
 
-    limit_deg: float = 5.0
-    """Directions of one LED that are further apart than this disagree."""
-    copy_mm: float = 0.4
-    """Shadow tips of two nail positions that are nearer than this, on the finger plane, repeat: a true tip moves
-    further than its nail. The thesis's copies lie up to 0.22 mm apart."""
-    move_mm: float = 1.0
-    """Nail positions that are nearer than this are one position."""
-    same_nail_mm: float = 1.0
-    """The nail's pixel may differ so much between the rows of one position."""
+    _group = "limits"
 
-    def __post_init__(self) -> None:
-        require(0 < self.limit_deg <= 90, f"limit_deg must lie between 0 and 90 deg, but it is {self.limit_deg}.")
-        for name in ("copy_mm", "move_mm", "same_nail_mm"):
-            require(0 <= getattr(self, name) <= 100, f"LightLimits: {name} must lie between 0 and 100 mm.")
-        require(self.copy_mm <= self.move_mm, "LightLimits: copy_mm must not exceed move_mm.")
+    limit_deg: Annotated[float, Limits(0, 90, above=True)] = 5.0
+    """Directions of one LED that are further apart than this disagree."""
+
+
+_COPY_MM = 0.4
+"""Shadow tips of two nail positions that are nearer than this, on the finger plane, repeat: a true tip moves further
+than its nail. The thesis's copies lie up to 0.22 mm apart."""
+_MOVE_MM = 1.0
+"""Nail positions that are nearer than this are one position."""
+_SAME_NAIL_MM = 1.0
+"""The nail's pixel may differ so much between the rows of one position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,10 +138,10 @@ def find_leds(
     name, method, keep = how.name, how.method, how.keep
     _check_tips(tips, camera.image_size, name)
     try:
-        _check_nails(tips, camera, settings.limits)
+        _check_nails(tips, camera)
         known, seen = settings.nail.nail_height_mm, settings.nail.nail_seen
         plain, height = by_circle(tips, camera, circle, known_height_mm=known, seen=seen)
-        copied = _copied_leds(tips, camera, settings.limits)
+        copied = _copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         positions = len({tip.nail for tip in tips})
         joint = by_joint_fit(sound, camera, circle, settings.nail) if positions > 1 and sound else None
@@ -204,37 +204,32 @@ def _led_facts(
 ) -> dict[str, Any]:
     name = (judged.band, judged.led)
     best, first = chosen[name], plain[name]
-    fitted = None
-    if joint is not None:
-        places = [k for k, one in enumerate(joint.leds) if (one.band, one.led) == name]
-        if places:
-            one = joint.leds[places[0]]
-            fitted = {
-                "direction": one.direction.tolist(),
-                "position_mm": one.position_mm.tolist(),
-                "disagreement_deg": one.disagreement_deg,
-                "interval_deg": float(joint.interval_deg[places[0]]),
-                "interval_mm": float(joint.interval_mm[places[0]]),
-            }
-    by_fit = fitted is not None and best is not first
+    fitted: dict[str, Any] | None = None
+    for k, one in enumerate(joint.leds if joint is not None else ()):
+        if joint is not None and (one.band, one.led) == name:
+            interval_deg, interval_mm = float(joint.interval_deg[k]), float(joint.interval_mm[k])
+            fitted = {**_place(one), "interval_deg": interval_deg, "interval_mm": interval_mm}
+    trusted = fitted if fitted is not None and best is not first else {}
     return {
         "band": judged.band,
         "led": judged.led,
-        "direction": best.direction.tolist(),
-        "position_mm": best.position_mm.tolist(),
+        **_place(best),
         "disagreement_deg": judged.disagreement_deg,
-        "interval_deg": fitted["interval_deg"] if by_fit and fitted else None,
-        "interval_mm": fitted["interval_mm"] if by_fit and fitted else None,
+        "interval_deg": trusted.get("interval_deg"),
+        "interval_mm": trusted.get("interval_mm"),
         "verdict": judged.verdict,
         "kept": keep or not judged.refused,
         "nails": list(best.nails),
-        "circle": {
-            "direction": first.direction.tolist(),
-            "position_mm": first.position_mm.tolist(),
-            "disagreement_deg": first.disagreement_deg,
-            "positions_mm": first.singles.tolist(),
-        },
+        "circle": {**_place(first), "positions_mm": first.singles.tolist()},
         "joint": fitted,
+    }
+
+
+def _place(found: LedEstimate) -> dict[str, Any]:
+    return {
+        "direction": found.direction.tolist(),
+        "position_mm": found.position_mm.tolist(),
+        "disagreement_deg": found.disagreement_deg,
     }
 
 
@@ -261,11 +256,7 @@ def _totals(judged: Sequence[_JudgedLed], leds: Sequence[Mapping[str, Any]]) -> 
     words = [one.verdict for one in judged]
     return {
         "leds": len(judged),
-        "ok": words.count("ok"),
-        "disagrees": words.count("disagrees"),
-        "copied": words.count("copied"),
-        "off_the_circle": words.count("off the circle"),
-        "unchecked": words.count("unchecked"),
+        **{word.replace(" ", "_"): words.count(word) for word in (OK, DISAGREES, COPIED, STRAYS, UNCHECKED)},
         "refused": sum(one.refused for one in judged),
         "kept": sum(one["kept"] for one in leds),
     }
@@ -324,20 +315,19 @@ def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "t
             )
 
 
-def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> set[tuple[str, int]]:
-    """LEDs, band and number, whose shadow tips repeat although the nail moved: copying errors."""
+def _copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
+    """LEDs whose shadow tips repeat although the nail moved: copying errors."""
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
     found = set()
-    for i, first in enumerate(tips):
-        for j in range(i + 1, len(tips)):
-            if (first.band, first.led) == (tips[j].band, tips[j].led):
-                moved = float(np.linalg.norm(nails[i] - nails[j]))
-                if np.linalg.norm(ends[i] - ends[j]) <= limits.copy_mm and moved > limits.move_mm:
-                    found.add((first.band, first.led))
+    for i, j in combinations(range(len(tips)), 2):
+        moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
+        same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
+        if same and apart <= _COPY_MM and moved > _MOVE_MM:
+            found.add((tips[i].band, tips[i].led))
     return found
 
 
-def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> None:
+def _check_nails(tips: Sequence[Tip], camera: Camera) -> None:
     """Check that a nail number is one place, and two numbers two places."""
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Points] = {}
@@ -346,26 +336,24 @@ def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> No
         middle = np.median(places, axis=0)
         spread = float(np.linalg.norm(places - middle, axis=1).max())
         require(
-            spread <= limits.same_nail_mm,
+            spread <= _SAME_NAIL_MM,
             f"nail {nail} of the {band} LEDs stands at places {spread:.1f} mm from each other; a nail number is one "
             f"position, so correct its pixels or give each position a number of its own.",
         )
         middles[band, nail] = middle
-    for (band, nail), middle in middles.items():
-        for (other_band, other), place in middles.items():
-            distance = float(np.linalg.norm(middle - place))
-            require(
-                band != other_band or nail >= other or distance > limits.move_mm,
-                f"nails {nail} and {other} of the {band} LEDs stand {distance:.2f} mm from each other, which is one "
-                f"position; move the nail by a centimetre between them, or correct its pixels.",
-            )
+    for ((band, nail), middle), ((other_band, other), place) in combinations(
+        sorted(middles.items(), key=lambda one: one[0]), 2
+    ):
+        distance = float(np.linalg.norm(middle - place))
+        require(
+            band != other_band or distance > _MOVE_MM,
+            f"nails {nail} and {other} of the {band} LEDs stand {distance:.2f} mm from each other, which is one "
+            f"position; move the nail by a centimetre between them, or correct its pixels.",
+        )
 
 
 def _judge(
-    found: Sequence[tuple[str, int, float | None]],
-    copied: Set[tuple[str, int]],
-    strays: Set[tuple[str, int]],
-    limit_deg: float,
+    found: Sequence[tuple[str, int, float | None]], copied: Set[LedName], strays: Set[LedName], limit_deg: float
 ) -> tuple[_JudgedLed, ...]:
     """Give every LED (band, number, disagreement in degrees or None) its verdict: ``copied`` goes before ``off the
     circle``, that before ``disagrees``; ``unchecked`` is an LED that one position of the nail shows.

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -429,23 +429,31 @@ INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpioz
 INSTALL += "with --system-site-packages"
 
 
-def _open_lights(rig: Rig) -> PiLightBank:
-    """Take the GPIO lines of the rig's LEDs, all off."""
-    pins = pins_of(rig)
+@contextmanager
+def _gpio(what: str) -> Iterator[Any]:
+    """Give gpiozero; what it refuses is refused in one sentence, that `what` cannot be done."""
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # only a Pi has it
     try:
-        with warnings.catch_warnings():  # it warns of every library that it tries; one sentence is enough
+        with warnings.catch_warnings():  # of every library that it tries, and of pulses that tremble in some releases
             warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)
-            return PiLightBank(pins, gpiozero.DigitalOutputDevice)
+            warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
+            yield gpiozero
     except gpiozero.BadPinFactory as error:
         raise BadInput(
-            "the LEDs cannot be switched: this computer has no GPIO lines that gpiozero can use; run this on the "
-            "Raspberry Pi, or take --device twin."
+            f"{what}: this computer has no GPIO lines that gpiozero can use; run this on the Raspberry Pi, or take "
+            "--device twin."
         ) from error
     except (gpiozero.GPIOZeroError, OSError) as error:
         reason = " ".join(str(error).split())
-        raise BadInput(f"the LEDs cannot be switched ({reason}); close other programs that use GPIO lines.") from error
+        raise BadInput(f"{what} ({reason}); close other programs that use GPIO lines.") from error
+
+
+def _open_lights(rig: Rig) -> PiLightBank:
+    """Take the GPIO lines of the rig's LEDs, all off."""
+    pins = pins_of(rig)
+    with _gpio("the LEDs cannot be switched") as gpiozero:
+        return PiLightBank(pins, gpiozero.DigitalOutputDevice)
 
 
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
@@ -469,19 +477,8 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
     films = rig_films(rig)
     if films is None or films.kind != "servo":
         return None
-    import gpiozero  # the LEDs have it already
-
-    try:
-        with (
-            warnings.catch_warnings()
-        ):  # some releases warn that pulses tremble, which they do not while images are taken
-            warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
-            return PiAnalyser(films, gpiozero.Servo)
-    except (gpiozero.GPIOZeroError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise BadInput(
-            f"the analyser's servo cannot be driven ({reason}); close programs that use GPIO lines."
-        ) from error
+    with _gpio("the analyser's servo cannot be driven") as gpiozero:
+        return PiAnalyser(films, gpiozero.Servo)
 
 
 def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[Camera, PiLightBank]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import require
 from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles
@@ -108,9 +107,9 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     ``parts.json``, whose ``findings`` are sentences, one for everything that is outside a limit or wants a hand. Raises
     RuntimeError if the mesh is not watertight: an internal error, never the rig's.
     """
-    sound = _check_soundness(triangles)
-    if not sound.watertight:
-        raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
+    edges, faults, volume_mm3 = _check_soundness(triangles)
+    if faults or volume_mm3 <= 0:
+        raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {faults} open or turned edges")
     thickness, place, samples = _thinnest_wall(triangles)
     hanging = _overhang(triangles, sizes.MAX_OVERHANG_DEG, sizes.LAYER_MM)
     points = triangles.reshape(-1, 3).astype(np.float64)
@@ -118,7 +117,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
     thick = thickness >= sizes.MIN_WALL_MM - _FACETS_MM
     bridged = hanging.bridge_mm <= sizes.BRIDGE_MM
-    volume = sound.volume_mm3 / 1000.0
+    volume = volume_mm3 / 1000.0
     findings = [kind.remedy] if kind.remedy else []
     if not fits:
         findings.append(f"It is {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, larger than the printer's bed.")
@@ -148,7 +147,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         "volume_cm3": round(volume, 3),
         "mass_g": round(volume * sizes.DENSITY_G_PER_CM3, 1),
         "checks": {
-            "watertight": {"ok": True, "triangles": sound.triangles, "edges": sound.edges},
+            "watertight": {"ok": True, "triangles": len(triangles), "edges": edges},
             "wall": {
                 "ok": bool(thick),
                 "smallest_mm": round(thickness, 2),
@@ -288,45 +287,20 @@ _REACH_MM = 8.0
 """Walls thicker than this are not looked at."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Soundness:
-    """Whether a mesh bounds a body."""
-
-    triangles: int
-    edges: int
-    open_edges: int
-    """Edges that do not lie between exactly two triangles."""
-    turned_edges: int
-    """Edges along which two triangles run the same way: one of them is inside out."""
-    volume_mm3: float
-
-    @property
-    def watertight(self) -> bool:
-        """Closed, all triangles turned the same way, and outwards."""
-        return self.triangles > 0 and self.open_edges == 0 and self.turned_edges == 0 and self.volume_mm3 > 0
-
-
-def _check_soundness(triangles: Triangles) -> _Soundness:
-    """Count edges and measure the volume; corners are the same point if their numbers are the same."""
+def _check_soundness(triangles: Triangles) -> tuple[int, int, float]:
+    """Number of edges of a mesh (N, 3, 3); of those among them that do not lie between just two triangles that run
+    along them in opposite ways; and its volume in mm^3, negative inside out. Corners are the same point if their
+    numbers are the same.
+    """
     corners = np.asarray(triangles, dtype=np.float32)
-    require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
     _, index = np.unique(corners.reshape(-1, 3) + np.float32(0.0), axis=0, return_inverse=True)
-    faces = index.reshape(-1, 3).astype(np.int64)
-    starts = faces.ravel()
-    ends = np.roll(faces, -1, axis=1).ravel()
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    count = int(faces.max()) + 1 if faces.size else 0
-    keys, uses = np.unique(low * count + high, return_counts=True)
-    ways = np.unique(starts * count + ends, return_counts=True)[1]
+    ways = np.stack([index.ravel(), np.roll(index.reshape(-1, 3), -1, axis=1).ravel()], axis=1)  # from corner to corner
+    edges, edge = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
+    turns = np.where(ways[:, 0] < ways[:, 1], 1, -1)
+    faulty = (np.bincount(edge.ravel()) != 2) | (np.bincount(edge.ravel(), weights=turns) != 0)
     exact = corners.astype(np.float64)
     cross = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
-    return _Soundness(
-        triangles=len(corners),
-        edges=len(keys),
-        open_edges=int((uses != 2).sum()),
-        turned_edges=int((ways > 1).sum()),
-        volume_mm3=float(np.einsum("ij,ij->", exact[:, 0], cross) / 6.0),
-    )
+    return len(edges), int(faulty.sum()), float(np.einsum("ij,ij->", exact[:, 0], cross) / 6.0)
 
 
 def _thinnest_wall(triangles: Triangles) -> tuple[float, NDArray[np.float64], int]:
