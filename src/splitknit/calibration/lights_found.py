@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -76,18 +77,34 @@ class LightSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class LightsAsked:
-    """What is asked of the calibration of lights."""
+class LightsJob:
+    """What is asked for; see ``splitknit calibrate lights --help``."""
 
-    name: str
-    """Of the table, for messages."""
+    table: Path | None = None
+    images: Path | None = None
+    sphere: Literal["chrome", "grey"] | None = None
+    geometry: bool = False
+    rig: Path | None = None
+    px_per_cm: float | None = None
+    image_size: str | None = None
+    """``rows,columns``."""
+    led_height_cm: float | None = None
+    led_radius_cm: float | None = None
+    led_centre_px: str | None = None
+    """``x,y``."""
+    first_azimuth_deg: float = 0.0
     method: str | None = None
     """None is the joint fit for three positions of the nail or more (two, with a calibrated camera), and else the
     thesis's construction."""
     keep: bool = False
     """Keep LEDs that would be refused."""
-    calibrated: bool = False
-    """Whether the camera is."""
+    encoding: str | None = None
+    """Of the photographs; None: as their files state it, see :func:`splitknit.io.photos.encoding_of`."""
+    mask: Path | None = None
+    show: Path | None = None
+    tips_out: Path | None = None
+    out: Path | None = None
+    settings: LightSettings = field(default_factory=LightSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,17 +142,12 @@ class CalibratedLights:
 
 
 def find_leds(
-    tips: Sequence[Tip],
-    camera: Camera,
-    circle: Circle,
-    settings: LightSettings,
-    *,
-    how: LightsAsked,
+    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob
 ) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
     """Find and judge every LED of a table: LEDs, facts for ``--json``, and why they are refused (None: they are not).
     LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
-    name, method, keep = how.name, how.method, how.keep
+    name, method, keep, settings = str(job.table or job.images), job.method, job.keep, job.settings
     _check_tips(tips, camera.image_size, name)
     try:
         _check_nails(tips, camera)
@@ -148,7 +160,7 @@ def find_leds(
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least.")
-    method = method or ("joint" if positions > (1 if how.calibrated else 2) else "circle")
+    method = method or ("joint" if positions > (1 if job.rig is not None else 2) else "circle")
     chosen: dict[LedName, LedEstimate] = {(one.band, one.led): one for one in plain}
     if method == "joint" and joint is not None:
         chosen |= {(one.band, one.led): one for one in joint.leds}
@@ -173,25 +185,21 @@ def find_leds(
     return chosen, facts, None if keep else sentence
 
 
-def rig_of(
-    found: Mapping[LedName, LedEstimate], camera: Camera, base: Rig | None, provenance: Mapping[str, Any]
-) -> Rig:
-    """Return a rig with the LEDs where they were found; what `base` knows beside their places is kept."""
+def rig_of(found: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]) -> Rig:
+    """Return `base` with the LEDs where they were found; what it knows beside their places is kept."""
     places = {
         name: (float(one.position_mm[0]), float(one.position_mm[1]), float(one.position_mm[2]))
         for name, one in found.items()
     }
     leds: list[Led] = []
     counted = dict.fromkeys(BANDS, 0)
-    for led in base.leds if base is not None else ():
+    for led in base.leds:
         number = counted.get(led.band, 0)
         counted[led.band] = number + 1
         place = places.pop((led.band, number), None)
         leds.append(led if place is None else replace(led, position_mm=place, direction=None))
     leds += [Led(band=band, position_mm=place) for (band, _), place in sorted(places.items(), key=_order)]
-    before = dict(base.provenance) if base is not None else {}
-    mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
-    return Rig(camera, tuple(leds), {**before, "lights": dict(provenance)}, mirrors, films)
+    return replace(base, leds=tuple(leds), provenance={**base.provenance, "lights": dict(provenance)})
 
 
 def _led_facts(

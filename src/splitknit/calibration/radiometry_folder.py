@@ -18,7 +18,6 @@ from splitknit.calibration.radiometry import (
     RadiometricCalibration,
     RadiometrySettings,
     check_card,
-    check_facts,
     fit_radiometry,
 )
 from splitknit.calibration.sensor import (
@@ -119,10 +118,10 @@ def check_folder(
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(drift_percent=limit_percent)
     progress("comparing", 0.7)
     try:
-        check = check_card(capture, rig, _black_level_of(camera, capture), settings)
+        found = check_card(capture, rig, _black_level_of(camera, capture), settings)
     except BadInput as error:
         raise BadInput(f"{rig_file} and {folder}: {error}") from error
-    facts = {**check_facts(check, rig), "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
+    facts = {**found, "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
     progress("done", 1.0)
     return facts
 
