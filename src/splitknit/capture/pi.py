@@ -225,7 +225,7 @@ class PiCamera(Closing):
         self._sensor = self._settings.sensor
         self._size = self._settings.image_size or self._sensor.image_size
         self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
-        self._wanted: tuple[int, float, tuple[float, float]] | None = None
+        self._wanted = 0, 0.0, _NIR_GAINS
         self._camera: Any = None
         require(
             len(picamera2.global_camera_info()) > 0,
@@ -264,9 +264,8 @@ class PiCamera(Closing):
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.Camera`."""
         self.exposures.check(exposure_s, gain)
-        gains = {"white": _WHITE_GAINS, "nir": _NIR_GAINS}.get(band)
-        require(gains is not None, f"the bands are white and nir, not '{band}'.")
-        assert gains is not None
+        require(band in ("white", "nir"), f"the bands are white and nir, not '{band}'.")
+        gains = _WHITE_GAINS if band == "white" else _NIR_GAINS
         exposure_us = round(exposure_s * 1e6)
         frame_us = max(
             exposure_us + 1000, round(self._sensor.frame_s * 1e6)
@@ -338,17 +337,14 @@ class PiCamera(Closing):
                     return self._read(request, metadata, discarded, whole=whole)
             finally:
                 request.release()
-        wanted = self._wanted or (0, 0.0, (0.0, 0.0))
         raise BadInput(
-            f"the camera did not take its settings: {wanted[0]} us at gain {wanted[1]:g} were asked for, but after "
-            f"{_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
+            f"the camera did not take its settings: {self._wanted[0]} us at gain {self._wanted[1]:g} were asked for, "
+            f"but after {_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
             f"{metadata.get('AnalogueGain')}; restart the Pi, and see that its camera is the {self._settings.camera}."
         )
 
     def _as_locked(self, metadata: Mapping[str, Any]) -> bool:
         """Whether a frame was taken as asked, within the sensor's steps."""
-        if self._wanted is None:
-            return False
         exposure_us, gain, gains = self._wanted
         colours = gains if self._sensor.mono else metadata.get("ColourGains", (0.0, 0.0))
         constant, linear, square = self._sensor.gain_step
@@ -363,7 +359,6 @@ class PiCamera(Closing):
 
     def _read(self, request: Any, metadata: Mapping[str, Any], discarded: int, *, whole: bool) -> Frame:
         if self._settings.raw:
-            assert self._wanted is not None
             values, order, bits = self._raw(request)
             black = self._sensor.black << (16 - self._sensor.bits)
             pixels: Any = developed(values, bits, black, order, self._wanted[2])

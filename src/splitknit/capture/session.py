@@ -31,7 +31,7 @@ from splitknit.capture.exposure import (
     survey,
     typical_level,
 )
-from splitknit.capture.pins import rig_films
+from splitknit.capture.pins import led_names, rig_films
 from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Devices, Examiner, Shooting, Shot
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
@@ -237,7 +237,7 @@ def _meter(
             region = _region(seen, room, devices) if settings.find_finger else everything
         dark = typical_level(room, region, typical)
         lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
-        _check_lit(lit, dark, devices.names)
+        _check_lit(lit, dark, led_names(devices.rig))
         found = exposures.get(band.removesuffix("_crossed"))  # both series have the parallel one's
         found = found or find_exposure(look, seen, region, camera.exposures, settings.exposure)
         exposures[band] = found.promising(seen, lit)
