@@ -97,15 +97,13 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> Measur
     base = read_rig(job.rig) if job.rig is not None else None
     found = _find_camera(job, base, progress)
     progress("writing", 0.97)
-    leds = base.leds if base is not None else default_rig().leds
-    before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
+    start = base or Rig(found.camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
     found = replace(found, leds_nominal=base is None, warnings=(*found.warnings, *_warnings(found)))
-    mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
     facts = camera_facts(found)
     kept = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
     residuals = {"fit": facts["fit"], "plane": facts["plane"]}
     origin = {**kept, "residuals": residuals, **provenance({"board": facts["board"]}, found.hashes)}
-    write_rig(Rig(found.camera, leds, {**before, "camera": origin}, mirrors, films), job.out)
+    write_rig(replace(start, camera=found.camera, provenance={**start.provenance, "camera": origin}), job.out)
     return found
 
 

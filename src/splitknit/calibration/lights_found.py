@@ -198,7 +198,8 @@ def rig_of(found: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[
         counted[led.band] = number + 1
         place = places.pop((led.band, number), None)
         leds.append(led if place is None else replace(led, position_mm=place, direction=None))
-    leds += [Led(band=band, position_mm=place) for (band, _), place in sorted(places.items(), key=_order)]
+    ordered = sorted(places.items(), key=lambda item: (BANDS.index(item[0][0]), item[0][1]))
+    leds += [Led(band=band, position_mm=place) for (band, _), place in ordered]
     return replace(base, leds=tuple(leds), provenance={**base.provenance, "lights": dict(provenance)})
 
 
@@ -287,10 +288,6 @@ def _warnings(judged: Sequence[_JudgedLed], joint: JointFit | None, tips: Sequen
     if len(judged) == LEDS_PER_BAND and len(bands) == 1:
         warnings.append(f"the table has {min(bands)} LEDs only.")
     return warnings
-
-
-def _order(item: tuple[LedName, Any]) -> tuple[int, int]:
-    return BANDS.index(item[0][0]), item[0][1]
 
 
 def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:

@@ -24,7 +24,7 @@ from splitknit.calibration.lights_found import (
 )
 from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
-from splitknit.errors import BadInput, Refused, read_bytes, require
+from splitknit.errors import Refused, read_bytes, refusing, require
 from splitknit.imaging.band import shading_is_srgb
 from splitknit.imaging.view import plane_points
 from splitknit.io.light_list import LIST_TITLE, write_light_list
@@ -139,7 +139,7 @@ def _nominal(job: LightsJob, rig: Rig, circle: Circle) -> CalibratedLights:
                     "kept": True,
                 }
             )
-    origin = plain_json({**provenance({"circle": circle, "first_azimuth_deg": job.first_azimuth_deg})})
+    origin = plain_json(provenance({"circle": circle, "first_azimuth_deg": job.first_azimuth_deg}))
     rig = rig_of(found, rig, {"method": "geometry", "provenance": origin})
     return _written(rig, job.out, {"method": "geometry", "leds": facts})
 
@@ -196,10 +196,8 @@ def _of_table(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> C
     """Calibrate from a typed table of nail and shadow tips."""
     assert job.table is not None
     data = read_bytes(job.table, 16_000_000)
-    try:
+    with refusing(f"{job.table} is not a text file; export the table as CSV in UTF-8."):
         text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{job.table} is not a text file; export the table as CSV in UTF-8.") from error
     tips = read_tips(text, str(job.table))
     progress("fitting", 0.5)
     hashes = {job.table.name: hashlib.sha256(data).hexdigest()}

@@ -81,6 +81,9 @@ class _NailModel:
         self.known = settings.nail_height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
         """Where in the vector the nail's height is."""
+        self.led_sd = _FREE_SD_MM if self.known else settings.led_sd_mm
+        self.offset_sd = _FREE_SD_MM if self.known else _CIRCLE_SD_MM
+        self.nail_sd_px = settings.nail_sd_mm * camera.px_per_mm
         self.top = HIGHEST * min(circle.height_mm, camera.height_mm)
 
     def parts(self, x: Points) -> tuple[Points, Points, float, Points]:
@@ -100,28 +103,13 @@ class _NailModel:
         settings, circle = self.settings, self.circle
         leds, places, height, offsets = self.parts(x)
         tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / settings.tip_sd_px
-        nail = (self._pixels(places, self._seen(height)) - self.places_px) / self._nail_sd_px
+        seen = height if settings.nail_seen == "tip" else 0.0  # height of what the nail's pixel is of
+        nail = (self._pixels(places, seen) - self.places_px) / self.nail_sd_px
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self._led_sd
-        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self._led_sd
+        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
+        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
         known = [(height - (settings.nail_height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
-        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self._offset_sd, known])
-
-    @property
-    def _led_sd(self) -> float:
-        return _FREE_SD_MM if self.known else self.settings.led_sd_mm
-
-    @property
-    def _nail_sd_px(self) -> float:
-        return self.settings.nail_sd_mm * self.camera.px_per_mm
-
-    @property
-    def _offset_sd(self) -> Points:
-        return np.full(4, _FREE_SD_MM if self.known else _CIRCLE_SD_MM)
-
-    def _seen(self, height: float) -> float:
-        """Height of what the nail's pixel is of."""
-        return height if self.settings.nail_seen == "tip" else 0.0
+        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.offset_sd, known])
 
     def _ends(self, x: Points) -> Points:
         """(N, 2) where the shadows' tips should be on the finger plane."""

@@ -30,7 +30,7 @@ from splitknit.calibration.sensor import (
     noise_model,
     noise_samples,
 )
-from splitknit.errors import BadInput, naming, require
+from splitknit.errors import naming, require
 from splitknit.io.capture import read_capture
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.images import read_image, write_image
@@ -117,10 +117,8 @@ def check_folder(
     camera = _measure_camera(plan, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(drift_percent=limit_percent)
     progress("comparing", 0.7)
-    try:
-        found = check_card(capture, rig, _black_level_of(camera, capture), settings)
-    except BadInput as error:
-        raise BadInput(f"{rig_file} and {folder}: {error}") from error
+    black = _black_level_of(camera, capture)
+    found = naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, black, settings))
     facts = {**found, "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
     progress("done", 1.0)
     return facts
