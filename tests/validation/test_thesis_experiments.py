@@ -382,3 +382,18 @@ def test_the_figures_of_pictures_are_measured(tmp_path: Path, thesis: Script) ->
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "scratch").iterdir()}
     figures.run(tmp_path / "people", names, out, tmp_path / "scratch", 1, 1)
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "scratch").iterdir()} == files
+
+
+def test_a_window_is_a_disc_of_the_finger(thesis: Script) -> None:
+    from splitknit.matching.template import Template
+
+    windows, rng = thesis("windows"), np.random.default_rng(7)
+    valid = np.zeros((240, 160), dtype=np.bool_)
+    valid[20:220, 10:150] = True
+    template = Template(rng.integers(0, 4, valid.shape, dtype=np.uint8), valid, 0.1)
+    shown = windows.disc(template, 6.0, rng)
+    assert shown is not None
+    assert shown.area_mm2 == pytest.approx(np.pi * 9.0, rel=0.06)
+    assert max(shown.valid.shape) <= 61
+    assert not shown.level[~shown.valid].any()
+    assert windows.disc(template, 16.0, rng) is None, "there is no place for it"

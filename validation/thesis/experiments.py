@@ -121,9 +121,18 @@ def run_family(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]
 
 
 def run_people(options: argparse.Namespace, store: Any, truth: Mapping[str, Row]) -> Row:
-    """One finger each of many people, by the present matchers and the thesis's."""
+    """One finger each of many people, by the present matchers and the thesis's, and small windows by ``ridge``."""
+    from windows import window_trials
+
     matchers = {"ridge": "", "minutiae": "", "thesis": "relief"}
-    return _by_matchers(options, store, truth, "people", options.cases, matchers)
+    facts = _by_matchers(options, store, truth, "people", options.cases, matchers)
+    case = options.cases[0]
+    captures = read_captures(store, (case,))
+    table = read_table(store, captures, (case,), ("ridge",))
+    trials = window_trials(table.pairs, stored_places(store.files("features", case)), case, options.jobs)
+    rows = rate_rows(_work(options, replace(table, trials=tuple(trials)), truth), trials, options.jobs, (PLAIN, WHOLE))
+    write_csv(options.out / "people_windows.csv", rows)
+    return facts
 
 
 def _by_matchers(  # noqa: PLR0917

@@ -86,7 +86,7 @@ def blocks(folder: Path) -> dict[str, str]:
         rows = [row for row in tables["matchers"] if row["matcher"] == name]
         made[name] = rate_table(rows, "case", lambda row: row["case"])
         made[f"{name}_margin"] = margin_table(rows)
-    for name in ("family", "people"):
+    for name in ("family", "people", "people_windows"):
         made[name] = rate_table(
             read(folder / f"{name}.csv"),
             "case, matcher",
