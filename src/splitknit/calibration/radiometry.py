@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.calibration.card_images import CardImages, card_images, led_name
 from splitknit.calibration.card_model import CardPlane, card_light
 from splitknit.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
-from splitknit.errors import BadInput, require
+from splitknit.errors import refusing, require
 from splitknit.model import Capture, Rig
 from splitknit.settings import Checked, Limits
 
@@ -238,20 +238,16 @@ def check_card(
 
 def _stored(rig: Rig) -> tuple[Array, CardPlane, bool]:
     """Each LED's card brightness at the calibration, where the card lay, and whether its exposures were known."""
-    facts = rig.provenance.get(PROVENANCE)
-    try:
-        assert facts is not None
+    with refusing(
+        "the rig carries no radiometric calibration to check against; make one with "
+        "'splitknit calibrate radiometry FOLDER --rig RIG --out RIG2' and check RIG2."
+    ):
+        facts = rig.provenance[PROVENANCE]
         levels = np.array([float(led["level"]) for led in facts["leds"]])
         card = facts["card"]
         x, y = (float(value) for value in card["tilt_deg"])
-        plane = CardPlane(float(card["height_mm"]), (x, y))
-        given = bool(card["exposures_given"])
+        plane, given = CardPlane(float(card["height_mm"]), (x, y)), bool(card["exposures_given"])
         assert len(levels) == len(rig.leds) and bool((levels > 0).all())
-    except (AssertionError, KeyError, TypeError, ValueError) as error:
-        raise BadInput(
-            "the rig carries no radiometric calibration to check against; make one with "
-            "'splitknit calibrate radiometry FOLDER --rig RIG --out RIG2' and check RIG2."
-        ) from error
     return levels, plane, given
 
 
