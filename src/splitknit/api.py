@@ -428,8 +428,8 @@ def calibrate_lights(
     >>> len(splitknit.calibrate_lights("rig.json", geometry=True, **drawn).leds)
     14
     """
-    from splitknit.calibration.lights_found import LightSettings
-    from splitknit.calibration.lights_job import LightsJob, lights_to_rig
+    from splitknit.calibration.lights_found import LightSettings, LightsJob
+    from splitknit.calibration.lights_job import lights_to_rig
 
     return lights_to_rig(
         LightsJob(

@@ -81,11 +81,11 @@ def test_the_thesiss_table(thesis):
     assert [round(one, 1) for one in apart[:7]] == [8.9, 1.1, 6.3, 0.8, 4.1, 6.9, 6.8]
     assert [round(one) for one in apart[8:11]] == [32, 19, 15]
     assert [apart[7], *apart[11:]] == pytest.approx([7.0, 2.5, 9.9, 9.0], abs=0.06)  # NIR 0: 6.947
-    assert _copied_leds(tips, CAMERA, LightLimits()) == {("nir", k) for k in range(1, 7)}
+    assert _copied_leds(tips, CAMERA) == {("nir", k) for k in range(1, 7)}
     assert 19 < height < 20
     judged = _judge(
         [(one.band, one.led, one.disagreement_deg) for one in found],
-        _copied_leds(tips, CAMERA, LightLimits()),
+        _copied_leds(tips, CAMERA),
         set(),
         5.0,
     )
@@ -121,10 +121,10 @@ def test_copies_scale_with_the_image():
     for scale in (1.0, 0.1):
         camera = Camera(px_per_mm=75.7 * scale, image_size=(2200, 3200))
         tips = list(cast([(-3, 0), (3, 0)], camera=camera))
-        assert _copied_leds(tips, camera, LightLimits()) == set()
+        assert _copied_leds(tips, camera) == set()
         x, y = tips[4].tip_px
         tips[5] = replace(tips[5], tip_px=(x + 17 * scale, y))
-        assert _copied_leds(tips, camera, LightLimits()) == {("white", 2)}
+        assert _copied_leds(tips, camera) == {("white", 2)}
 
 
 def test_one_position_is_unchecked():
@@ -220,12 +220,12 @@ def test_no_shadow_and_outside_the_circle():
 
 def test_a_nail_number_is_one_place():
     tips = list(cast([(-6, -4), (7, 5)]))
-    _check_nails(tips, CAMERA, LightLimits())
+    _check_nails(tips, CAMERA)
     x, y = tips[4].nail_px
     with pytest.raises(BadInput, match=r"nail 1 .* one position"):
-        _check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA, LightLimits())
+        _check_nails([*tips[:4], replace(tips[4], nail_px=(x + 300, y)), *tips[5:]], CAMERA)
     with pytest.raises(BadInput, match=r"nails 1 and 2 .* one"):
-        _check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA, LightLimits())
+        _check_nails(cast([(-6, -4), (-6, -3.9)]), CAMERA)
 
 
 def test_limits_are_checked():

@@ -9,7 +9,7 @@ import pytest
 
 from splitknit.calibration.light_table import Tip
 from splitknit.calibration.lights import Circle
-from splitknit.calibration.nail import NailSettings, _NailModel, _radius_95, by_joint_fit
+from splitknit.calibration.nail import NailSettings, _radius_95, by_joint_fit
 from splitknit.errors import BadInput
 from splitknit.model import Camera
 from splitknit.simulator.camera.lens import pixels_of_points
@@ -120,22 +120,6 @@ def test_an_led_off_its_circle_is_named():
     leds[4] *= (1.4, 1.4, 1.0)  # white 2
     fit = by_joint_fit(seen(leds, ORTHOGRAPHIC), ORTHOGRAPHIC, CIRCLE)
     assert fit.strays == {("white", 2)}
-
-
-def test_the_jacobian():
-    leds = rig(4)
-    for camera in (ORTHOGRAPHIC, PERSPECTIVE):
-        model = _NailModel(seen(leds, camera), camera, CIRCLE, NailSettings(nail_height_mm=19.0))
-        rng = np.random.default_rng(5)
-        x = np.concatenate([in_order(leds).ravel(), np.ravel(FOUR), [19.5], rng.normal(0, 1, 4)]) + rng.normal(
-            0, 0.5, model.size
-        )
-        weights = rng.uniform(0.1, 1.0, len(model.tips))
-        numeric = np.stack(
-            [(model.residuals(x + d, weights) - model.residuals(x - d, weights)) / 2e-5 for d in 1e-5 * np.eye(x.size)],
-            axis=1,
-        )
-        assert model.jacobian(x, weights) == pytest.approx(numeric, abs=1e-3)
 
 
 def test_the_nail_may_stand_elsewhere_under_the_other_band():

@@ -13,7 +13,6 @@ from splitknit.calibration.radiometry import (
     PROVENANCE,
     RadiometrySettings,
     check_card,
-    check_facts,
     fit_radiometry,
 )
 from splitknit.errors import BadInput
@@ -139,38 +138,36 @@ def test_black_level_of_the_dark_frame_serves_where_none_is_given(rig, capture):
 def test_a_later_card_as_calibrated(rig, found):
     later = photograph(rig, as_placed(rig), seed=9, exposures=EXPOSURES)
     check = check_card(later, found.rig)
-    assert check.sentences == ()
-    assert np.abs(check.ratio - 1).max() < 0.003
-    assert check_facts(check, found.rig)["verdict"] == "as calibrated"
+    assert check["warnings"] == [] and check["verdict"] == "as calibrated"
+    assert max(abs(led["ratio"] - 1) for led in check["leds"]) < 0.003
 
 
 def test_an_led_that_drifted_is_named(rig, found):
     later = photograph(rig, as_placed(rig), seed=9, gains={3: 0.88, 12: 1.05}, exposures=EXPOSURES)
     check = check_card(later, found.rig)
-    assert check.sentences == (
+    assert check["warnings"] == [
         "LED white 3 is 12 % darker than at the calibration.",
         "LED nir 5 is 5 % brighter than at the calibration.",
-    )
-    assert check.own[3] == pytest.approx(0.88, abs=0.004)
-    facts = check_facts(check, found.rig)
-    assert facts["verdict"] == "drifted" and len(facts["warnings"]) == 2
+    ]
+    assert check["leds"][3]["own_ratio"] == pytest.approx(0.88, abs=0.004)
+    assert check["verdict"] == "drifted"
 
 
 def test_all_leds_together_are_no_single_one(rig, found):
     gains = dict.fromkeys(range(7), 0.9)
     later = photograph(rig, as_placed(rig), gains=gains, exposures=EXPOSURES)
     check = check_card(later, found.rig)
-    assert len(check.sentences) == 1
-    assert check.sentences[0].startswith("all white LEDs together are 10 % darker than at the calibration")
-    assert check.common["nir"] == pytest.approx(1, abs=0.004)
+    assert len(check["warnings"]) == 1
+    assert check["warnings"][0].startswith("all white LEDs together are 10 % darker than at the calibration")
+    assert check["common_ratio"]["nir"] == pytest.approx(1, abs=0.004)
 
 
 def test_another_exposure_is_no_drift(rig, found):
     later = photograph(rig, as_placed(rig), exposures=(4.5, 3.5))
-    assert check_card(later, found.rig).sentences == ()
+    assert check_card(later, found.rig)["warnings"] == []
     unknown = {name: replace(band, exposure=np.ones(7), ambient_exposure=1.0) for name, band in later.bands.items()}
     check = check_card(replace(later, bands=unknown), found.rig)
-    assert check.sentences == () and check.common == {"white": None, "nir": None}
+    assert check["warnings"] == [] and check["common_ratio"] == {"white": None, "nir": None}
 
 
 def test_an_led_that_turned_is_named(rig, found):
@@ -178,7 +175,7 @@ def test_an_led_that_turned_is_named(rig, found):
     x, y, z = leds[8].axis + np.array([0.12, 0.0, 0.0])
     leds[8] = replace(leds[8], aim=(float(x), float(y), float(z)))
     later = photograph(Rig(rig.camera, tuple(leds)), as_placed(rig), exposures=EXPOSURES)
-    sentences = check_card(later, found.rig).sentences
+    sentences = check_card(later, found.rig)["warnings"]
     assert any(sentence.startswith("LED nir 1 lights the card otherwise") for sentence in sentences)
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from splitknit.capture.exposure import Focus, FocusSettings, FocusWatch, grey_light, measure_focus
+from splitknit.capture.exposure import Focus, FocusWatch, grey_light, measure_focus
 from splitknit.errors import BadInput
 
 PX = 40.0
@@ -60,21 +60,16 @@ def test_only_the_region_counts():
 
 
 def test_a_live_measurement_ends_when_it_has_stopped_rising():
-    watch = FocusWatch(FocusSettings(patience=3, rise=0.05))
-    ended = [watch.add(Focus(value, 1.0)) for value in (1.0, 1.5, 2.0, 1.9, 2.05, 1.8)]
-    assert ended == [False] * 5 + [True]
-    assert watch.best == 2.05
-    assert watch.measured == 6
-    assert FocusWatch(FocusSettings(most=1)).add(Focus(1.0, 1.0))
+    watch = FocusWatch()
+    ended = [watch.add(Focus(value, 1.0)) for value in (1.0, 2.0, *(1.9, 2.03) * 4)]
+    assert ended == [False] * 9 + [True]
+    assert watch.best == 2.03
+    assert watch.measured == 10
+    rising = FocusWatch()
+    assert [rising.add(Focus(1.1**k, 1.0)) for k in range(400)] == [False] * 399 + [True]
 
 
 def test_grey_light_is_the_mean_above_black():
     pixels = np.full((2, 3, 3), (10, 20, 30), dtype=np.uint8)
     np.testing.assert_allclose(grey_light(pixels, 4.0), 16 / 255, rtol=1e-6)
     np.testing.assert_allclose(grey_light(np.full((2, 2, 1), 65535, dtype=np.uint16)), 1.0)
-
-
-@pytest.mark.parametrize("wrong", [{"most": 0}, {"patience": 0}, {"rise": 1.0}])
-def test_settings_are_checked(wrong):
-    with pytest.raises(BadInput, match="focus"):
-        FocusSettings(**wrong)

@@ -28,7 +28,6 @@ class SimulatedStream:
 
     image_size = (64, 96)
     exposures = ExposureRange(1e-4, 0.2, 1.0, 8.0)
-    black = 0.0
 
     def __init__(self, world: World, kind: str) -> None:
         self.world, self.kind, self.closed = world, kind, 0

@@ -161,9 +161,13 @@ def _fit(views: _Views, kept: tuple[str, ...], start: _LensFit | None = None) ->
 
 def _aspect_deviation(value: float, held: _LensFit, free: _LensFit, views: _Views) -> float:
     """Standard deviation of fx / fy; a fit with it lowers the sum of squares by variance * (value / deviation)^2."""
+    return abs(value) / _root_rise(held, free, views)
+
+
+def _root_rise(held: _LensFit, free: _LensFit, views: _Views) -> float:
+    """Root of what holding a value adds to the sum of squares, in variances of a coordinate."""
     coordinates = 2 * len(views.corners) * len(views.boards[0])
-    fall = coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12)
-    return abs(value) / float(np.sqrt(fall))
+    return float(np.sqrt(coordinates * max(held.rms_px**2 / max(free.rms_px, 1e-12) ** 2 - 1, 1e-12)))
 
 
 def _focal_deviations(views: _Views, kept: tuple[str, ...], best: _LensFit) -> dict[str, float]:
@@ -177,9 +181,7 @@ def _focal_deviations(views: _Views, kept: tuple[str, ...], best: _LensFit) -> d
             other = _fit(views, (*kept, "no focal"), replace(best, matrix=matrix))
         except BadInput:
             continue
-        coordinates = 2 * len(views.corners) * len(views.boards[0])
-        rise = coordinates * max(other.rms_px**2 / max(best.rms_px, 1e-12) ** 2 - 1, 1e-12)
-        shown.append(abs(factor - 1) * best.matrix[0, 0] / float(np.sqrt(rise)))
+        shown.append(abs(factor - 1) * best.matrix[0, 0] / _root_rise(other, best, views))
     largest = max(shown, default=float("inf"))
     doubtful = largest > 2 * best.deviations["fx"]
     return {name: largest if doubtful else best.deviations[name] for name in ("fx", "fy")}

@@ -97,12 +97,13 @@ def calibrate_to_rig(job: CameraJob, progress: Progress = no_progress) -> Measur
     base = read_rig(job.rig) if job.rig is not None else None
     found = _find_camera(job, base, progress)
     progress("writing", 0.97)
-    leds = base.leds if base is not None else default_rig().leds
-    before = dict(base.provenance) if base is not None else {"source": "nominal: the thesis's drawing"}
+    start = base or Rig(found.camera, default_rig().leds, {"source": "nominal: the thesis's drawing"})
     found = replace(found, leds_nominal=base is None, warnings=(*found.warnings, *_warnings(found)))
-    mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
-    provenance = {**before, "camera": _rig_provenance(camera_facts(found), found.hashes)}
-    write_rig(Rig(found.camera, leds, provenance, mirrors, films), job.out)
+    facts = camera_facts(found)
+    kept = {name: facts[name] for name in ("calibrated_at", "measured", "nominal", "warnings")}
+    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
+    origin = {**kept, "residuals": residuals, **provenance({"board": facts["board"]}, found.hashes)}
+    write_rig(replace(start, camera=found.camera, provenance={**start.provenance, "camera": origin}), job.out)
     return found
 
 
@@ -348,14 +349,6 @@ def camera_facts(found: MeasuredCamera) -> dict[str, Any]:
     }
 
 
-def _rig_provenance(facts: Mapping[str, Any], hashes: Mapping[str, str]) -> dict[str, Any]:
-    """Return the rig file's record of its camera's origin."""
-    kept = ("calibrated_at", "measured", "nominal", "warnings")
-    residuals = {"fit": facts["fit"], "plane": facts["plane"]}
-    origin = provenance({"board": facts["board"]}, hashes)
-    return {**{name: facts[name] for name in kept}, "residuals": residuals, **origin}
-
-
 def _fit(found: MeasuredCamera) -> dict[str, Any] | None:
     if found.fit is None:
         return None
@@ -432,15 +425,11 @@ def _tilt_deviation(found: MeasuredCamera, pose: PlanePose) -> float:
 
 def _origins(found: MeasuredCamera) -> tuple[list[str], list[str]]:
     """What is measured, and what is taken over."""
-    measured: list[str] = []
-    nominal: list[str] = []
-    if found.fit is not None:
-        measured += ["camera.matrix", "camera.distortion", "camera.image_size"]
-    (measured if found.pose is not None or found.scale is not None else nominal).append("camera.px_per_mm")
-    (measured if found.pose is not None else nominal).append("camera.height_mm")
-    if found.leds_nominal:
-        nominal += ["leds"]
-    return measured, nominal
+    measured = ["camera.matrix", "camera.distortion", "camera.image_size"] if found.fit is not None else []
+    nominal = ["leds"] if found.leds_nominal else []
+    plane = {"camera.px_per_mm": found.pose or found.scale, "camera.height_mm": found.pose}
+    measured += [name for name, one in plane.items() if one is not None]
+    return measured, [name for name, one in plane.items() if one is None] + nominal
 
 
 def _warnings(found: MeasuredCamera) -> list[str]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from typing import Any
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from splitknit.calibration.nail import STRAY_MM, JointFit, NailSettings, by_join
 from splitknit.errors import BadInput, require
 from splitknit.imaging.view import plane_points
 from splitknit.model import Camera, Led, Rig
+from splitknit.settings import Checked, Limits
 
 _BEYOND = 0.02
 """Part of the image's size by which a pixel may lie beyond its border: clicked beside the last pixel, not elsewhere."""
@@ -23,24 +26,22 @@ OK, DISAGREES, COPIED, UNCHECKED, STRAYS = "ok", "disagrees", "copied", "uncheck
 
 
 @dataclass(frozen=True, slots=True)
-class LightLimits:
+class LightLimits(Checked):
     """What is refused."""
 
-    limit_deg: float = 5.0
-    """Directions of one LED that are further apart than this disagree."""
-    copy_mm: float = 0.4
-    """Shadow tips of two nail positions that are nearer than this, on the finger plane, repeat: a true tip moves
-    further than its nail. The thesis's copies lie up to 0.22 mm apart."""
-    move_mm: float = 1.0
-    """Nail positions that are nearer than this are one position."""
-    same_nail_mm: float = 1.0
-    """The nail's pixel may differ so much between the rows of one position."""
+    _group = "limits"
 
-    def __post_init__(self) -> None:
-        require(0 < self.limit_deg <= 90, f"limit_deg must lie between 0 and 90 deg, but it is {self.limit_deg}.")
-        for name in ("copy_mm", "move_mm", "same_nail_mm"):
-            require(0 <= getattr(self, name) <= 100, f"LightLimits: {name} must lie between 0 and 100 mm.")
-        require(self.copy_mm <= self.move_mm, "LightLimits: copy_mm must not exceed move_mm.")
+    limit_deg: Annotated[float, Limits(0, 90, above=True)] = 5.0
+    """Directions of one LED that are further apart than this disagree."""
+
+
+_COPY_MM = 0.4
+"""Shadow tips of two nail positions that are nearer than this, on the finger plane, repeat: a true tip moves further
+than its nail. The thesis's copies lie up to 0.22 mm apart."""
+_MOVE_MM = 1.0
+"""Nail positions that are nearer than this are one position."""
+_SAME_NAIL_MM = 1.0
+"""The nail's pixel may differ so much between the rows of one position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +77,34 @@ class LightSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class LightsAsked:
-    """What is asked of the calibration of lights."""
+class LightsJob:
+    """What is asked for; see ``splitknit calibrate lights --help``."""
 
-    name: str
-    """Of the table, for messages."""
+    table: Path | None = None
+    images: Path | None = None
+    sphere: Literal["chrome", "grey"] | None = None
+    geometry: bool = False
+    rig: Path | None = None
+    px_per_cm: float | None = None
+    image_size: str | None = None
+    """``rows,columns``."""
+    led_height_cm: float | None = None
+    led_radius_cm: float | None = None
+    led_centre_px: str | None = None
+    """``x,y``."""
+    first_azimuth_deg: float = 0.0
     method: str | None = None
     """None is the joint fit for three positions of the nail or more (two, with a calibrated camera), and else the
     thesis's construction."""
     keep: bool = False
     """Keep LEDs that would be refused."""
-    calibrated: bool = False
-    """Whether the camera is."""
+    encoding: str | None = None
+    """Of the photographs; None: as their files state it, see :func:`splitknit.io.photos.encoding_of`."""
+    mask: Path | None = None
+    show: Path | None = None
+    tips_out: Path | None = None
+    out: Path | None = None
+    settings: LightSettings = field(default_factory=LightSettings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,30 +142,25 @@ class CalibratedLights:
 
 
 def find_leds(
-    tips: Sequence[Tip],
-    camera: Camera,
-    circle: Circle,
-    settings: LightSettings,
-    *,
-    how: LightsAsked,
+    tips: Sequence[Tip], camera: Camera, circle: Circle, job: LightsJob
 ) -> tuple[dict[LedName, LedEstimate], dict[str, Any], str | None]:
     """Find and judge every LED of a table: LEDs, facts for ``--json``, and why they are refused (None: they are not).
     LEDs whose tips are copies keep the construction's place. Raises BadInput if the table is incomplete or impossible.
     """
-    name, method, keep = how.name, how.method, how.keep
+    name, method, keep, settings = str(job.table or job.images), job.method, job.keep, job.settings
     _check_tips(tips, camera.image_size, name)
     try:
-        _check_nails(tips, camera, settings.limits)
+        _check_nails(tips, camera)
         known, seen = settings.nail.nail_height_mm, settings.nail.nail_seen
         plain, height = by_circle(tips, camera, circle, known_height_mm=known, seen=seen)
-        copied = _copied_leds(tips, camera, settings.limits)
+        copied = _copied_leds(tips, camera)
         sound = [tip for tip in tips if (tip.band, tip.led) not in copied]
         positions = len({tip.nail for tip in tips})
         joint = by_joint_fit(sound, camera, circle, settings.nail) if positions > 1 and sound else None
     except BadInput as error:
         raise BadInput(f"{name}: {error}") from error
     require(method != "joint" or positions > 1, f"{name} has one nail position, but the joint fit needs two at least.")
-    method = method or ("joint" if positions > (1 if how.calibrated else 2) else "circle")
+    method = method or ("joint" if positions > (1 if job.rig is not None else 2) else "circle")
     chosen: dict[LedName, LedEstimate] = {(one.band, one.led): one for one in plain}
     if method == "joint" and joint is not None:
         chosen |= {(one.band, one.led): one for one in joint.leds}
@@ -173,25 +185,22 @@ def find_leds(
     return chosen, facts, None if keep else sentence
 
 
-def rig_of(
-    found: Mapping[LedName, LedEstimate], camera: Camera, base: Rig | None, provenance: Mapping[str, Any]
-) -> Rig:
-    """Return a rig with the LEDs where they were found; what `base` knows beside their places is kept."""
+def rig_of(found: Mapping[LedName, LedEstimate], base: Rig, provenance: Mapping[str, Any]) -> Rig:
+    """Return `base` with the LEDs where they were found; what it knows beside their places is kept."""
     places = {
         name: (float(one.position_mm[0]), float(one.position_mm[1]), float(one.position_mm[2]))
         for name, one in found.items()
     }
     leds: list[Led] = []
     counted = dict.fromkeys(BANDS, 0)
-    for led in base.leds if base is not None else ():
+    for led in base.leds:
         number = counted.get(led.band, 0)
         counted[led.band] = number + 1
         place = places.pop((led.band, number), None)
         leds.append(led if place is None else replace(led, position_mm=place, direction=None))
-    leds += [Led(band=band, position_mm=place) for (band, _), place in sorted(places.items(), key=_order)]
-    before = dict(base.provenance) if base is not None else {}
-    mirrors, films = (base.mirrors, base.films) if base is not None else ((), None)
-    return Rig(camera, tuple(leds), {**before, "lights": dict(provenance)}, mirrors, films)
+    ordered = sorted(places.items(), key=lambda item: (BANDS.index(item[0][0]), item[0][1]))
+    leds += [Led(band=band, position_mm=place) for (band, _), place in ordered]
+    return replace(base, leds=tuple(leds), provenance={**base.provenance, "lights": dict(provenance)})
 
 
 def _led_facts(
@@ -204,37 +213,32 @@ def _led_facts(
 ) -> dict[str, Any]:
     name = (judged.band, judged.led)
     best, first = chosen[name], plain[name]
-    fitted = None
-    if joint is not None:
-        places = [k for k, one in enumerate(joint.leds) if (one.band, one.led) == name]
-        if places:
-            one = joint.leds[places[0]]
-            fitted = {
-                "direction": one.direction.tolist(),
-                "position_mm": one.position_mm.tolist(),
-                "disagreement_deg": one.disagreement_deg,
-                "interval_deg": float(joint.interval_deg[places[0]]),
-                "interval_mm": float(joint.interval_mm[places[0]]),
-            }
-    by_fit = fitted is not None and best is not first
+    fitted: dict[str, Any] | None = None
+    for k, one in enumerate(joint.leds if joint is not None else ()):
+        if joint is not None and (one.band, one.led) == name:
+            interval_deg, interval_mm = float(joint.interval_deg[k]), float(joint.interval_mm[k])
+            fitted = {**_place(one), "interval_deg": interval_deg, "interval_mm": interval_mm}
+    trusted = fitted if fitted is not None and best is not first else {}
     return {
         "band": judged.band,
         "led": judged.led,
-        "direction": best.direction.tolist(),
-        "position_mm": best.position_mm.tolist(),
+        **_place(best),
         "disagreement_deg": judged.disagreement_deg,
-        "interval_deg": fitted["interval_deg"] if by_fit and fitted else None,
-        "interval_mm": fitted["interval_mm"] if by_fit and fitted else None,
+        "interval_deg": trusted.get("interval_deg"),
+        "interval_mm": trusted.get("interval_mm"),
         "verdict": judged.verdict,
         "kept": keep or not judged.refused,
         "nails": list(best.nails),
-        "circle": {
-            "direction": first.direction.tolist(),
-            "position_mm": first.position_mm.tolist(),
-            "disagreement_deg": first.disagreement_deg,
-            "positions_mm": first.singles.tolist(),
-        },
+        "circle": {**_place(first), "positions_mm": first.singles.tolist()},
         "joint": fitted,
+    }
+
+
+def _place(found: LedEstimate) -> dict[str, Any]:
+    return {
+        "direction": found.direction.tolist(),
+        "position_mm": found.position_mm.tolist(),
+        "disagreement_deg": found.disagreement_deg,
     }
 
 
@@ -261,11 +265,7 @@ def _totals(judged: Sequence[_JudgedLed], leds: Sequence[Mapping[str, Any]]) -> 
     words = [one.verdict for one in judged]
     return {
         "leds": len(judged),
-        "ok": words.count("ok"),
-        "disagrees": words.count("disagrees"),
-        "copied": words.count("copied"),
-        "off_the_circle": words.count("off the circle"),
-        "unchecked": words.count("unchecked"),
+        **{word.replace(" ", "_"): words.count(word) for word in (OK, DISAGREES, COPIED, STRAYS, UNCHECKED)},
         "refused": sum(one.refused for one in judged),
         "kept": sum(one["kept"] for one in leds),
     }
@@ -288,10 +288,6 @@ def _warnings(judged: Sequence[_JudgedLed], joint: JointFit | None, tips: Sequen
     if len(judged) == LEDS_PER_BAND and len(bands) == 1:
         warnings.append(f"the table has {min(bands)} LEDs only.")
     return warnings
-
-
-def _order(item: tuple[LedName, Any]) -> tuple[int, int]:
-    return BANDS.index(item[0][0]), item[0][1]
 
 
 def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "the table") -> None:
@@ -324,20 +320,19 @@ def _check_tips(tips: Sequence[Tip], image_size: tuple[int, int], name: str = "t
             )
 
 
-def _copied_leds(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> set[tuple[str, int]]:
-    """LEDs, band and number, whose shadow tips repeat although the nail moved: copying errors."""
+def _copied_leds(tips: Sequence[Tip], camera: Camera) -> set[LedName]:
+    """LEDs whose shadow tips repeat although the nail moved: copying errors."""
     nails, ends = (plane_points(camera, part) for part in pixels(tips))
     found = set()
-    for i, first in enumerate(tips):
-        for j in range(i + 1, len(tips)):
-            if (first.band, first.led) == (tips[j].band, tips[j].led):
-                moved = float(np.linalg.norm(nails[i] - nails[j]))
-                if np.linalg.norm(ends[i] - ends[j]) <= limits.copy_mm and moved > limits.move_mm:
-                    found.add((first.band, first.led))
+    for i, j in combinations(range(len(tips)), 2):
+        moved, apart = (float(np.linalg.norm(places[i] - places[j])) for places in (nails, ends))
+        same = (tips[i].band, tips[i].led) == (tips[j].band, tips[j].led)
+        if same and apart <= _COPY_MM and moved > _MOVE_MM:
+            found.add((tips[i].band, tips[i].led))
     return found
 
 
-def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> None:
+def _check_nails(tips: Sequence[Tip], camera: Camera) -> None:
     """Check that a nail number is one place, and two numbers two places."""
     nails = plane_points(camera, pixels(tips)[0])
     middles: dict[tuple[str, int], Points] = {}
@@ -346,26 +341,24 @@ def _check_nails(tips: Sequence[Tip], camera: Camera, limits: LightLimits) -> No
         middle = np.median(places, axis=0)
         spread = float(np.linalg.norm(places - middle, axis=1).max())
         require(
-            spread <= limits.same_nail_mm,
+            spread <= _SAME_NAIL_MM,
             f"nail {nail} of the {band} LEDs stands at places {spread:.1f} mm from each other; a nail number is one "
             f"position, so correct its pixels or give each position a number of its own.",
         )
         middles[band, nail] = middle
-    for (band, nail), middle in middles.items():
-        for (other_band, other), place in middles.items():
-            distance = float(np.linalg.norm(middle - place))
-            require(
-                band != other_band or nail >= other or distance > limits.move_mm,
-                f"nails {nail} and {other} of the {band} LEDs stand {distance:.2f} mm from each other, which is one "
-                f"position; move the nail by a centimetre between them, or correct its pixels.",
-            )
+    for ((band, nail), middle), ((other_band, other), place) in combinations(
+        sorted(middles.items(), key=lambda one: one[0]), 2
+    ):
+        distance = float(np.linalg.norm(middle - place))
+        require(
+            band != other_band or distance > _MOVE_MM,
+            f"nails {nail} and {other} of the {band} LEDs stand {distance:.2f} mm from each other, which is one "
+            f"position; move the nail by a centimetre between them, or correct its pixels.",
+        )
 
 
 def _judge(
-    found: Sequence[tuple[str, int, float | None]],
-    copied: Set[tuple[str, int]],
-    strays: Set[tuple[str, int]],
-    limit_deg: float,
+    found: Sequence[tuple[str, int, float | None]], copied: Set[LedName], strays: Set[LedName], limit_deg: float
 ) -> tuple[_JudgedLed, ...]:
     """Give every LED (band, number, disagreement in degrees or None) its verdict: ``copied`` goes before ``off the
     circle``, that before ``disagrees``; ``unchecked`` is an LED that one position of the nail shows.

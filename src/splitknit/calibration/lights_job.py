@@ -6,9 +6,9 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,13 @@ from splitknit.calibration.lights import Circle, combine
 from splitknit.calibration.lights_found import (
     CalibratedLed,
     CalibratedLights,
-    LightsAsked,
-    LightSettings,
+    LightsJob,
     find_leds,
     rig_of,
 )
 from splitknit.calibration.nail_photos import FOUND_SD_MM, read_stack, tips_of_photos
 from splitknit.calibration.sphere import Ball, ball_of_mask, chrome_directions, find_ball, grey_directions
-from splitknit.errors import BadInput, Refused, read_bytes, require
+from splitknit.errors import Refused, read_bytes, refusing, require
 from splitknit.imaging.band import shading_is_srgb
 from splitknit.imaging.view import plane_points
 from splitknit.io.light_list import LIST_TITLE, write_light_list
@@ -36,42 +35,6 @@ from splitknit.io.targets import check_file, check_rig_file
 from splitknit.model import Camera, Led, Progress, Rig, camera_without_scale, no_progress
 
 
-@dataclass(frozen=True, slots=True)
-class LightsJob:
-    """What is asked for; see ``splitknit calibrate lights --help``."""
-
-    table: Path | None = None
-    images: Path | None = None
-    sphere: Literal["chrome", "grey"] | None = None
-    geometry: bool = False
-    rig: Path | None = None
-    px_per_cm: float | None = None
-    image_size: str | None = None
-    """``rows,columns``."""
-    led_height_cm: float | None = None
-    led_radius_cm: float | None = None
-    led_centre_px: str | None = None
-    """``x,y``."""
-    first_azimuth_deg: float = 0.0
-    method: str | None = None
-    keep: bool = False
-    encoding: str | None = None
-    """Of the photographs; None: as their files state it, see :func:`splitknit.io.photos.encoding_of`."""
-    mask: Path | None = None
-    show: Path | None = None
-    tips_out: Path | None = None
-    out: Path | None = None
-    settings: LightSettings = field(default_factory=LightSettings)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _RigInputs:
-    """The camera, and the rig it is from."""
-
-    camera: Camera
-    base: Rig | None
-
-
 def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> CalibratedLights:
     """Find the LEDs, and write the rig file where one is named. Raises BadInput naming the option or file at fault, and
     Refused, whose facts hold what was found, if that is not good enough.
@@ -79,11 +42,11 @@ def lights_to_rig(job: LightsJob, progress: Progress = no_progress) -> Calibrate
     source = _checked_source(job)
     if source == "sphere":
         return _of_sphere(job)
-    inputs = _rig_inputs(job)
-    circle = _circle_of(job, inputs)
+    rig = _base_rig(job)
+    circle = _circle_of(job, rig)
     if source == "geometry":
-        return _nominal(job, inputs, circle)
-    return _of_table(job, inputs, circle, progress) if source == "table" else _of_images(job, inputs, circle, progress)
+        return _nominal(job, rig, circle)
+    return _of_table(job, rig, circle, progress) if source == "table" else _of_images(job, rig, circle, progress)
 
 
 def _checked_source(job: LightsJob) -> str:
@@ -110,14 +73,13 @@ def _checked_source(job: LightsJob) -> str:
     return sources[0]
 
 
-def _rig_inputs(job: LightsJob) -> _RigInputs:
-    """Return the camera of ``--rig``, or an orthographic one of ``--px-per-cm`` and ``--image-size``."""
+def _base_rig(job: LightsJob) -> Rig:
+    """Return the rig of ``--rig``, or an orthographic camera of ``--px-per-cm`` and ``--image-size`` without LEDs."""
     if job.rig is not None:
         for name in ("px_per_cm", "image_size"):
             given = getattr(job, name) is None
             require(given, f"`{name}` and `rig` set the same thing; give one of them.")
-        base = read_rig(job.rig)
-        return _RigInputs(base.camera, base)
+        return read_rig(job.rig)
     needed = [name for name in ("px_per_cm", "image_size", "led_height_cm") if getattr(job, name) is None]
     require(
         not needed,
@@ -128,12 +90,12 @@ def _rig_inputs(job: LightsJob) -> _RigInputs:
     whole = rows == int(rows) and columns == int(columns) and min(rows, columns) >= 1 and rows * columns <= 2e8
     require(whole, f"`image_size` must be two positive whole numbers, rows,columns, but it is '{job.image_size}'.")
     height = job.led_height_cm * 10.0  # the thesis's camera sits at the height of its LEDs
-    return _RigInputs(Camera(job.px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), None)
+    return Rig(Camera(job.px_per_cm / 10.0, (int(rows), int(columns)), height_mm=height), ())
 
 
-def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
+def _circle_of(job: LightsJob, rig: Rig) -> Circle:
     """Return the LED circle: of the options, and else of the rig's LEDs."""
-    places = [led.position_mm for led in inputs.base.leds if led.position_mm is not None] if inputs.base else []
+    places = [led.position_mm for led in rig.leds if led.position_mm is not None]
     radius, height = job.led_radius_cm, job.led_height_cm
     missing = [
         f"`led_{what}_cm`" for what, value in (("radius", radius), ("height", height)) if value is None and not places
@@ -141,12 +103,12 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     require(
         not missing,
         f"calibrate lights needs {' and '.join(missing)}"
-        + (", because the rig's LEDs have no positions." if inputs.base else "."),
+        + (", because the rig's LEDs have no positions." if job.rig is not None else "."),
     )
     centre = (0.0, 0.0)
     if job.led_centre_px is not None:
         x, y = _pair(job.led_centre_px, "`led_centre_px`", "x,y in pixels, such as 1575,1174")
-        point = plane_points(inputs.camera, np.array([[x, y]]))[0]
+        point = plane_points(rig.camera, np.array([[x, y]]))[0]
         centre = (float(point[0]), float(point[1]))
     array = np.array(places).reshape(-1, 3)
     return Circle(
@@ -156,7 +118,7 @@ def _circle_of(job: LightsJob, inputs: _RigInputs) -> Circle:
     )
 
 
-def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> CalibratedLights:
+def _nominal(job: LightsJob, rig: Rig, circle: Circle) -> CalibratedLights:
     """Write a rig whose LEDs are where the drawing has them: white and NIR in turn on the circle, 14 in equal steps."""
     found, facts = {}, []
     for nir, band in enumerate(BANDS):
@@ -177,8 +139,8 @@ def _nominal(job: LightsJob, inputs: _RigInputs, circle: Circle) -> CalibratedLi
                     "kept": True,
                 }
             )
-    origin = plain_json({**provenance({"circle": circle, "first_azimuth_deg": job.first_azimuth_deg})})
-    rig = rig_of(found, inputs.camera, inputs.base, {"method": "geometry", "provenance": origin})
+    origin = plain_json(provenance({"circle": circle, "first_azimuth_deg": job.first_azimuth_deg}))
+    rig = rig_of(found, rig, {"method": "geometry", "provenance": origin})
     return _written(rig, job.out, {"method": "geometry", "leds": facts})
 
 
@@ -230,21 +192,19 @@ def _pair(text: str, name: str, form: str) -> tuple[float, float]:
     return values[0], values[1]
 
 
-def _of_table(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
+def _of_table(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> CalibratedLights:
     """Calibrate from a typed table of nail and shadow tips."""
     assert job.table is not None
     data = read_bytes(job.table, 16_000_000)
-    try:
+    with refusing(f"{job.table} is not a text file; export the table as CSV in UTF-8."):
         text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadInput(f"{job.table} is not a text file; export the table as CSV in UTF-8.") from error
     tips = read_tips(text, str(job.table))
     progress("fitting", 0.5)
     hashes = {job.table.name: hashlib.sha256(data).hexdigest()}
-    return _of_tips(job, inputs, circle, tips, hashes)
+    return _of_tips(job, rig, circle, tips, hashes)
 
 
-def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Progress) -> CalibratedLights:
+def _of_images(job: LightsJob, rig: Rig, circle: Circle, progress: Progress) -> CalibratedLights:
     """Find the tips, go on as with a table; picture and table of them are written even if LEDs are refused."""
     folder, nail = job.images, job.settings.nail
     assert folder is not None
@@ -254,7 +214,7 @@ def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Pro
     job = replace(job, settings=replace(job.settings, nail=better))
     show, table = _beside(job.show, job.out, "_tips.png"), _beside(job.tips_out, job.out, "_tips.csv")
     tips, hashes, lost = tips_of_photos(
-        folder, inputs.camera, encoding=job.encoding, show=show, table=table, progress=progress
+        folder, rig.camera, encoding=job.encoding, show=show, table=table, progress=progress
     )
     shown: dict[str, Any] = {
         "show": None if show is None else str(show),
@@ -262,7 +222,7 @@ def _of_images(job: LightsJob, inputs: _RigInputs, circle: Circle, progress: Pro
         "shadows_out_of_the_picture": lost,
     }
     try:
-        found = _of_tips(job, inputs, circle, tips, hashes)
+        found = _of_tips(job, rig, circle, tips, hashes)
     except Refused as error:
         seen = "" if show is None else f" ({show} shows what was found)"
         raise Refused(f"{str(error).rstrip('.')}{seen}.", {**error.facts, **shown}) from error
@@ -274,19 +234,17 @@ def _beside(given: Path | None, out: Path | None, ending: str) -> Path | None:
 
 
 def _of_tips(
-    job: LightsJob, inputs: _RigInputs, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str]
+    job: LightsJob, rig: Rig, circle: Circle, tips: Sequence[Tip], hashes: Mapping[str, str]
 ) -> CalibratedLights:
     """Find the LEDs, refuse or write."""
-    name = str(job.table or job.images)
-    asked = LightsAsked(name, job.method, job.keep, calibrated=inputs.base is not None)
-    chosen, found, sentence = find_leds(tips, inputs.camera, circle, job.settings, how=asked)
+    chosen, found, sentence = find_leds(tips, rig.camera, circle, job)
     facts = {**found, "circle": {"radius_mm": circle.radius_mm, "height_mm": circle.height_mm}}
     if sentence is not None:
-        raise Refused(f"{name}: {sentence}", _plain({**facts, "written": False, "out": None}))
+        raise Refused(f"{job.table or job.images}: {sentence}", _plain({**facts, "written": False, "out": None}))
     origin = provenance({"method": found["method"], "circle": circle, "lights": job.settings}, hashes)
     kept = ("band", "led", "verdict", "disagreement_deg", "interval_deg", "interval_mm")
     words = [{key: one[key] for key in kept} for one in found["leds"]]
-    rig = rig_of(chosen, inputs.camera, inputs.base, _plain({"leds": words, "provenance": origin}))
+    rig = rig_of(chosen, rig, _plain({"leds": words, "provenance": origin}))
     return _written(rig, job.out, facts)
 
 
@@ -307,9 +265,9 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
         "`image_size`, or `rig`, or write a list of lights (`out` lights.txt).",
     )
     dummy = Camera(1.0, size) if near else camera_without_scale(size)
-    inputs = _rig_inputs(job) if known else _RigInputs(dummy, None)
+    base = _base_rig(job) if known else Rig(dummy, ())
     hashes: dict[str, str] = {}
-    camera_size = inputs.camera.image_size
+    camera_size = base.camera.image_size
     stack, digests = read_stack(paths, camera_size, job.encoding or "linear", upright=True)
     hashes |= {path.relative_to(job.images).as_posix(): digest for path, digest in digests.items()}
     ball = _ball(job.mask, stack, size, hashes)
@@ -348,10 +306,8 @@ def _of_sphere(job: LightsJob) -> CalibratedLights:
             }
         )
     origin = provenance({"sphere": job.sphere, "ball": ball}, hashes)
-    before = dict(inputs.base.provenance) if inputs.base is not None else {}
-    mirrors = inputs.base.mirrors if inputs.base is not None else ()
-    said = {**before, "lights": {"method": job.sphere, "provenance": plain_json(origin)}}
-    rig = Rig(inputs.camera, tuple(leds), said, mirrors)
+    said = {**base.provenance, "lights": {"method": job.sphere, "provenance": plain_json(origin)}}
+    rig = Rig(base.camera, tuple(leds), said, base.mirrors)
     outline = {"column": ball.column, "row": ball.row, "radius_px": ball.radius_px}
     found = {"method": job.sphere, "ball": outline, "encoding": encoding, "leds": facts}
     return _written(rig, job.out, {**found, "notes": [note] if note else []})

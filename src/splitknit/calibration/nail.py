@@ -25,6 +25,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import chi2
 
 from splitknit.calibration.light_table import Tip, pixels
@@ -80,12 +81,18 @@ class _NailModel:
         self.known = settings.nail_height_mm is not None
         self.at_height = 3 * len(self.names) + 2 * len(self.places_px)
         """Where in the vector the nail's height is."""
-        self.size = self.at_height + 5
+        self.led_sd = _FREE_SD_MM if self.known else settings.led_sd_mm
+        self.offset_sd = _FREE_SD_MM if self.known else _CIRCLE_SD_MM
+        self.nail_sd_px = settings.nail_sd_mm * camera.px_per_mm
+        self.top = HIGHEST * min(circle.height_mm, camera.height_mm)
 
     def parts(self, x: Points) -> tuple[Points, Points, float, Points]:
         """LEDs (L, 3), nail places (P, 2), nail height, and the circle's four offsets."""
-        leds = 3 * len(self.names)
-        return x[:leds].reshape(-1, 3), x[leds : self.at_height].reshape(-1, 2), float(x[self.at_height]), x[-4:]
+        count = 3 * len(self.names)
+        leds = x[:count].reshape(-1, 3)
+        leds = np.column_stack([leds[:, :2], np.maximum(leds[:, 2], 1.1 * self.top)])  # above the nail, it the plane
+        height = float(np.clip(x[self.at_height], 0.5, self.top))
+        return leds, x[count : self.at_height].reshape(-1, 2), height, x[-4:]
 
     def tip_residuals(self, x: Points) -> Points:
         """(N, 2) pixels, found minus expected."""
@@ -96,73 +103,13 @@ class _NailModel:
         settings, circle = self.settings, self.circle
         leds, places, height, offsets = self.parts(x)
         tip = -self.tip_residuals(x) * np.sqrt(weights)[:, None] / settings.tip_sd_px
-        nail = (self._pixels(places, self._seen(height)) - self.places_px) / self._nail_sd_px
+        seen = height if settings.nail_seen == "tip" else 0.0  # height of what the nail's pixel is of
+        nail = (self._pixels(places, seen) - self.places_px) / self.nail_sd_px
         arms = leds[:, :2] - np.asarray(circle.centre_mm) - offsets[:2]
-        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self._led_sd
-        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self._led_sd
+        out = (np.linalg.norm(arms, axis=1) - circle.radius_mm - offsets[2]) / self.led_sd
+        up = (leds[:, 2] - circle.height_mm - offsets[3]) / self.led_sd
         known = [(height - (settings.nail_height_mm or 0.0)) / _NAIL_HEIGHT_SD_MM] if self.known else []
-        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self._offset_sd, known])
-
-    def jacobian(self, x: Points, weights: Points) -> Points:
-        """(M, size) derivatives of :meth:`residuals`."""
-        leds, places, height, offsets = self.parts(x)
-        rows, number, at = len(self.tips), len(leds), self.at_height
-        total = np.zeros((2 * rows + 2 * len(places) + 2 * number + 4 + self.known, self.size))
-        # tips: t = n + (n - p) g, g = h / (z - h); then the camera
-        below = leds[self.led_of, 2] - height
-        g = height / below
-        lever = places[self.place_of] - leds[self.led_of, :2]
-        lens = self._pixel_slopes(self._ends(x), 0.0) * (np.sqrt(weights) / self.settings.tip_sd_px)[:, None, None]
-        k = np.arange(rows)
-        by_z = np.einsum("nij,nj->ni", lens, -lever * (g / below)[:, None])
-        by_h = np.einsum("nij,nj->ni", lens, lever * (leds[self.led_of, 2] / below**2)[:, None])
-        for way in (0, 1):
-            for axis in (0, 1):
-                total[2 * k + way, 3 * self.led_of + axis] = -g * lens[:, way, axis]
-                total[2 * k + way, 3 * number + 2 * self.place_of + axis] = (1.0 + g) * lens[:, way, axis]
-            total[2 * k + way, 3 * self.led_of + 2] = by_z[:, way]
-            total[2 * k + way, at] = by_h[:, way]
-        # nail
-        top, seen = 2 * rows, self._seen(height)
-        lens = self._pixel_slopes(places, seen) / self._nail_sd_px
-        for j in range(len(places)):
-            total[top + 2 * j : top + 2 * j + 2, 3 * number + 2 * j : 3 * number + 2 * j + 2] = lens[j]
-        if self.settings.nail_seen == "tip":
-            step = 1e-4
-            change = self._pixels(places, seen + step) - self._pixels(places, seen - step)
-            total[top : top + 2 * len(places), at] = change.ravel() / (2.0 * step) / self._nail_sd_px
-        # circle
-        top += 2 * len(places)
-        arms = leds[:, :2] - np.asarray(self.circle.centre_mm) - offsets[:2]
-        units = arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)
-        k = np.arange(number)
-        for axis in (0, 1):
-            total[top + k, 3 * k + axis] = units[:, axis] / self._led_sd
-            total[top + k, at + 1 + axis] = -units[:, axis] / self._led_sd
-        total[top + k, at + 3] = -1.0 / self._led_sd
-        total[top + number + k, 3 * k + 2] = 1.0 / self._led_sd
-        total[top + number + k, at + 4] = -1.0 / self._led_sd
-        top += 2 * number
-        total[top + np.arange(4), at + 1 + np.arange(4)] = 1.0 / self._offset_sd
-        if self.known:
-            total[-1, at] = 1.0 / _NAIL_HEIGHT_SD_MM
-        return total
-
-    @property
-    def _led_sd(self) -> float:
-        return _FREE_SD_MM if self.known else self.settings.led_sd_mm
-
-    @property
-    def _nail_sd_px(self) -> float:
-        return self.settings.nail_sd_mm * self.camera.px_per_mm
-
-    @property
-    def _offset_sd(self) -> Points:
-        return np.full(4, _FREE_SD_MM if self.known else _CIRCLE_SD_MM)
-
-    def _seen(self, height: float) -> float:
-        """Height of what the nail's pixel is of."""
-        return height if self.settings.nail_seen == "tip" else 0.0
+        return np.concatenate([tip.ravel(), nail.ravel(), out, up, offsets / self.offset_sd, known])
 
     def _ends(self, x: Points) -> Points:
         """(N, 2) where the shadows' tips should be on the finger plane."""
@@ -172,15 +119,6 @@ class _NailModel:
 
     def _pixels(self, places: Points, height: float) -> Points:
         return pixels_of(self.camera, np.column_stack([places, np.full(len(places), height)]))
-
-    def _pixel_slopes(self, places: Points, height: float) -> Points:
-        """(N, 2, 2) pixels per mm: column and row by x and y."""
-        step = 1e-3
-        slopes = [
-            (self._pixels(places + shift, height) - self._pixels(places - shift, height)) / (2.0 * step)
-            for shift in step * np.eye(2)
-        ]
-        return np.stack(slopes, axis=2)
 
 
 def _places(tips: Sequence[Tip], camera: Camera, nail_px: Points) -> tuple[NDArray[np.intp], Points]:
@@ -237,69 +175,37 @@ def by_joint_fit(tips: Sequence[Tip], camera: Camera, circle: Circle, settings: 
     """
     model = _NailModel(tips, camera, circle, settings or NailSettings())
     require(len(model.places_px) >= 2, "the joint fit needs two nail positions at least, but there is one.")
-    solution, weights = _solve(model)
-    return _result(model, solution, weights)
+    return _result(model, _solve(model))
 
 
-def _solve(model: _NailModel) -> tuple[Points, Points]:
-    """Return the unknowns and the weight (N,) of every tip."""
+def _solve(model: _NailModel) -> OptimizeResult:
+    """Return the unknowns ``x`` with residuals ``fun`` and derivatives ``jac``."""
     settings = model.settings
     first, height = by_circle(
         model.tips, model.camera, model.circle, known_height_mm=settings.nail_height_mm, seen=settings.nail_seen
     )
-    height = float(np.clip(height, 0.6, _highest(model)))
+    height = float(np.clip(height, 0.6, model.top))
     places = nail_points(model.camera, model.places_px, height, settings.nail_seen)
     x = np.concatenate([np.ravel([one.position_mm for one in first]), places.ravel(), [height], np.zeros(4)])
     weights = np.ones(len(model.tips))
     # the weights sharpen step by step, so that a tip astray does not pull its neighbours' away first
     for sharpness in (64.0, 32.0, 16.0, 8.0, 4.0, 2.0, *(1.0,) * 10):
-        before, x = x, _least_squares(model, x, weights)
+        fit = least_squares(model.residuals, x, method="lm", xtol=1e-7, args=(weights,))
+        before, x = x, fit.x
         distance = np.linalg.norm(model.tip_residuals(x), axis=1) / settings.tip_sd_px
         weights = 1.0 / (1.0 + (distance / (_OUTLIER * sharpness)) ** 2) ** 2
         if sharpness == 1.0 and float(np.abs(x - before).max()) < 1e-5:
             break
-    return x, weights
+    return fit
 
 
-def _least_squares(model: _NailModel, x: Points, weights: Points) -> Points:
-    """Gauss-Newton from `x`, every step shortened until it helps."""
-    residuals = model.residuals(x, weights)
-    for _ in range(30):
-        step = np.linalg.lstsq(model.jacobian(x, weights), -residuals, rcond=1e-12)[0]
-        for halving in range(12):
-            ahead = _within(model, x + step * 0.5**halving)
-            tried = model.residuals(ahead, weights)
-            if tried @ tried < residuals @ residuals:
-                break
-        else:
-            return x
-        done = float(np.abs(ahead - x).max()) < 1e-6
-        x, residuals = ahead, tried
-        if done:
-            break
-    return x
-
-
-def _highest(model: _NailModel) -> float:
-    return HIGHEST * min(model.circle.height_mm, model.camera.height_mm)
-
-
-def _within(model: _NailModel, x: Points) -> Points:
-    """Keep the nail above the plane and below the LEDs, and the LEDs above it."""
-    top = _highest(model)
-    x = x.copy()
-    x[model.at_height] = np.clip(x[model.at_height], 0.5, top)
-    x[2 : 3 * len(model.names) : 3] = np.maximum(x[2 : 3 * len(model.names) : 3], 1.1 * top)
-    return x
-
-
-def _result(model: _NailModel, x: Points, weights: Points) -> JointFit:
+def _result(model: _NailModel, fit: OptimizeResult) -> JointFit:
     """Name what was found."""
     settings, circle = model.settings, model.circle
-    leds, places, height, offsets = model.parts(x)
-    found = model.tip_residuals(x)
+    leds, places, height, offsets = model.parts(fit.x)
+    found = model.tip_residuals(fit.x)
     astray = np.linalg.norm(found, axis=1) > _OUTLIER * settings.tip_sd_px
-    covariance = _covariance(model, x, weights)
+    covariance = _covariance(fit)
     estimates, degrees, sizes = [], [], []
     ends = plane_points(model.camera, model.tip_px)
     for k, (band, led) in enumerate(model.names):
@@ -333,12 +239,11 @@ def _result(model: _NailModel, x: Points, weights: Points) -> JointFit:
     )
 
 
-def _covariance(model: _NailModel, x: Points, weights: Points) -> Points:
+def _covariance(fit: OptimizeResult) -> Points:
     """Of all unknowns; wider where the residuals are larger than they were said to be."""
-    jacobian, residuals = model.jacobian(x, weights), model.residuals(x, weights)
-    freedom = max(residuals.size - x.size, 1)
-    scale = max(1.0, float(residuals @ residuals) / freedom)
-    return np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * scale)
+    freedom = max(fit.fun.size - fit.x.size, 1)
+    scale = max(1.0, 2.0 * float(fit.cost) / freedom)
+    return np.asarray(np.linalg.pinv(fit.jac.T @ fit.jac, hermitian=True) * scale)
 
 
 # How far from the truth an estimate may be: from a covariance to one number.

@@ -30,6 +30,8 @@ FOUND_SD_MM = 0.05
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 Files = dict[tuple[int, str], list[Path]]
 """Of every nail position and band, the files of its LEDs in order."""
+_Tile = tuple[str, FloatArray, NailView, int]
+"""Name, small image, what it shows, and the LED."""
 
 
 def tips_of_photos(
@@ -50,7 +52,7 @@ def tips_of_photos(
     if encoding is None:  # a shadow's tip lies where it lies; nothing else decides
         encoding, _ = encoding_of([path for paths in files.values() for path in paths], lambda: False)
     tips: list[Tip] = []
-    tiles: list[tuple[str, FloatArray, NailView, int]] = []
+    tiles: list[_Tile] = []
     hashes: dict[str, str] = {}
     lost: list[str] = []
     for done, ((nail, band), paths) in enumerate(files.items()):
@@ -177,25 +179,19 @@ def _small(image: FloatArray, longest: int = 480) -> FloatArray:
 Points = NDArray[np.float64]
 
 
-def _nail_overview(
-    tiles: Sequence[tuple[str, FloatArray, NailView, int]], image_size: tuple[int, int], width: int = 400
-) -> ColourArray:
+def _nail_overview(tiles: Sequence[_Tile], image_size: tuple[int, int], width: int = 400) -> ColourArray:
     """Photographs of the nail, small, seven a row: nail tip (cross), shadow tip (ring), ray to the LED (line)."""
-    drawn = [
-        _nail_tile(name, image, (view.nail_px, view.tips_px[led]), image_size, width)
-        for name, image, view, led in tiles
-    ]
+    drawn = [_nail_tile(tile, image_size, width) for tile in tiles]
     blank = np.full_like(drawn[0], 255)
     drawn += [blank] * (-len(drawn) % 7)
     rows = [np.concatenate(drawn[k : k + 7], axis=1) for k in range(0, len(drawn), 7)]
     return np.ascontiguousarray(np.concatenate(rows, axis=0))
 
 
-def _nail_tile(
-    name: str, image: FloatArray, found: tuple[Points, Points], image_size: tuple[int, int], width: int
-) -> ColourArray:
-    """One photograph with what was found drawn into it: `found` is the nail and the tip."""
-    nail_px, tip_px = found
+def _nail_tile(tile: _Tile, image_size: tuple[int, int], width: int) -> ColourArray:
+    """One photograph with what was found drawn into it."""
+    name, image, view, led = tile
+    nail_px, tip_px = view.nail_px, view.tips_px[led]
     scale = width / image_size[1]
     size = (width, max(1, round(image_size[0] * scale)))
     grey = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -72,15 +72,13 @@ def plane_pose(marks_mm: Any, pixels: Any, matrix: Any, distortion: Any = None) 
     flat = np.column_stack([marks - marks.mean(axis=0), np.zeros(len(marks))])
     count, turns, shifts, _ = cv2.solvePnPGeneric(flat, places, camera, lens, flags=cv2.SOLVEPNP_IPPE)
     require(count > 0, "no pose of the plane explains its marks; photograph it again.")
-    best: tuple[float, Points, Points] | None = None
+    poses: list[tuple[float, Points, Points]] = []
     for first_turn, first_shift in zip(turns, shifts, strict=True):
         turn, shift = cv2.solvePnPRefineLM(flat, places, camera, lens, np.array(first_turn), np.array(first_shift))
         seen, _ = cv2.projectPoints(flat, turn, shift, camera, lens)
         error = float(((np.asarray(seen)[:, 0] - places) ** 2).sum())
-        if best is None or error < best[0]:
-            best = error, np.asarray(turn, dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel()
-    assert best is not None
-    error, turn, shift = best
+        poses.append((error, np.asarray(turn, dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel()))
+    error, turn, shift = min(poses, key=lambda pose: pose[0])
     height, normal = _height_and_normal(turn, shift)
     require(np.isfinite(height) and height > 0, "no pose of the plane explains its marks; photograph it again.")
     _, jacobian = cv2.projectPoints(flat, turn, shift, camera, lens)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from splitknit.calibration.card_images import CardImages, card_images, led_name
 from splitknit.calibration.card_model import CardPlane, card_light
 from splitknit.calibration.flat_field import DUST_PERCENT, MAX_DUST, FlatField, fit_flat_field
-from splitknit.errors import BadInput, require
+from splitknit.errors import refusing, require
 from splitknit.model import Capture, Rig
 from splitknit.settings import Checked, Limits
 
@@ -180,29 +180,15 @@ def _round(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _CardCheck:
-    """A later card against the stored one."""
-
-    ratio: Array
-    """(L,) brightness now over brightness at the calibration, of each LED."""
-    common: Mapping[str, float | None]
-    """Of each band: the median of its LEDs' ratios, what exposure, gain, lens and card do to all equally; None where
-    the exposures of one of the two are not known."""
-    own: Array
-    """(L,) the ratio without the band's common part."""
-    pattern_percent: Array
-    """(L,) robust deviation over the picture of now over then: an LED that moved or turned."""
-    ambient_percent: Mapping[str, float | None]
-    sentences: tuple[str, ...] = ()
-    """What departs; empty where nothing does."""
-
-
 def check_card(
     capture: Capture, rig: Rig, black_level: float | None = None, settings: RadiometrySettings | None = None
-) -> _CardCheck:
+) -> dict[str, Any]:
     """Compare a card with the calibration that a rig carries; arguments as of :func:`fit_radiometry`. Raises BadInput
     if the rig carries no such calibration, or the capture cannot be used.
+
+    Returns plain JSON: ``verdict``; of ``leds`` the ``ratio`` of brightness now to then, the ``own_ratio`` without the
+    median of its band, and the ``pattern_percent``, robust deviation over the picture; ``common_ratio`` of each band,
+    None where the exposures of one of the two are not known; ``ambient_percent``; ``warnings``: what departs.
     """
     chosen = settings or RadiometrySettings()
     levels, plane, given = _stored(rig)
@@ -212,77 +198,58 @@ def check_card(
     ratio = np.median(now, axis=1)
     require(bool((ratio > 0).all()), f"LED {int(np.argmin(ratio))} did not light; take the card again.")
     flat = now / ratio[:, None]
-    pattern = 100 * 1.4826 * np.median(np.abs(flat - 1.0), axis=1)
+    pattern = 100 * 1.4826 * np.median(np.abs(flat - 1.0), axis=1)  # of an LED that moved or turned
     bands = np.array([led.band for led in rig.leds])
     middle = {band: float(np.median(ratio[bands == band])) for band in dict.fromkeys(bands.tolist())}
     own = ratio / np.array([middle[band] for band in bands])
-    comparable = given and images.exposures_given
+    comparable = given and images.exposures_given  # else exposure, gain, lens and card are not known to be the same
     common: dict[str, float | None] = {band: value if comparable else None for band, value in middle.items()}
-    check = _CardCheck(ratio, common, own, pattern, images.ambient_percent)
-    return replace(check, sentences=tuple(_sentences(check, rig, chosen)))
+    sentences: list[str] = []
+    for k, value in enumerate(own):
+        name = f"LED {led_name(rig.leds, k)}"
+        if abs(value - 1) > 0.01 * chosen.drift_percent:
+            sentences.append(f"{name} is {_change(float(value))} than at the calibration.")
+        if pattern[k] > _PATTERN_PERCENT:
+            sentences.append(
+                f"{name} lights the card otherwise than at the calibration ({pattern[k]:.1f} % across "
+                f"the picture): it moved or turned."
+            )
+    for band, value in common.items():
+        if value is not None and abs(value - 1) > 0.01 * chosen.drift_percent:
+            sentences.append(
+                f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
+                f"or card changed."
+            )
+    for band, fraction in images.ambient_percent.items():
+        if fraction is not None and fraction > _AMBIENT_PERCENT:
+            sentences.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
+    columns = {"ratio": ratio, "own_ratio": own, "pattern_percent": pattern}
+    return {
+        "verdict": "drifted" if sentences else "as calibrated",
+        "leds": [
+            {"led": k, "name": led_name(rig.leds, k), **{what: _round(values[k]) for what, values in columns.items()}}
+            for k in range(len(rig.leds))
+        ],
+        "common_ratio": {b: None if v is None else _round(v) for b, v in common.items()},
+        "ambient_percent": {b: None if v is None else _round(v) for b, v in images.ambient_percent.items()},
+        "warnings": sentences,
+    }
 
 
 def _stored(rig: Rig) -> tuple[Array, CardPlane, bool]:
     """Each LED's card brightness at the calibration, where the card lay, and whether its exposures were known."""
-    facts = rig.provenance.get(PROVENANCE)
-    try:
-        assert facts is not None
+    with refusing(
+        "the rig carries no radiometric calibration to check against; make one with "
+        "'splitknit calibrate radiometry FOLDER --rig RIG --out RIG2' and check RIG2."
+    ):
+        facts = rig.provenance[PROVENANCE]
         levels = np.array([float(led["level"]) for led in facts["leds"]])
         card = facts["card"]
         x, y = (float(value) for value in card["tilt_deg"])
-        plane = CardPlane(float(card["height_mm"]), (x, y))
-        given = bool(card["exposures_given"])
+        plane, given = CardPlane(float(card["height_mm"]), (x, y)), bool(card["exposures_given"])
         assert len(levels) == len(rig.leds) and bool((levels > 0).all())
-    except (AssertionError, KeyError, TypeError, ValueError) as error:
-        raise BadInput(
-            "the rig carries no radiometric calibration to check against; make one with "
-            "'splitknit calibrate radiometry FOLDER --rig RIG --out RIG2' and check RIG2."
-        ) from error
     return levels, plane, given
-
-
-def _sentences(check: _CardCheck, rig: Rig, settings: RadiometrySettings) -> list[str]:
-    words: list[str] = []
-    for k, value in enumerate(check.own):
-        name = f"LED {led_name(rig.leds, k)}"
-        if abs(value - 1) > 0.01 * settings.drift_percent:
-            words.append(f"{name} is {_change(float(value))} than at the calibration.")
-        if check.pattern_percent[k] > _PATTERN_PERCENT:
-            words.append(
-                f"{name} lights the card otherwise than at the calibration ({check.pattern_percent[k]:.1f} % across "
-                f"the picture): it moved or turned."
-            )
-    for band, value in check.common.items():
-        if value is not None and abs(value - 1) > 0.01 * settings.drift_percent:
-            words.append(
-                f"all {band} LEDs together are {_change(value)} than at the calibration: exposure, gain, supply, lens "
-                f"or card changed."
-            )
-    for band, fraction in check.ambient_percent.items():
-        if fraction is not None and fraction > _AMBIENT_PERCENT:
-            words.append(f"light from elsewhere is {fraction:.1f} % of the {band} LEDs'.")
-    return words
 
 
 def _change(value: float) -> str:
     return f"{100 * abs(value - 1):.0f} % {'darker' if value < 1 else 'brighter'}"
-
-
-def check_facts(check: _CardCheck, rig: Rig) -> dict[str, Any]:
-    """Return the check as plain JSON."""
-    return {
-        "verdict": "drifted" if check.sentences else "as calibrated",
-        "leds": [
-            {
-                "led": k,
-                "name": led_name(rig.leds, k),
-                "ratio": _round(check.ratio[k]),
-                "own_ratio": _round(check.own[k]),
-                "pattern_percent": _round(check.pattern_percent[k]),
-            }
-            for k in range(len(rig.leds))
-        ],
-        "common_ratio": {b: None if v is None else _round(v) for b, v in check.common.items()},
-        "ambient_percent": {b: None if v is None else _round(v) for b, v in check.ambient_percent.items()},
-        "warnings": list(check.sentences),
-    }

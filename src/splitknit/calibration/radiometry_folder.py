@@ -18,7 +18,6 @@ from splitknit.calibration.radiometry import (
     RadiometricCalibration,
     RadiometrySettings,
     check_card,
-    check_facts,
     fit_radiometry,
 )
 from splitknit.calibration.sensor import (
@@ -31,7 +30,7 @@ from splitknit.calibration.sensor import (
     noise_model,
     noise_samples,
 )
-from splitknit.errors import BadInput, naming, require
+from splitknit.errors import naming, require
 from splitknit.io.capture import read_capture
 from splitknit.io.fields import Fields, inside, read_json
 from splitknit.io.images import read_image, write_image
@@ -118,11 +117,9 @@ def check_folder(
     camera = _measure_camera(plan, capture)
     settings = RadiometrySettings() if limit_percent is None else RadiometrySettings(drift_percent=limit_percent)
     progress("comparing", 0.7)
-    try:
-        check = check_card(capture, rig, _black_level_of(camera, capture), settings)
-    except BadInput as error:
-        raise BadInput(f"{rig_file} and {folder}: {error}") from error
-    facts = {**check_facts(check, rig), "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
+    black = _black_level_of(camera, capture)
+    found = naming(f"{rig_file} and {folder}", lambda: check_card(capture, rig, black, settings))
+    facts = {**found, "limit_percent": settings.drift_percent, "inputs": dict(capture.hashes)}
     progress("done", 1.0)
     return facts
 
@@ -246,38 +243,38 @@ def _noise_models(samples: list[tuple[int, NDArray[np.float64], NDArray[np.float
 def _camera_json(camera: _CameraFacts) -> dict[str, Any]:
     """Return what was measured as plain JSON, parts of full scale in per cent."""
     dark, response = camera.dark, camera.response
+    levels = ("black_level", "read_noise", "row_noise", "column_noise", "fixed_pattern")
     return {
-        "dark": None
-        if dark is None
-        else {
+        "dark": dark
+        and {
             "frames": dark.frames,
-            "black_level_percent": [_round(100 * value) for value in dark.black_level],
-            "read_noise_percent": None if dark.read_noise is None else [_round(100 * v) for v in dark.read_noise],
             "hot_pixels": dark.hot_pixels,
             "hot_share": _round(dark.hot_share),
-            "row_noise_percent": _round(100 * dark.row_noise),
-            "column_noise_percent": _round(100 * dark.column_noise),
-            "fixed_pattern_percent": None if dark.fixed_pattern is None else _round(100 * dark.fixed_pattern),
+            **{f"{name}_percent": _percent(getattr(dark, name)) for name in levels},
         },
-        "response": None
-        if response is None
-        else {
+        "response": response
+        and {
             "encoding": response.encoding,
             "linear_departure_percent": _round(response.linear_percent),
             "srgb_departure_percent": _round(response.srgb_percent),
             "residual_percent": _round(response.residual_percent),
-            "black_level_percent": _round(100 * response.black_level),
-            "values_percent": [_round(100 * value) for value in response.span],
+            "black_level_percent": _percent(response.black_level),
+            "values_percent": _percent(response.span),
         },
         "noise": {
             name: {
                 "electrons_at_full_scale": _round(model.electrons),
-                "read_noise_percent": _round(100 * model.read_noise),
-                "light_percent": [_round(100 * value) for value in model.span],
+                "read_noise_percent": _percent(model.read_noise),
+                "light_percent": _percent(model.span),
             }
             for name, model in camera.noise.items()
         },
     }
+
+
+def _percent(parts: float | tuple[float, ...] | None) -> Any:
+    """Parts of full scale in per cent."""
+    return [_round(100 * one) for one in parts] if isinstance(parts, tuple) else parts and _round(100 * parts)
 
 
 def _black_level_of(camera: _CameraFacts, capture: Capture) -> float | None:

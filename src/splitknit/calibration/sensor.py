@@ -81,41 +81,32 @@ def fit_response(
     'linear'
     """
     stored, times = _checked(values, exposure_s, name)
-    line = _straightness(stored, times)
+    departure, residual, black, curve = _straightness(stored, times)
     linear_light = np.where(stored <= 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
-    decoded = _straightness(linear_light, times)
-    residual = min(line.residual, decoded.residual)
+    decoded_departure, decoded_residual, decoded_black, _ = _straightness(linear_light, times)
+    residual = min(residual, decoded_residual)
     require(
         residual <= 0.01 * _INCONSISTENT_PERCENT,
         f"{name} contradicts itself by {100 * residual:.1f} % of full scale: the scene moved, the light changed, or "
         f"exposure or gain were not what the file states; take the series again with everything fixed.",
     )
     limit = 0.01 * limit_percent
-    if line.departure > limit and decoded.departure > limit:
+    if departure > limit and decoded_departure > limit:
         raise BadInput(
-            f"{name} is neither linear (it departs by {100 * line.departure:.1f} % of full scale) nor sRGB "
-            f"({100 * decoded.departure:.1f} %); switch off the camera's picture processing (contrast, tone curves, "
+            f"{name} is neither linear (it departs by {100 * departure:.1f} % of full scale) nor sRGB "
+            f"({100 * decoded_departure:.1f} %); switch off the camera's picture processing (contrast, tone curves, "
             f"local adjustments) or store RAW."
         )
-    srgb = line.departure > limit
-    best = decoded if srgb else line
+    srgb = departure > limit
     return Response(
         encoding="srgb" if srgb else "linear",
-        linear_percent=100 * line.departure,
-        srgb_percent=100 * decoded.departure,
+        linear_percent=100 * departure,
+        srgb_percent=100 * decoded_departure,
         residual_percent=100 * residual,
-        black_level=best.black,
+        black_level=decoded_black if srgb else black,
         span=(float(np.nanmin(stored)), float(np.nanmax(stored))),
-        curve=line.curve,
+        curve=curve,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Line:
-    departure: float
-    residual: float
-    black: float
-    curve: tuple[Array, Array]
 
 
 def _checked(values: Any, exposure_s: Any, name: str) -> tuple[Array, Array]:
@@ -161,8 +152,10 @@ def _check_growth(stored: Array, times: Array, name: str) -> None:
     )
 
 
-def _straightness(stored: Array, times: Array) -> _Line:
-    """Fit f(v) t = light, the highest degree first that grows everywhere, and compare it with a line."""
+def _straightness(stored: Array, times: Array) -> tuple[float, float, float, tuple[Array, Array]]:
+    """Fit f(v) t = light, the highest degree first that grows everywhere, and compare it with a line: departure,
+    residual, black level and curve of :class:`Response`, as parts of full scale.
+    """
     low, high = float(np.nanmin(stored)), float(np.nanmax(stored))
     grid = np.linspace(low, high, 201)
     for degree in range(_DEGREE, 0, -1):
@@ -174,7 +167,7 @@ def _straightness(stored: Array, times: Array) -> _Line:
     departure = float(np.abs(light - offset - slope * grid).max() / slope)
     line = (light - light[0]) / (light[-1] - light[0]) * (high - low) + low
     black = low - float(polynomial(low)) / max(float(polynomial.deriv()(low)), 1e-9)
-    return _Line(departure, residual / slope, black, (grid, line))
+    return departure, residual / slope, black, (grid, line)
 
 
 def _polynomial(

@@ -181,7 +181,7 @@ def _is_board(image: FloatArray, grid: Points) -> bool:
 def _grown(image: FloatArray, grid: Points, steps: int) -> Points:
     """The grid with all rows and columns that lie beyond it and are corners too, `steps` at most on each side."""
     least = _CONTRAST * float(np.median(_contrast(image, grid)))
-    for turn in range(4):
+    for _ in range(4):
         grid = np.rot90(grid, axes=(0, 1))
         for _ in range(steps):
             line = (2 * grid[-1] - grid[-2])[None]
@@ -190,7 +190,6 @@ def _grown(image: FloatArray, grid: Points, steps: int) -> Points:
             if not inside or np.median(_contrast(image, further)[1]) < least:
                 break
             grid = np.concatenate([grid, _refined(image, further)[1:]])
-        del turn
     return grid
 
 

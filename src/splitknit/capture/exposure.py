@@ -175,16 +175,10 @@ MIN_PX_PER_MM = 18.0
 """Coarser pictures are not refused: ridges are so small in them that they pass for noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class FocusSettings(Checked):
-    """How focus is measured and when a live measurement ends."""
-
-    patience: Annotated[int, Limits(1)] = 8
-    """A live measurement ends after so many in a row that do not rise above the best so far by `rise`."""
-    rise: Annotated[float, Limits(0, 1, below=True)] = 0.02
-    """Relative."""
-    most: Annotated[int, Limits(1)] = 400
-    """Measurements at most."""
+_PATIENCE, _RISE = 8, 0.02
+"""A live measurement ends after so many in a row that do not rise above the best so far by this fraction of it."""
+_MOST = 400
+"""Live measurements at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +235,6 @@ def _response_to_noise(sigma: float) -> float:
 class FocusWatch:
     """Follows live measurements and reports when they have stopped rising."""
 
-    settings: FocusSettings = field(default_factory=FocusSettings)
     best: float = 0.0
     measured: int = 0
     ended: bool = False
@@ -251,12 +244,9 @@ class FocusWatch:
     def add(self, focus: Focus) -> bool:
         """Note a measurement; true when it is enough."""
         self.measured += 1
-        if focus.sharpness > self.best * (1.0 + self.settings.rise):
-            self._idle = 0
-        else:
-            self._idle += 1
+        self._idle = 0 if focus.sharpness > self.best * (1.0 + _RISE) else self._idle + 1
         self.best = max(self.best, focus.sharpness)
-        self.ended = self._idle >= self.settings.patience or self.measured >= self.settings.most
+        self.ended = self._idle >= _PATIENCE or self.measured >= _MOST
         return self.ended
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -225,7 +225,7 @@ class PiCamera(Closing):
         self._sensor = self._settings.sensor
         self._size = self._settings.image_size or self._sensor.image_size
         self._now_ns = now_ns or (lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME))
-        self._wanted: tuple[int, float, tuple[float, float]] | None = None
+        self._wanted = 0, 0.0, _NIR_GAINS
         self._camera: Any = None
         require(
             len(picamera2.global_camera_info()) > 0,
@@ -264,9 +264,8 @@ class PiCamera(Closing):
     def lock(self, exposure_s: float, gain: float, band: str = "white") -> None:
         """See :class:`splitknit.devices.Camera`."""
         self.exposures.check(exposure_s, gain)
-        gains = {"white": _WHITE_GAINS, "nir": _NIR_GAINS}.get(band)
-        require(gains is not None, f"the bands are white and nir, not '{band}'.")
-        assert gains is not None
+        require(band in ("white", "nir"), f"the bands are white and nir, not '{band}'.")
+        gains = _WHITE_GAINS if band == "white" else _NIR_GAINS
         exposure_us = round(exposure_s * 1e6)
         frame_us = max(
             exposure_us + 1000, round(self._sensor.frame_s * 1e6)
@@ -338,17 +337,14 @@ class PiCamera(Closing):
                     return self._read(request, metadata, discarded, whole=whole)
             finally:
                 request.release()
-        wanted = self._wanted or (0, 0.0, (0.0, 0.0))
         raise BadInput(
-            f"the camera did not take its settings: {wanted[0]} us at gain {wanted[1]:g} were asked for, but after "
-            f"{_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
+            f"the camera did not take its settings: {self._wanted[0]} us at gain {self._wanted[1]:g} were asked for, "
+            f"but after {_MAX_FRAMES} frames it reports {metadata.get('ExposureTime')} us at gain "
             f"{metadata.get('AnalogueGain')}; restart the Pi, and see that its camera is the {self._settings.camera}."
         )
 
     def _as_locked(self, metadata: Mapping[str, Any]) -> bool:
         """Whether a frame was taken as asked, within the sensor's steps."""
-        if self._wanted is None:
-            return False
         exposure_us, gain, gains = self._wanted
         colours = gains if self._sensor.mono else metadata.get("ColourGains", (0.0, 0.0))
         constant, linear, square = self._sensor.gain_step
@@ -363,7 +359,6 @@ class PiCamera(Closing):
 
     def _read(self, request: Any, metadata: Mapping[str, Any], discarded: int, *, whole: bool) -> Frame:
         if self._settings.raw:
-            assert self._wanted is not None
             values, order, bits = self._raw(request)
             black = self._sensor.black << (16 - self._sensor.bits)
             pixels: Any = developed(values, bits, black, order, self._wanted[2])
@@ -429,23 +424,31 @@ INSTALL = "on the Raspberry Pi: sudo apt install python3-picamera2 python3-gpioz
 INSTALL += "with --system-site-packages"
 
 
-def _open_lights(rig: Rig) -> PiLightBank:
-    """Take the GPIO lines of the rig's LEDs, all off."""
-    pins = pins_of(rig)
+@contextmanager
+def _gpio(what: str) -> Iterator[Any]:
+    """Give gpiozero; what it refuses is refused in one sentence, that `what` cannot be done."""
     with importing(f"gpiozero, which switches the LEDs, is not installed; {INSTALL}."):
         import gpiozero  # type: ignore[import-untyped]  # only a Pi has it
     try:
-        with warnings.catch_warnings():  # it warns of every library that it tries; one sentence is enough
+        with warnings.catch_warnings():  # of every library that it tries, and of pulses that tremble in some releases
             warnings.simplefilter("ignore", gpiozero.PinFactoryFallback)
-            return PiLightBank(pins, gpiozero.DigitalOutputDevice)
+            warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
+            yield gpiozero
     except gpiozero.BadPinFactory as error:
         raise BadInput(
-            "the LEDs cannot be switched: this computer has no GPIO lines that gpiozero can use; run this on the "
-            "Raspberry Pi, or take --device twin."
+            f"{what}: this computer has no GPIO lines that gpiozero can use; run this on the Raspberry Pi, or take "
+            "--device twin."
         ) from error
     except (gpiozero.GPIOZeroError, OSError) as error:
         reason = " ".join(str(error).split())
-        raise BadInput(f"the LEDs cannot be switched ({reason}); close other programs that use GPIO lines.") from error
+        raise BadInput(f"{what} ({reason}); close other programs that use GPIO lines.") from error
+
+
+def _open_lights(rig: Rig) -> PiLightBank:
+    """Take the GPIO lines of the rig's LEDs, all off."""
+    pins = pins_of(rig)
+    with _gpio("the LEDs cannot be switched") as gpiozero:
+        return PiLightBank(pins, gpiozero.DigitalOutputDevice)
 
 
 def _open_camera(settings: PiCameraSettings | None = None) -> PiCamera:
@@ -469,19 +472,8 @@ def open_analyser(rig: Rig) -> PiAnalyser | None:
     films = rig_films(rig)
     if films is None or films.kind != "servo":
         return None
-    import gpiozero  # the LEDs have it already
-
-    try:
-        with (
-            warnings.catch_warnings()
-        ):  # some releases warn that pulses tremble, which they do not while images are taken
-            warnings.simplefilter("ignore", gpiozero.PWMSoftwareFallback)
-            return PiAnalyser(films, gpiozero.Servo)
-    except (gpiozero.GPIOZeroError, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise BadInput(
-            f"the analyser's servo cannot be driven ({reason}); close programs that use GPIO lines."
-        ) from error
+    with _gpio("the analyser's servo cannot be driven") as gpiozero:
+        return PiAnalyser(films, gpiozero.Servo)
 
 
 def open_pi(stack: ExitStack, rig: Rig, settings: PiCameraSettings | None = None) -> tuple[Camera, PiLightBank]:

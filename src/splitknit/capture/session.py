@@ -23,7 +23,6 @@ from splitknit.capture.exposure import (
     Exposure,
     ExposureSettings,
     Focus,
-    FocusSettings,
     FocusWatch,
     Survey,
     find_exposure,
@@ -32,7 +31,7 @@ from splitknit.capture.exposure import (
     survey,
     typical_level,
 )
-from splitknit.capture.pins import rig_films
+from splitknit.capture.pins import led_names, rig_films
 from splitknit.capture.shots import MAX_AMBIENT, MIN_RELATIVE, CheckSettings, Devices, Examiner, Shooting, Shot
 from splitknit.devices import Camera, Frame, LightBank
 from splitknit.errors import BadInput, require
@@ -55,7 +54,6 @@ class SessionSettings:
     """How a capture goes."""
 
     exposure: ExposureSettings = field(default_factory=ExposureSettings)
-    focus: FocusSettings = field(default_factory=FocusSettings)
     checks: CheckSettings = field(default_factory=CheckSettings)
     find_finger: bool = True
     """False for calibration targets: the whole picture counts, and motion and focus are not judged."""
@@ -148,7 +146,7 @@ def run_session(
         progress("finding the exposure", 0.0)
         region, exposures = _meter(devices, bands, settings, lambda part: progress("finding the exposure", 0.3 * part))
         progress("focus", 0.3)
-        focus = _focus(devices, region, exposures["white"], (settings.focus, watch_focus))
+        focus = _focus(devices, region, exposures["white"], watch_focus)
         shooting = Shooting(
             devices,
             Examiner(region, px_per_mm, settings.checks, MEDIAN if settings.find_finger else BRIGHT),
@@ -178,12 +176,9 @@ def run_session(
     )
 
 
-def _focus(
-    devices: Devices, region: BoolArray, exposure: Exposure, how: tuple[FocusSettings, WatchFocus | None]
-) -> Focus:
+def _focus(devices: Devices, region: BoolArray, exposure: Exposure, watch_focus: WatchFocus | None) -> Focus:
     """Measure the focus under the brightest white LED, live if somebody watches."""
-    (settings, watch_focus), px_per_mm = how, devices.rig.camera.px_per_mm
-    camera, lights = devices.camera, devices.lights
+    camera, lights, px_per_mm = devices.camera, devices.lights, devices.rig.camera.px_per_mm
     camera.lock(exposure.exposure_s, exposure.gain, "white")
     rows, columns = camera.image_size
     inner = _shrink_region(region, 1.0 * px_per_mm * region.shape[1] / columns)
@@ -196,7 +191,7 @@ def _focus(
     y = np.minimum((np.arange(rows)[part[0]] * inner.shape[0] / rows).astype(np.intp), inner.shape[0] - 1)
     x = np.minimum((np.arange(columns)[part[1]] * inner.shape[1] / columns).astype(np.intp), inner.shape[1] - 1)
     seen = inner[np.ix_(y, x)]
-    watch = FocusWatch(settings)
+    watch = FocusWatch()
     while True:
         lights.on(exposure.brightest)
         frame = camera.capture()
@@ -242,7 +237,7 @@ def _meter(
             region = _region(seen, room, devices) if settings.find_finger else everything
         dark = typical_level(room, region, typical)
         lit = {led: typical_level(frame, region, typical) - dark for led, frame in seen.frames.items()}
-        _check_lit(lit, dark, devices.names)
+        _check_lit(lit, dark, led_names(devices.rig))
         found = exposures.get(band.removesuffix("_crossed"))  # both series have the parallel one's
         found = found or find_exposure(look, seen, region, camera.exposures, settings.exposure)
         exposures[band] = found.promising(seen, lit)

@@ -72,6 +72,9 @@ class Examiner:
         self.settings, self._typical = settings, typical
         self.region = region
         self._px_per_mm = px_per_mm
+        measurable = 1.5 / px_per_mm
+        self.moved_mm, self.drifted_mm = max(settings.moved_mm, measurable), max(_DRIFTED_MM, measurable)
+        """Motion between two shots, and against all shots of a band, from which on the finger has moved or drifted."""
         self._masks: dict[tuple[int, int], tuple[BoolArray, FloatArray]] = {}
 
     def look(self, frame: Frame) -> Look:
@@ -82,7 +85,7 @@ class Examiner:
         grey = reduce_image(grey_light(full, frame.black_level), scale)
         inside, window = self._mask((grey.shape[0], grey.shape[1]))
         level = float(np.percentile(grey[inside], self._typical))
-        px = self.working_px_per_mm(grey.shape[1], frame.pixels.shape[1])
+        px = self._px_per_mm * grey.shape[1] / frame.pixels.shape[1]
         local = np.maximum(blur(grey, 1.2 * px), np.float32(max(0.1 * level, 1e-6)))
         relative = np.asarray(grey / local, dtype=np.float32)
         details = np.asarray((blur(relative, 0.08 * px) - blur(relative, 0.3 * px)) * window, dtype=np.float32)
@@ -94,33 +97,19 @@ class Examiner:
         inside, _ = self._mask((look.grey.shape[0], look.grey.shape[1]))
         return float(np.percentile((look.grey - dark.grey)[inside], _SHINE))
 
-    @property
-    def moved_mm(self) -> float:
-        """Motion between two shots from which on the finger has moved."""
-        return max(self.settings.moved_mm, 1.5 / self._px_per_mm)
-
-    @property
-    def drifted_mm(self) -> float:
-        """Motion against all shots of a band from which on it has drifted."""
-        return max(_DRIFTED_MM, 1.5 / self._px_per_mm)
-
-    def working_px_per_mm(self, columns: int, full_columns: int) -> float:
-        """Scale of a copy with so many columns."""
-        return self._px_per_mm * columns / full_columns
-
     def shift_mm(self, before: Look, after: Look, full_columns: int) -> tuple[float, float] | None:
         """How far the finger moved between two shots (x right, y up), or None if they show different things."""
         (x, y), response = cv2.phaseCorrelate(before.details, after.details)
         if response < 0.2:
             return None
-        px = self.working_px_per_mm(before.details.shape[1], full_columns)
+        px = self._px_per_mm * before.details.shape[1] / full_columns
         return float(x) / px, -float(y) / px
 
     def drift(self, looks: Sequence[Look], dark: Look, full_columns: int) -> NDArray[np.float64]:
         """(L,) distance in mm of the finger in each shot of a band from its place in all of them."""
         stack = np.stack([look.grey - dark.grey for look in looks])
         inside, _ = self._mask((stack.shape[1], stack.shape[2]))
-        px = self.working_px_per_mm(stack.shape[2], full_columns)
+        px = self._px_per_mm * stack.shape[2] / full_columns
         motion = shot_motion(stack, inside, px)
         length = np.hypot(motion.shift_mm[:, 0], motion.shift_mm[:, 1])
         reliable = motion.reliability >= MIN_RELIABILITY
@@ -167,11 +156,6 @@ class Devices:
     lights: LightBank
     rig: Rig
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of all LEDs, for messages."""
-        return led_names(self.rig)
-
 
 class Shooting:
     """Takes the shots of all bands, one band after the other."""
@@ -185,9 +169,8 @@ class Shooting:
         progress: Callable[[str, float], None],
     ) -> None:
         """Prepare; nothing is lit yet."""
-        self._camera, self._lights, self._names, self._examiner = (
-            devices.camera, devices.lights, devices.names, examiner,
-        )  # fmt: skip
+        self._camera, self._lights, self._examiner = devices.camera, devices.lights, examiner
+        self._names = led_names(devices.rig)
         self._intensities = [led.intensity for led in devices.rig.leds]
         self._series = ""
         self._settings, self._watch_motion, self._progress = examiner.settings, watch_motion, progress

@@ -67,10 +67,6 @@ class Stream(Protocol):
     def exposures(self) -> ExposureRange:
         """What :meth:`set` accepts."""
 
-    @property
-    def black(self) -> float:
-        """Stored value of no light."""
-
     def set(self, exposure_s: float, gain: float) -> None:
         """Set exposure time and gain, within :attr:`exposures`, for frames that come sooner or later."""
 
@@ -79,6 +75,7 @@ class Stream(Protocol):
 
     def now_s(self) -> float:
         """Return the time on the stream's clock, which only runs forward."""
+        return time.monotonic()
 
     def close(self) -> None:
         """Give the hardware back; may be called twice."""
@@ -119,7 +116,6 @@ class StreamCamera(Closing):
         last: _Grab | None = None
         for discarded in range(_MAX_FRAMES):
             last = self._stream.grab()
-            known = last.began_s is not None
             in_time = last.began_s >= since_s if last.began_s is not None else discarded >= blind
             as_locked = _near(last.exposure_s, exposure_s, 0.02) and _near(last.gain, gain, 0.05)
             if in_time and as_locked:
@@ -128,8 +124,8 @@ class StreamCamera(Closing):
                     pixels=last.pixels,
                     exposure_s=last.exposure_s or exposure_s,
                     gain=last.gain or gain,
-                    black_level=self._stream.black,
-                    at_s=last.arrived_s if not known else max(last.arrived_s, since_s),
+                    black_level=0.0,
+                    at_s=last.arrived_s if last.began_s is None else max(last.arrived_s, since_s),
                     discarded=discarded,
                 )
         reported = "nothing" if last is None else f"{last.exposure_s} s at gain {last.gain}"
@@ -194,7 +190,7 @@ def developed(
     return result
 
 
-class _Uvc:
+class _Uvc(Stream):
     """A webcam by OpenCV, on Video4Linux: exposure times in 0.1 ms, gain at its smallest, 8 bits."""
 
     def __init__(self, capture: Any, number: int, size: tuple[int, int] | None) -> None:
@@ -232,10 +228,6 @@ class _Uvc:
     def exposures(self) -> ExposureRange:
         return ExposureRange(1e-4, _LONGEST_S, 1.0, 1.0)
 
-    @property
-    def black(self) -> float:
-        return 0.0
-
     def set(self, exposure_s: float, gain: float) -> None:
         steps = max(round(exposure_s * 1e4), 1)
         self._capture.set(cv2.CAP_PROP_EXPOSURE, steps)
@@ -251,9 +243,6 @@ class _Uvc:
         require(bool(good), "the UVC camera gave no picture; plug it in again, and close other programs that use it.")
         colours = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
         return _Grab(self._table[colours], self.now_s())
-
-    def now_s(self) -> float:
-        return time.monotonic()
 
     def close(self) -> None:
         self._capture.release()
@@ -282,7 +271,7 @@ _FORMATS = tuple(
 """Pixel formats of GenICam that are read, the best first."""
 
 
-class _GenICam:
+class _GenICam(Stream):
     """An industrial camera by harvesters: software trigger, manual exposure and gain."""
 
     def __init__(self, harvester: Any, acquirer: Any) -> None:
@@ -312,10 +301,6 @@ class _GenICam:
         low, high = (10 ** (decibels / 20) for decibels in (max(gains.min, 0.0), gains.max))
         return ExposureRange(times.min * 1e-6, min(times.max * 1e-6, _LONGEST_S), low, high)
 
-    @property
-    def black(self) -> float:
-        return 0.0
-
     def set(self, exposure_s: float, gain: float) -> None:
         self._nodes.ExposureTime.value = exposure_s * 1e6
         self._nodes.Gain.value = 20 * math.log10(gain)
@@ -335,9 +320,6 @@ class _GenICam:
         pixels = developed(values.astype(np.uint16), self._bits, 0, self._order)
         exposure_s = float(self._nodes.ExposureTime.value) * 1e-6
         return _Grab(pixels, self.now_s(), began, exposure_s, 10 ** (float(self._nodes.Gain.value) / 20))
-
-    def now_s(self) -> float:
-        return time.monotonic()
 
     def close(self) -> None:
         acquirer, self._acquirer = self._acquirer, None

@@ -339,8 +339,8 @@ def _add_lights(kinds: Any) -> None:
 
 def _calibrate_lights(options: argparse.Namespace) -> Outcome:
     """Calibrate, write the rig, report what was found."""
-    from splitknit.calibration.lights_found import LightSettings  # only this verb pays
-    from splitknit.calibration.lights_job import LightsJob, lights_to_rig
+    from splitknit.calibration.lights_found import LightSettings, LightsJob  # only this verb pays
+    from splitknit.calibration.lights_job import lights_to_rig
     from splitknit.cli.options import read_changes
     from splitknit.settings import override
 

@@ -315,7 +315,8 @@ def _with_table(options: argparse.Namespace, images: Path) -> argparse.Namespace
     """The options, with the rig that the table of tips gives to photographs of this size in place of the scale."""
     if options.table is None:
         return options
-    from splitknit.calibration.lights_job import LightsJob, lights_to_rig
+    from splitknit.calibration.lights_found import LightsJob
+    from splitknit.calibration.lights_job import lights_to_rig
     from splitknit.io.photos import read_photo
     from splitknit.io.plain import photographs_in
 

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from splitknit.errors import require
+from splitknit.errors import BadInput, require
 from splitknit.settings import Checked, Limits
 
 # Data of the circuit's parts, as their data sheets give it, and the values that resistors are sold in.
@@ -94,14 +94,12 @@ def _preferred(ohm: float, *, up: bool = True) -> float:
 
 def _rating_for(power_w: float, margin: float) -> float:
     """Return the smallest rating that `power_w` uses no more than the fraction `margin` of, or raise BadInput."""
-    for rating in RATINGS_W:
-        if power_w <= margin * rating:
-            return rating
-    require(
-        False,
-        f"a resistor would turn {power_w:.2g} W into heat, more than {margin:.0%} of any rating; lower the supply.",
-    )
-    raise AssertionError
+    rating = next((one for one in RATINGS_W if power_w <= margin * one), None)
+    if rating is None:
+        raise BadInput(
+            f"a resistor would turn {power_w:.2g} W into heat, more than {margin:.0%} of any rating; lower the supply."
+        )
+    return rating
 
 
 MIN_HEADROOM_V = 0.5

@@ -82,9 +82,9 @@ def _check_height(dimensions: RigDimensions) -> None:
 
 def _check_pair(first: LedHole, second: LedHole) -> None:
     least = sizes.MIN_WALL_MM
-    for place, radius in (("shoulder_mm", "pocket_radius_mm"), ("back_mm", "pocket_radius_mm")):
-        gap = float(np.linalg.norm(first.at(getattr(first, place)) - second.at(getattr(second, place))))
-        needed = getattr(first, radius) + getattr(second, radius) + least
+    needed = first.pocket_radius_mm + second.pocket_radius_mm + least
+    for one, other in ((first.shoulder_mm, second.shoulder_mm), (first.back_mm, second.back_mm)):
+        gap = float(np.linalg.norm(first.at(one) - second.at(other)))
         require(
             gap >= needed,
             f"LEDs {first.index} and {second.index} are {gap:.1f} mm apart at their flanges, but need {needed:.1f} mm "

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from splitknit.errors import require
 from splitknit.model import Rig
 from splitknit.rig import part_settings as sizes
 from splitknit.rig.assembly import PartKind, Triangles
@@ -108,17 +106,17 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
     ``parts.json``, whose ``findings`` are sentences, one for everything that is outside a limit or wants a hand. Raises
     RuntimeError if the mesh is not watertight: an internal error, never the rig's.
     """
-    sound = _check_soundness(triangles)
-    if not sound.watertight:
-        raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {sound.open_edges} open edges")
+    edges, faults, volume_mm3 = _check_soundness(triangles)
+    if faults or volume_mm3 <= 0:
+        raise RuntimeError(f"the mesh of part '{kind.name}' is not closed: {faults} open or turned edges")
     thickness, place, samples = _thinnest_wall(triangles)
-    hanging = _overhang(triangles, sizes.MAX_OVERHANG_DEG, sizes.LAYER_MM)
+    steep_mm2, fraction, bridge_mm, bridge_z_mm = _overhang(triangles)
     points = triangles.reshape(-1, 3).astype(np.float64)
     size = points.max(axis=0) - points.min(axis=0)
     fits = bool((size <= (printer.bed_x_mm, printer.bed_y_mm, printer.bed_z_mm)).all())
     thick = thickness >= sizes.MIN_WALL_MM - _FACETS_MM
-    bridged = hanging.bridge_mm <= sizes.BRIDGE_MM
-    volume = sound.volume_mm3 / 1000.0
+    bridged = bridge_mm <= sizes.BRIDGE_MM
+    volume = volume_mm3 / 1000.0
     findings = [kind.remedy] if kind.remedy else []
     if not fits:
         findings.append(f"It is {size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm, larger than the printer's bed.")
@@ -130,14 +128,14 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         )
     if not bridged:
         findings.append(
-            f"A ceiling {hanging.bridge_z_mm:.1f} mm above the bed spans {hanging.bridge_mm:.1f} mm of air, more than "
+            f"A ceiling {bridge_z_mm:.1f} mm above the bed spans {bridge_mm:.1f} mm of air, more than "
             f"{sizes.BRIDGE_MM:g} mm: print it with support there."
         )
-    elif hanging.bridge_mm > 0:
+    elif bridge_mm > 0:
         findings.append(
-            f"{hanging.steep_mm2:.0f} mm² ({100 * hanging.fraction:.1f} % of its surface) lean further than "
-            f"{sizes.MAX_OVERHANG_DEG:g} deg; the longest bridge is {hanging.bridge_mm:.1f} mm, "
-            f"{hanging.bridge_z_mm:.1f} mm above the bed: no support."
+            f"{steep_mm2:.0f} mm² ({100 * fraction:.1f} % of its surface) lean further than "
+            f"{sizes.MAX_OVERHANG_DEG:g} deg; the longest bridge is {bridge_mm:.1f} mm, "
+            f"{bridge_z_mm:.1f} mm above the bed: no support."
         )
     return {
         "title": kind.title,
@@ -148,7 +146,7 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
         "volume_cm3": round(volume, 3),
         "mass_g": round(volume * sizes.DENSITY_G_PER_CM3, 1),
         "checks": {
-            "watertight": {"ok": True, "triangles": sound.triangles, "edges": sound.edges},
+            "watertight": {"ok": True, "triangles": len(triangles), "edges": edges},
             "wall": {
                 "ok": bool(thick),
                 "smallest_mm": round(thickness, 2),
@@ -160,10 +158,10 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
             "overhang": {
                 "ok": bridged,
                 "limit_deg": sizes.MAX_OVERHANG_DEG,
-                "steep_mm2": round(hanging.steep_mm2, 1),
-                "share": round(hanging.fraction, 5),
-                "bridge_mm": round(hanging.bridge_mm, 1),
-                "bridge_z_mm": round(hanging.bridge_z_mm, 1),
+                "steep_mm2": round(steep_mm2, 1),
+                "share": round(fraction, 5),
+                "bridge_mm": round(bridge_mm, 1),
+                "bridge_z_mm": round(bridge_z_mm, 1),
                 "bridge_limit_mm": sizes.BRIDGE_MM,
             },
         },
@@ -173,26 +171,17 @@ def report_part(kind: PartKind, triangles: Triangles, printer: PrinterSettings) 
 
 # What hangs in the air while a part is printed: steep faces, and what each layer has to bridge.
 
-
-@dataclass(frozen=True, slots=True)
-class _Overhang:
-    """What hangs over, with z upwards as printed and the lowest point on the bed."""
-
-    steep_mm2: float
-    """Area of faces that look down and lean further than the limit from the vertical, not on the bed."""
-    fraction: float
-    """Of the whole surface."""
-    bridge_mm: float
-    """Longest way over air in any layer: twice the distance from a printed point to what lies below it."""
-    bridge_z_mm: float
-    """Height above the bed of that layer; 0 where nothing is bridged."""
+_PITCH_MM = 0.25
+"""Of the grid on which layers are drawn."""
 
 
-def _overhang(
-    triangles: Triangles, limit_deg: float = 45.0, layer_mm: float = 0.2, pitch_mm: float = 0.25
-) -> _Overhang:
-    """Measure steep faces and bridges of a closed mesh (N, 3, 3), mm.
+def _overhang(triangles: Triangles, limit_deg: float = sizes.MAX_OVERHANG_DEG) -> tuple[float, float, float, float]:
+    """Measure what hangs over of a closed mesh (N, 3, 3), mm, with z upwards as printed and the lowest point on the
+    bed.
 
+    Returns the area (mm^2) of faces, not on the bed, that look down and lean further than the limit from the vertical;
+    its fraction of the whole surface; the longest way over air in any layer (mm): twice the distance from a printed
+    point to what lies below it; and that layer's height above the bed (mm). Both are 0 where nothing is bridged.
     Bridges are found layer by layer, where there are steep faces: a layer is drawn on a grid, and each of its points
     has a distance to the layer below. A ceiling that is held on both sides spans twice the largest distance; one that
     is held on one side only counts twice, too, which is on the safe side. One degree of lean is forgiven, for facets.
@@ -205,12 +194,11 @@ def _overhang(
     steep = (down > np.sin(np.deg2rad(limit_deg + 1.0))) & ~on_bed
     area = float(areas[steep].sum())
     best, height = 0.0, 0.0
-    for layer in _layers_over(corners[steep][..., 2] - bed, layer_mm):
-        middle = (layer + 0.5) * layer_mm
-        width = _bridge(corners, bed + middle, layer_mm, pitch_mm)
+    for layer in _layers_over(corners[steep][..., 2] - bed):
+        width = _bridge(corners, bed + (layer + 0.5) * sizes.LAYER_MM)
         if width > best:
-            best, height = width, layer * layer_mm
-    return _Overhang(area, area / float(areas.sum()), best, height)
+            best, height = width, layer * sizes.LAYER_MM
+    return area, area / float(areas.sum()), best, height
 
 
 def _normals_and_areas(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -221,28 +209,28 @@ def _normals_and_areas(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64
     return np.asarray(normals), np.asarray(lengths / 2)
 
 
-def _layers_over(heights: NDArray[np.float64], layer_mm: float) -> list[int]:
+def _layers_over(heights: NDArray[np.float64]) -> list[int]:
     """Numbers of the layers that lie on steep faces, whose corners have these heights (N, 3) over the bed."""
     layers: set[int] = set()
     for low, high in zip(heights.min(axis=1), heights.max(axis=1), strict=True):
-        layers.update(range(int(low // layer_mm), int(high // layer_mm) + 2))
+        layers.update(range(int(low // sizes.LAYER_MM), int(high // sizes.LAYER_MM) + 2))
     return sorted(layer for layer in layers if layer > 0)
 
 
-def _bridge(corners: NDArray[np.float64], z: float, layer_mm: float, pitch_mm: float) -> float:
-    low = corners[..., :2].reshape(-1, 2).min(axis=0) - 2 * pitch_mm
-    high = corners[..., :2].reshape(-1, 2).max(axis=0) + 2 * pitch_mm
-    columns, rows = np.ceil((high - low) / pitch_mm).astype(int)
-    grid = (low, (int(rows), int(columns)), pitch_mm)
+def _bridge(corners: NDArray[np.float64], z: float) -> float:
+    low = corners[..., :2].reshape(-1, 2).min(axis=0) - 2 * _PITCH_MM
+    high = corners[..., :2].reshape(-1, 2).max(axis=0) + 2 * _PITCH_MM
+    columns, rows = np.ceil((high - low) / _PITCH_MM).astype(int)
+    grid = (low, (int(rows), int(columns)), _PITCH_MM)
     layer = _slice_mask(corners, z, *grid)
-    below = _slice_mask(corners, z - layer_mm, *grid)
+    below = _slice_mask(corners, z - sizes.LAYER_MM, *grid)
     if not bool(layer.any()):
         return 0.0
     if not bool(below.any()):
         return float("inf")
     away = np.asarray(ndimage.distance_transform_edt(~below))
-    reach = float(away[layer].max()) * pitch_mm
-    return 2.0 * reach if reach > layer_mm + pitch_mm else 0.0
+    reach = float(away[layer].max()) * _PITCH_MM
+    return 2.0 * reach if reach > sizes.LAYER_MM + _PITCH_MM else 0.0
 
 
 def _slice_mask(
@@ -288,45 +276,20 @@ _REACH_MM = 8.0
 """Walls thicker than this are not looked at."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Soundness:
-    """Whether a mesh bounds a body."""
-
-    triangles: int
-    edges: int
-    open_edges: int
-    """Edges that do not lie between exactly two triangles."""
-    turned_edges: int
-    """Edges along which two triangles run the same way: one of them is inside out."""
-    volume_mm3: float
-
-    @property
-    def watertight(self) -> bool:
-        """Closed, all triangles turned the same way, and outwards."""
-        return self.triangles > 0 and self.open_edges == 0 and self.turned_edges == 0 and self.volume_mm3 > 0
-
-
-def _check_soundness(triangles: Triangles) -> _Soundness:
-    """Count edges and measure the volume; corners are the same point if their numbers are the same."""
+def _check_soundness(triangles: Triangles) -> tuple[int, int, float]:
+    """Number of edges of a mesh (N, 3, 3); of those among them that do not lie between just two triangles that run
+    along them in opposite ways; and its volume in mm^3, negative inside out. Corners are the same point if their
+    numbers are the same.
+    """
     corners = np.asarray(triangles, dtype=np.float32)
-    require(corners.ndim == 3 and corners.shape[1:] == (3, 3), f"triangles must be (N, 3, 3), not {corners.shape}.")
     _, index = np.unique(corners.reshape(-1, 3) + np.float32(0.0), axis=0, return_inverse=True)
-    faces = index.reshape(-1, 3).astype(np.int64)
-    starts = faces.ravel()
-    ends = np.roll(faces, -1, axis=1).ravel()
-    low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    count = int(faces.max()) + 1 if faces.size else 0
-    keys, uses = np.unique(low * count + high, return_counts=True)
-    ways = np.unique(starts * count + ends, return_counts=True)[1]
+    ways = np.stack([index.ravel(), np.roll(index.reshape(-1, 3), -1, axis=1).ravel()], axis=1)  # from corner to corner
+    edges, edge = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
+    turns = np.where(ways[:, 0] < ways[:, 1], 1, -1)
+    faulty = (np.bincount(edge.ravel()) != 2) | (np.bincount(edge.ravel(), weights=turns) != 0)
     exact = corners.astype(np.float64)
     cross = np.cross(exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0])
-    return _Soundness(
-        triangles=len(corners),
-        edges=len(keys),
-        open_edges=int((uses != 2).sum()),
-        turned_edges=int((ways > 1).sum()),
-        volume_mm3=float(np.einsum("ij,ij->", exact[:, 0], cross) / 6.0),
-    )
+    return len(edges), int(faulty.sum()), float(np.einsum("ij,ij->", exact[:, 0], cross) / 6.0)
 
 
 def _thinnest_wall(triangles: Triangles) -> tuple[float, NDArray[np.float64], int]:

@@ -526,18 +526,14 @@ def _ridge(dimensions: RigDimensions, z: float) -> Shape:
     )
 
 
-def _groove_depth() -> float:
-    """Return the width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
-    return sizes.JOINT_RIDGE_MM + sizes.JOINT_CLEARANCE_MM
+_GROOVE_MM = sizes.JOINT_RIDGE_MM + sizes.JOINT_CLEARANCE_MM
+"""Width, and for its 45 deg flank the depth, of the groove that takes a ridge."""
 
 
 def _groove(dimensions: RigDimensions, z: float) -> Shape:
     """Return what to cut from the lower face of a floor: a groove for the ridge below, without a flat roof."""
-    bore, depth = dimensions.bore_mm, _groove_depth()
-    inside = bore - 0.3
-    outside = bore + depth
-    below = 0.5
-    return _turned([(inside, z - below), (outside, z - below), (outside, z), (inside, z + outside - inside)])
+    inside, outside = dimensions.bore_mm - 0.3, dimensions.bore_mm + _GROOVE_MM
+    return _turned([(inside, z - 0.5), (outside, z - 0.5), (outside, z), (inside, z + outside - inside)])
 
 
 def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 0.0) -> Shape:
@@ -555,13 +551,12 @@ def _tube(dimensions: RigDimensions, low: float, high: float, floor_mm: float = 
     if floor_mm > 0:
         body = _turned([(0.0, low), *outside, (bore, low + floor_mm), (0.0, low + floor_mm)])
         return _cut(body, [_groove(dimensions, low)])
-    depth = _groove_depth()
-    return _turned([(bore + depth, low), *outside, (bore, low + depth)])
+    return _turned([(bore + _GROOVE_MM, low), *outside, (bore, low + _GROOVE_MM)])
 
 
 def _head_lugs(dimensions: RigDimensions, z: float, thickness: float, azimuths_deg: Sequence[float]) -> list[Shape]:
     """Return lugs under the heads of screws, at a part's lower face."""
-    start = dimensions.bore_mm + _groove_depth() + 0.3
+    start = dimensions.bore_mm + _GROOVE_MM + 0.3
     return [_turned_to(angle, _lug_outline(dimensions, start, z, z + thickness)) for angle in azimuths_deg]
 
 
@@ -600,4 +595,4 @@ def _feet(dimensions: RigDimensions, z: float, into: float, azimuths_deg: Sequen
 def _lug_outline(dimensions: RigDimensions, start: float, low: float, high: float) -> Shape:
     radius, centre = sizes.JOINT_LUG_RADIUS_MM, dimensions.screw_mm
     plate = _box((start, centre), (-radius, radius), (low, high))
-    return _one(plate.fuse(_cylinder(radius, low, high, x=centre)))
+    return _fused(plate, [_cylinder(radius, low, high, x=centre)])

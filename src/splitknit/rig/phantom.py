@@ -96,8 +96,7 @@ def phantom_to_folder(out: Path) -> dict[str, Any]:
     }  # fmt: skip
     with atomic_folder(out) as folder:
         with atomic_file(folder / "phantom.stl") as stream:
-            for chunk in stl_chunks(vertices, faces, "phantom"):
-                stream.write(chunk)
+            stream.writelines(stl_chunks(vertices, faces, "phantom"))
         write_arrays(folder / "height.npz", result, provenance())
         (folder / "phantom.json").write_text(json_text(facts), encoding="ascii")
     return facts
