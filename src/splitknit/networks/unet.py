@@ -104,24 +104,17 @@ def load_network(name: str | os.PathLike[str]) -> Network:
     beside it. Raises BadInput if weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
-    return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running)
+    if text.endswith(".onnx"):
+        return network_of(*read_network(text))
+    network = _IN_USE.get((text, _running))
+    if network is None:
+        network = _IN_USE[text, _running] = network_of(*read_network(text))
+    return network
 
 
 _IN_USE: WeakValueDictionary[tuple[str, Running], Network] = WeakValueDictionary()
 """Networks of the package that somebody holds, by name and how they run: what they keep for running (0.3 GB) goes when
 nobody does."""
-
-
-def _load_shipped(name: str, how: Running) -> Network:
-    network = _IN_USE.get((name, how))
-    if network is None:
-        network = _IN_USE[name, how] = _load(name)
-    return network
-
-
-def _load(name: str) -> Network:
-    card, weights = read_network(name)
-    return network_of(card, weights)
 
 
 def network_of(card: Card, weights: bytes) -> Network:

@@ -115,10 +115,6 @@ class SeparationTrainer(Trainer):
             error = error[:, :, rim:-rim, rim:-rim]
         return {"loss": (error * error).mean()}
 
-    def total(self, parts: dict[str, Any]) -> Any:
-        """The only part."""
-        return parts["loss"]
-
     def loss_of(self, patches: Patches, enhanced: bool) -> float:
         """Mean squared error over all patches as they are, nothing dropped."""
         self.network.eval()

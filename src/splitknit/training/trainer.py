@@ -122,9 +122,9 @@ class Trainer(ABC):
     def losses(self, batch: Any) -> dict[str, Any]:
         """The parts of a batch's loss, torch scalars."""
 
-    @abstractmethod
     def total(self, parts: dict[str, Any]) -> Any:
-        """The weighted sum of the parts."""
+        """The weighted sum of the parts; plain unless weights are given."""
+        return sum(parts.values())
 
     def train(self, count: int, tick: Callable[[float], None] | None = None) -> dict[str, float]:
         """Train `count` epochs or iterations; return the mean of each part of the loss; BadInput if not finite."""
