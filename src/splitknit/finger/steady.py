@@ -69,27 +69,17 @@ class _RegisteredBand:
     """(K,) shot of every image."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _BandRegistration:
-    """Where the skin lies in every shot of another band."""
-
-    flow: Flow
-    likeness: NDArray[np.float64]
-    """(L,) correlation of each shot's details with the expected ones, with the motion undone."""
-    likeness_before: NDArray[np.float64]
-    """(L,) the same as they are."""
-
-
 def _register_band(
     first: _RegisteredBand,
     stack: FloatArray,
     lights: NDArray[np.float64],
     mask: BoolArray,
     px_per_mm: float,
-) -> _BandRegistration:
+) -> tuple[Flow, NDArray[np.float64], NDArray[np.float64]]:
     """Find where the skin of the registered band `first` lies in every image of another band, `stack` (L, H, W), each
-    image a shot; `lights`: (L, 3), or (L, 3, h, w) if those of `first` are such. Raises BadInput if the two bands'
-    images differ in size, or lights and images in number.
+    image a shot; `lights`: (L, 3), or (L, 3, h, w) if those of `first` are such. Returns the flow, and the correlation
+    (L,) of each shot's details with the expected ones with the motion undone, and as they are. Raises BadInput if the
+    two bands' images differ in size, or lights and images in number.
     """
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
@@ -110,8 +100,7 @@ def _register_band(
     aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
     better = likeness > before  # a shot that went astray stays as it was
-    flow = Flow(flow.nodes_mm * better[:, None, None, None])
-    return _BandRegistration(flow, np.maximum(likeness, before), before)
+    return Flow(flow.nodes_mm * better[:, None, None, None]), np.maximum(likeness, before), before
 
 
 def _expected(  # noqa: PLR0917
@@ -273,13 +262,15 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
         alike, stack = (skin, _light_of(capture, band, window, binning, coloured)[1]) if crossed else (
             grey, linear_stack(band, capture.encoding, "grey", window, binning))  # fmt: skip
         vectors = _lights_over(capture, band, window)
-        other = _register_band(_RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px)
-        nodes = other.flow.nodes_mm
+        other, likeness, likeness_before = _register_band(
+            _RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px
+        )
+        nodes = other.nodes_mm
         if crossed and not coloured:  # gloss shifts each image by itself: their mean is what moved
             nodes = np.broadcast_to(nodes.mean(axis=0), nodes.shape).copy()
-        flows[name] = replace(other.flow, nodes_mm=nodes, origin_mm=first)
+        flows[name] = replace(other, nodes_mm=nodes, origin_mm=first)
         reported = _motion_facts(flows[name], mask, px)
-        reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
+        reported |= {"likeness_before": _plain(likeness_before), "likeness_after": _plain(likeness)}
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most

@@ -142,25 +142,19 @@ def robust(
 
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; three at least, and five or more for an effect on highlights.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    stack, lights, mask
+        As of :func:`splitknit.photometric.lambertian`; five images or more for an effect on highlights.
     settings : RobustSettings, optional
 
     Returns
     -------
-    normals : (H, W, 3) float32
-        Unit vectors; zero outside the mask, (0, 0, 1) where all images are black.
-    albedo : (H, W) float32
-        In units of the images at a light of strength one; NaN outside the mask.
+    normals, albedo
+        As of :func:`splitknit.photometric.lambertian`: (H, W, 3) unit vectors, and (H, W).
 
     Raises
     ------
     BadInput
-        If shapes or numbers disagree, values are not finite, or the lights are fewer than three, duplicate or coplanar.
+        As :func:`splitknit.photometric.lambertian`.
 
     References
     ----------
