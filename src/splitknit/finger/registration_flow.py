@@ -172,17 +172,6 @@ def gram(columns: FloatArray) -> Array:
     return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
 
 
-def _at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float]) -> FloatArray:
-    """(..., N) values of fields (..., h, w) whose nodes lie evenly over an image of `extent_mm`, ends included."""
-    height, width = field.shape[-2:]
-    x, y = level.places()
-    columns = (x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32)
-    rows = (y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32)
-    flat = np.ascontiguousarray(field, dtype=np.float32).reshape(-1, height, width)
-    found = [sampled_at(part, columns, rows) for part in flat]
-    return np.asarray(np.stack(found).reshape(*field.shape[:-2], x.size), dtype=np.float32)
-
-
 # What surfaces may show under lights that differ from place to place.
 
 
@@ -196,7 +185,13 @@ def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: fl
     """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
     if lights.ndim == 2:
         return lights[..., None].astype(np.float32)
-    return _at_samples(lights.astype(np.float32), level, ((shape[1] - 1) / px_per_mm, (shape[0] - 1) / px_per_mm))
+    height, width = lights.shape[2:]  # of nodes that lie evenly over the image, ends included
+    x, y = level.places()
+    columns = (x * (width - 1) / max((shape[1] - 1) / px_per_mm, 1e-9)).astype(np.float32)
+    rows = (y * (height - 1) / max((shape[0] - 1) / px_per_mm, 1e-9)).astype(np.float32)
+    flat = np.ascontiguousarray(lights, dtype=np.float32).reshape(-1, height, width)
+    found = np.stack([sampled_at(part, columns, rows) for part in flat])
+    return np.asarray(found.reshape(-1, 3, x.size), dtype=np.float32)
 
 
 def shown_by_surfaces(lights: FloatArray) -> FloatArray:

@@ -260,11 +260,11 @@ def _differences(light: FloatArray, mask: BoolArray) -> tuple[NDArray[np.float64
     covariance = np.zeros((len(light), len(light)))
     for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2)):
         there = change[:, np.minimum(rows + down, height - 1)][:, :, np.minimum(np.arange(width) + right, width - 1)]
-        covariance = np.maximum(covariance, np.abs(_of_differences(here, there)))
-    return _of_differences(here, here), covariance, here[0].size
+        covariance = np.maximum(covariance, np.abs(difference_products(here, there)))
+    return difference_products(here, here), covariance, here[0].size
 
 
-def _of_differences(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
+def difference_products(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean of (here_i - here_j) (there_i - there_j) for all pairs of images (N, N)."""
     product = here.reshape(len(here), -1) @ there.reshape(len(there), -1).T
     own = np.diag(product)

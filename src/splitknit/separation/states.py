@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
-from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSettings, light_stack, odd_twins, percent
+from splitknit.separation.stacks import (
+    DEFAULTS,
+    EDGE,
+    LightStack,
+    StackSettings,
+    difference_products,
+    light_stack,
+    odd_twins,
+    percent,
+)
 
 _DECIDED = 1 - 2 * 0.2
 """Part of half the range of its neighbours beyond which a pixel's state is decided."""
@@ -147,7 +156,7 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
     number = np.maximum(decided.sum(axis=0), 1)
     known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
     seen -= seen.mean(axis=0)
-    apart = _squared_distances(known) / known.shape[1]
+    apart = difference_products(known, known)
     twins = odd_twins(np.triu(apart <= 1e-4, 1))
     if twins is not None:
         raise BadInput(f"patterns {twins[0]} and {twins[1]} are the same: a shift is repeated; remove one of them.")
@@ -163,9 +172,3 @@ def _check_order(images: LightStack, states: FloatArray) -> None:
             found == k or likeness[k, found] < likeness[k, k] + 0.02,
             f"image {k} shows pattern {found} instead of its own: a shift is repeated, missing or out of order.",
         )
-
-
-def _squared_distances(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    product = rows @ rows.T
-    own = np.diag(product)
-    return np.asarray(own[:, None] + own[None, :] - 2 * product)
