@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -235,16 +235,13 @@ def _scale_words(camera: Camera) -> str:
 _UNKNOWN_SIDE_MM = 25.0
 
 
-def camera_without_scale(image_size: tuple[int, int], px_per_mm: float | None = None) -> Camera:
+def camera_without_scale(image_size: tuple[int, int]) -> Camera:
     """A camera with parallel rays whose scale nobody has measured.
 
-    Sizes that a method has in mm (of smoothing, of the band of ridges) follow the guess; slopes do not.
-
-    `image_size`: rows, columns. `px_per_mm`: to work with, where there is a better guess than a picture of 25 mm (its
-    shorter side), as of a finger.
+    Its picture of `image_size` (rows, columns) is taken to be 25 mm along the shorter side. Sizes that a method has in
+    mm (of smoothing, of the band of ridges) follow that guess; slopes do not.
     """
-    guess = min(image_size) / _UNKNOWN_SIDE_MM if px_per_mm is None else px_per_mm
-    return Camera(px_per_mm=guess, image_size=image_size, scale_known=False)
+    return Camera(px_per_mm=min(image_size) / _UNKNOWN_SIDE_MM, image_size=image_size, scale_known=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -655,16 +652,7 @@ NO_SCALE = (
 def surface_of(result: Reconstruction) -> Surface:
     """Part of a reconstruction that matching needs. Raises BadInput where its scale is unknown."""
     require(result.scale_known, NO_SCALE)
-    return Surface(
-        result.ridge_mm,
-        result.shape_mm,
-        result.normals,
-        result.mask,
-        result.pitch_mm,
-        result.input_from_upright,
-        result.upright_size,
-        result.whole,
-    )
+    return Surface(**{item.name: getattr(result, item.name) for item in fields(Surface)})
 
 
 # The thesis's rig as it is drawn.

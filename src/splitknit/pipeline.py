@@ -220,18 +220,12 @@ def with_scale(
 ) -> tuple[Capture, str]:
     """Give a capture the scale that nobody has measured yet.
 
-    Raises BadInput if the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or
-    no ridges are found.
+    `px_per_mm`: pixels a millimetre on the object; `ridge_period_mm`: instead, the distance of the finger's ridges on
+    the skin; 0.45 is usual, people differ by 8 % (standard deviation), and heights with the scale. Raises BadInput if
+    the capture has a scale, both ways are given, a number is no scale or no distance of ridges, or no ridges are found.
 
     Returns the capture with the scale (the same one where neither is given), and how the scale was found in the ridges
     and how well it is known, else an empty text.
-
-    Parameters
-    ----------
-    capture : its scale is unknown
-    px_per_mm : pixels a millimetre on the object
-    ridge_period_mm : instead, the distance of the finger's ridges along the skin
-        0.45 is usual; people differ by 8 % (standard deviation), and heights with the scale.
     """
     if px_per_mm is None and ridge_period_mm is None:
         return capture, ""
@@ -444,13 +438,9 @@ def metric_opaque(white: FingerBand, nir: FingerBand, p: Parameters) -> FingerSu
 def shaded_surface(capture: Capture, shading: Shading, inside: BoolArray) -> FingerSurface:
     """The surface of an opaque thing whose slopes follow from a shading calibrated on balls.
 
-    The result's uncertainty is that of heights against their surroundings, over about a ball.
-
-    Parameters
-    ----------
-    capture : its white band over its flat images is what the calibration saw
-    shading : of :func:`splitknit.photometric.shading.read_shading`
-    inside : (H, W) pixels that are wanted
+    The result's uncertainty is that of heights against their surroundings, over about a ball. `capture`: its white band
+    over its flat images is what the calibration saw; `shading`: of :func:`splitknit.photometric.shading.read_shading`;
+    `inside`: (H, W) pixels that are wanted.
     """
     pitch = np.float32(shading.pitch_mm)
     images = _linear_grey(capture.bands["white"], capture.encoding, "grey")
@@ -499,14 +489,10 @@ def metric_skin(
     The current surface predicts what photometric stereo measures on it behind the skin's scattering; the residual
     corrects it: first the shape on a coarse grid, from all bands, then the relief on a fine grid, from the white band.
 
-    Parameters
-    ----------
-    bands : the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is one
-    grid : fine grid of the images
-    skin : assumed optics
-    p : grids and iterations
-    networks : that estimate the relief and refine the shape, see :mod:`splitknit.skin.learned`; without them, relief
-        and specular reflection are separated by their colours
+    `bands`: the white band first (red, green, blue, or one channel called ``green``), then near-infrared if there is
+    one; `grid`: fine grid of the images; `skin`: assumed optics; `p`: grids and iterations; `networks`: that estimate
+    the relief and refine the shape (:mod:`splitknit.skin.learned`); without them, relief and specular reflection are
+    separated by their colours.
     """
     images = coarse_images(bands, grid, p.coarse_pitch_mm, p.plane_mm)
     shape = coarse_shape(images, skin.optics(images.channels), p.coarse_steps)

@@ -40,9 +40,9 @@ def images() -> np.ndarray:
 def test_tiles_cover_the_image_once_and_see_as_far_as_the_network_does() -> None:
     covered = np.zeros((208, 152), dtype=int)
     for tile in _plan_tiles((208, 152), 50, reach=46, stride=8):
-        covered[tile.target] += 1
+        covered[tile[2]] += 1
         for axis in range(2):
-            source, inner, target = tile.source[axis], tile.inner[axis], tile.target[axis]
+            source, inner, target = (part[axis] for part in tile)
             assert source.start % 8 == 0 and source.stop % 8 == 0
             assert source.start + inner.start == target.start
             assert inner.stop - inner.start == target.stop - target.start
@@ -161,13 +161,13 @@ def test_little_is_computed_twice() -> None:
         ((400, 304), 640, 94, 16, 1, 1.0),
     ):
         tiles = _plan_tiles(shape, tile, reach=reach, stride=stride)
-        pixels = [(t.source[0].stop - t.source[0].start) * (t.source[1].stop - t.source[1].start) for t in tiles]
+        pixels = [(rows.stop - rows.start) * (columns.stop - columns.start) for (rows, columns), _, _ in tiles]
         assert len(tiles) == count
         assert sum(pixels) <= most * shape[0] * shape[1]
         assert max(pixels) <= (tile + 2 * reach + 2 * stride) ** 2
         filled = np.zeros(shape, np.int64)
         for t in tiles:
-            filled[t.target] += 1
+            filled[t[2]] += 1
         assert (filled == 1).all()
 
 

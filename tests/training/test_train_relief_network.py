@@ -20,7 +20,7 @@ from splitknit.training.relief import (
     _relief_losses,
 )
 from splitknit.training.relief_data import CHANNELS, GLARE, RELIEF, WEIGHT
-from splitknit.training.trainer import Architecture, packed
+from splitknit.training.trainer import packed
 
 torch = pytest.importorskip("torch")
 
@@ -192,7 +192,7 @@ def test_the_exported_network_computes_what_the_trained_one_does(tmp_path) -> No
 
 def test_the_reach_on_the_card_is_how_far_the_network_looks() -> None:
     network = fields_network((1, 1, 1, 1, 1), 1, 1).eval()
-    reach = json.loads(packed(NETWORK, network, Architecture("", (1, 1), 4), {})[1])["reach"]
+    reach = json.loads(packed(replace(NETWORK, channels=(1, 1)), network, "", 4, {})[1])["reach"]
     with torch.no_grad():
         for part in network.parameters():  # nothing cancels and no ReLU is shut
             part.fill_(0.3)

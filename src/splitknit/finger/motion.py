@@ -7,7 +7,7 @@ millimetre. That apparent shift follows the light's direction, so it is fitted a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import cv2
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from splitknit.errors import Note, check_mask, check_stack
 from splitknit.finger.regions import blur, dilate, quantile, reduce_image, reduce_mask, reduction
-from splitknit.finger.registration import RegistrationSettings
 from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
@@ -51,8 +50,6 @@ class MotionSettings(Checked):
     """More motion is refused: ridges may be taken for their neighbours."""
     most_left: Annotated[float, Limits(0, above=True)] = 0.35
     """Fraction of the details that may be left over, where the shots do not fit together, before they are refused."""
-    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
-    """How the shots are brought onto one of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +90,7 @@ def shot_motion(stack: FloatArray, mask: BoolArray, px_per_mm: float) -> _ShotMo
         found = np.zeros_like(shifts)
         for k in range(count):
             reference = np.asarray(np.subtract(total, aligned[k]) / np.float32(count - 1), dtype=np.float32)
-            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region, _ITERATIONS)
+            found[k], agreement[k] = _register(reference, bands[k], shifts[k] * px, region)
         shifts = _without_illumination(found / px, light)
     return _ShotMotion(shifts * np.array([1.0, -1.0]), np.clip(agreement, 0.0, 1.0))
 
@@ -164,7 +161,7 @@ def _cubic(shift: float) -> NDArray[np.float64]:
 
 
 def _register(
-    reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray, iterations: int
+    reference: FloatArray, image: FloatArray, start: NDArray[np.float64], region: BoolArray
 ) -> tuple[NDArray[np.float64], float]:
     """Shift of `image` against `reference` (columns, rows; pixels), and their correlation when aligned."""
     places = np.flatnonzero(region)
@@ -176,7 +173,7 @@ def _register(
     values = rows[3]
     shift = start.astype(np.float64)
     root = np.ones(len(places), dtype=np.float32)  # of the weights
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         values[:] = _shifted(image, shift).ravel()[places]
         for _ in range(2):
             solution = _least_squares(_products(rows * root))

@@ -1,4 +1,4 @@
-"""The shots of a moving finger, brought onto one of them: shift, turn and, where wanted, small elastic shifts.
+"""The shots of a moving finger, brought onto one of them: shift and turn.
 
 Every shot is lit from elsewhere, so two shots of a still finger differ, and a method that compares them takes light for
 motion. But what all shots of a matt surface may show together is known: at every pixel their brightnesses are a
@@ -10,7 +10,6 @@ at once until the rest is minimal: the surface itself is never needed, it is eli
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,27 +18,26 @@ from splitknit.errors import check_mask, check_stack, require
 from splitknit.finger.regions import dilate, erode
 from splitknit.finger.registration_flow import (
     Array,
-    Family,
+    Basis,
     Flow,
     Level,
     beyond_surface,
     check_light_vectors,
     details_of,
-    finger_family,
     gram,
     lights_on,
     places_of,
+    rigid_shifts,
     robust_weight,
     shown_by_surfaces,
     still,
 )
 from splitknit.model import BoolArray, FloatArray
-from splitknit.settings import Checked, Limits, check_fields
 
 SETTLED_MM, SETTLED_PX = 5e-4, 0.02
 """Shots that move by less than the larger of the two are settled; images are resampled to 1/32 px."""
-FOLLOWING = 1e3
-"""Weight against elastic shifts that follow the light, over that against others."""
+ITERATIONS = 20
+"""Maximum refinements in each band."""
 COARSE_MM = (0.5, 0.3, 0.15)
 """Fine ends (sigma) of the band-pass filters in which the outline counts too, coarse to fine."""
 FINE_MM = (0.08,)
@@ -54,26 +52,6 @@ RIM_MM = 0.8
 """Width of the finger's edge that is left out of the fine bands."""
 BLOCK_MM = 0.6
 """Pitch at which the light of near LEDs is computed."""
-
-
-@dataclass(frozen=True, slots=True)
-class RegistrationSettings(Checked):
-    """How shots are registered."""
-
-    _group = "motion.registration"
-    tilts: bool = False
-    """Whether the finger may roll and pitch; light is taken for a little of either."""
-    elastic_mm: float = 0.0
-    """Spacing of the control points of elastic shifts, at least 2; 0: the finger shifts and turns only."""
-    stiffness: Annotated[float, Limits(0)] = 1.0
-    """Weight against elastic shifts, over that of the images' information on a control point on average."""
-    iterations: Annotated[int, Limits(1)] = 20
-    """Maximum refinements in each band."""
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        known = self.elastic_mm == 0 or self.elastic_mm >= 2
-        require(known, "motion.registration.elastic_mm must be 0, or at least 2.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +73,6 @@ def register_shots(
     *,
     reference: int,
     shots: NDArray[np.intp] | None = None,
-    settings: RegistrationSettings | None = None,
 ) -> Registration:
     """Find where the skin of shot `reference` lies in every other shot.
 
@@ -103,16 +80,12 @@ def register_shots(
     differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate", SIAM J. Numer.
     Anal. 10(2), 1973 (the surface is eliminated from the least squares).
 
-    Parameters
-    ----------
-    stack : (L, H, W) float32 linear, at least five images; best without glare (:func:`without_glare`)
-    lights : (L, 3) towards the light, its length the relative strength; or, under near LEDs, (L, 3, h, w) on nodes
-        that lie evenly over the image, first and last pixel included
-    mask : (H, W) bool, the finger, roughly
-    reference : shot onto which the others are brought
-    shots : (L,) shot of every image, where several lights share one; None = every image is a shot
+    `stack`: (L, H, W) float32 linear, at least five images, best without glare (:func:`without_glare`); `lights`: (L,
+    3) towards the light, its length the relative strength, or, under near LEDs, (L, 3, h, w) on nodes that lie evenly
+    over the image, first and last pixel included; `mask`: (H, W) bool, the finger, roughly; `reference`: shot onto
+    which the others are brought; `shots`: (L,) shot of every image, where several lights share one; None = every image
+    is a shot.
     """
-    settings = settings or RegistrationSettings()
     stack = check_stack(stack, least=5)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     count = len(stack)
@@ -130,11 +103,8 @@ def register_shots(
         band = (sigma, BAND_RATIO * sigma)
         level = details_of(stack, region, px_per_mm, band, WORKING_PX_PER_MM)
         here = lights_on(lights, level, mask.shape, px_per_mm)
-        problem = _Problem(level, here, shown_by_surfaces(here), shots, reference, settings)
-        flow = problem.settled(flow, finger_family(mask, px_per_mm, turns=step > 0))
-        if fine and (settings.tilts or settings.elastic_mm > 0):
-            family = finger_family(mask, px_per_mm, tilts=settings.tilts, hats_mm=settings.elastic_mm)
-            flow = problem.settled(flow, family)
+        problem = _Problem(level, shown_by_surfaces(here), shots, reference)
+        flow = problem.settled(flow, rigid_shifts(mask, px_per_mm, turns=step > 0))
     return Registration(flow, problem.unexplained(unmoved), problem.unexplained(flow))
 
 
@@ -148,33 +118,30 @@ class _Problem:
     """Details of one size: which images belong together, and what they may show."""
 
     level: Level
-    lights: FloatArray
-    """(L, 3, N) or (L, 3, 1)"""
     axes: FloatArray
-    """The same: orthonormal brightnesses that span what a matt surface may show."""
+    """(L, 3, N) or (L, 3, 1): orthonormal brightnesses that span what a matt surface may show."""
     shots: NDArray[np.intp]
     """(L,)"""
     reference: int
-    settings: RegistrationSettings
 
-    def settled(self, flow: Flow, family: Family) -> Flow:
-        """Move the shots by Gauss-Newton steps within `family` until they hardly move."""
+    def settled(self, flow: Flow, basis_at: Basis) -> Flow:
+        """Move the shots by Gauss-Newton steps within a basis of shifts until they hardly move."""
         x, y = self.level.places()
         first = flow.at(x, y)
         free = [k for k in range(len(first)) if k != self.reference]
-        basis = family.basis(x, y)
+        basis = basis_at(x, y)
         parameters = np.zeros((len(free), basis.shape[2]))
         most, least = 1.0 / self.level.px_per_mm, max(SETTLED_MM, SETTLED_PX / self.level.px_per_mm)
-        for _ in range(self.settings.iterations):
+        for _ in range(ITERATIONS):
             shifts = first.copy()
             shifts[free] += np.einsum("km,ncm->kcn", parameters, basis)
             sampled = self.level.sampled(shifts[self.shots].astype(np.float32))
-            step = np.clip(self._step(sampled, basis, free, family.rigid, parameters), -most, most)
+            step = np.clip(self._step(sampled, basis, free), -most, most)
             parameters += step
             if float(np.abs(step).max()) < least:
                 break
         nodes = flow.nodes_mm.copy()
-        moved = np.einsum("km,ncm->kcn", parameters, family.basis(*places_of(flow)))
+        moved = np.einsum("km,ncm->kcn", parameters, basis_at(*places_of(flow)))
         nodes[free] += moved.reshape(len(free), *nodes.shape[1:])
         return Flow(nodes)
 
@@ -185,8 +152,8 @@ class _Problem:
         error, power = ((part * part * self.level.weight).sum(axis=1, dtype=np.float64) for part in (residual, images))
         return np.asarray(np.sqrt(error / np.maximum(power, 1e-30)))
 
-    def _step(self, sampled: FloatArray, basis: Array, free: list[int], rigid: int, parameters: Array) -> Array:
-        """(F, M) change of the parameters of the free shots, which so far are `parameters`: the normal equations."""
+    def _step(self, sampled: FloatArray, basis: Array, free: list[int]) -> Array:
+        """(F, M) change of the parameters of the free shots: the normal equations."""
         residual = beyond_surface(sampled[:, 0], self.axes)
         root = np.sqrt(robust_weight(self.level, np.sqrt((residual * residual).sum(axis=0) * self.level.weight)))
         width, number, total = basis.shape[2], len(free), root.size
@@ -205,19 +172,4 @@ class _Problem:
             matrix -= gram(part.reshape(number * width, total)).reshape(matrix.shape)
         flat = matrix.reshape(number * width, number * width)
         flat = flat + 1e-6 * float(np.diag(flat).mean()) * np.eye(len(flat))
-        if width > rigid:
-            soft = np.arange(width) >= rigid
-            weight = self.settings.stiffness * float(np.diag(flat)[np.tile(soft, number)].mean())
-            penalty = weight * self._penalty(free)
-            flat = flat + np.kron(penalty, np.diag(soft.astype(np.float64)))
-            force = force + np.einsum("kl,li->ki", penalty, parameters * soft)
         return np.asarray(-np.linalg.solve(flat, force.ravel()).reshape(number, width))
-
-    def _penalty(self, free: list[int]) -> Array:
-        """(F, F) weight against elastic shifts of the free shots: great for those that follow the light, since such
-        skin looks almost as a surface with other slopes does.
-        """
-        lights = self.lights[:, :2].mean(axis=2, dtype=np.float64)
-        mean = np.stack([lights[self.shots == k].mean(axis=0) for k in range(int(self.shots.max()) + 1)])
-        basis, _, _ = np.linalg.svd(mean[free] - mean[self.reference], full_matrices=False)
-        return np.asarray(np.eye(len(free)) + FOLLOWING * np.einsum("ki,li->kl", basis, basis))

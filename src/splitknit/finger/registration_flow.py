@@ -1,7 +1,8 @@
-"""Where the skin of one shot lies in the others: smooth fields of shifts, and the families they are taken from."""
+"""Where the skin of one shot lies in the others: shifts and turns, and the details of images that show them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -14,10 +15,10 @@ from splitknit.imaging.geometry import sampled_at
 from splitknit.model import BoolArray, FloatArray
 
 Array = NDArray[np.float64]
+Basis = Callable[[Array, Array], Array]
+"""From places x and y (N,) in mm to the shift (N, 2, M) of every parameter there."""
 NODE_MM = 0.5
 """Pitch of the nodes between which shifts are interpolated."""
-FLAT_MM = 1e-6
-"""Shifts that differ by less than this from a plane are one."""
 TURN_MM = 8.0
 """A turn's parameter is the shift that it causes at this distance."""
 
@@ -30,48 +31,24 @@ class Flow:
     origin_mm: tuple[float, float] = (0.0, 0.0)
     """Of the first node, right and down from the first pixel."""
 
-    def maps(self, shot: int, px_per_mm: float, window: tuple[slice, slice]) -> tuple[FloatArray, FloatArray]:
-        """Columns and rows (h, w), in pixels of the image, from which a shot's `window` is to be taken."""
-        rows = np.arange(window[0].start, window[0].stop, dtype=np.float32)[:, None]
-        columns = np.arange(window[1].start, window[1].stop, dtype=np.float32)[None, :]
-        size = (rows.size, columns.size)
-        first = [np.float32(v / NODE_MM) for v in self.origin_mm]
-        across = np.ascontiguousarray(np.broadcast_to(columns / np.float32(px_per_mm * NODE_MM) - first[0], size))
-        down = np.ascontiguousarray(np.broadcast_to(rows / np.float32(px_per_mm * NODE_MM) - first[1], size))
-        moved = []
-        for axis, place in ((0, columns), (1, rows)):
-            nodes = (self.nodes_mm[shot, axis] * px_per_mm).astype(np.float32)
-            shift = cv2.remap(nodes, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            moved.append(np.asarray(shift + place, dtype=np.float32))
-        return moved[0], moved[1]
-
     def at(self, x_mm: Array, y_mm: Array) -> Array:
         """(L, 2, N) shifts at places (N,), right and down from the first pixel."""
-        return _at_nodes(self.nodes_mm, x_mm - self.origin_mm[0], y_mm - self.origin_mm[1])
+        height, width = self.nodes_mm.shape[2:]
+        column = np.clip((x_mm - self.origin_mm[0]) / NODE_MM, 0, width - 1.001)
+        row = np.clip((y_mm - self.origin_mm[1]) / NODE_MM, 0, height - 1.001)
+        j, i = column.astype(int), row.astype(int)
+        a, b = column - j, row - i
+        above = (1 - a) * self.nodes_mm[..., i, j] + a * self.nodes_mm[..., i, j + 1]
+        below = (1 - a) * self.nodes_mm[..., i + 1, j] + a * self.nodes_mm[..., i + 1, j + 1]
+        return np.asarray((1 - b) * above + b * below)
 
-    def affine(self, shot: int, px_per_mm: float) -> Array | None:
-        """(2, 3) matrix from columns and rows of the reference to those of a shot, if it only shifted and turned."""
+    def affine(self, shot: int, px_per_mm: float) -> Array:
+        """(2, 3) matrix from columns and rows of the reference to those of a shot, which only shifted and turned."""
         nodes = self.nodes_mm[shot]
         right, down = nodes[:, 0, 1] - nodes[:, 0, 0], nodes[:, 1, 0] - nodes[:, 0, 0]
-        row, column = np.mgrid[0 : nodes.shape[1], 0 : nodes.shape[2]]
-        plane = nodes[:, 0, 0, None, None] + right[:, None, None] * column + down[:, None, None] * row
-        if float(np.abs(plane - nodes).max()) > FLAT_MM:
-            return None
         slopes = np.stack([right, down], axis=1) / NODE_MM
         start = nodes[:, 0, 0] - slopes @ np.asarray(self.origin_mm)
         return np.column_stack([np.eye(2) + slopes, start * px_per_mm])
-
-
-def _at_nodes(nodes: Array, x_mm: Array, y_mm: Array) -> Array:
-    """(..., N) values on nodes (..., h, w), interpolated at places (N,)."""
-    height, width = nodes.shape[-2:]
-    column = np.clip(x_mm / NODE_MM, 0, width - 1.001)
-    row = np.clip(y_mm / NODE_MM, 0, height - 1.001)
-    j, i = column.astype(int), row.astype(int)
-    a, b = column - j, row - i
-    above = (1 - a) * nodes[..., i, j] + a * nodes[..., i, j + 1]
-    below = (1 - a) * nodes[..., i + 1, j] + a * nodes[..., i + 1, j + 1]
-    return np.asarray((1 - b) * above + b * below)
 
 
 def still(count: int, shape: tuple[int, int], px_per_mm: float) -> Flow:
@@ -87,76 +64,21 @@ def places_of(flow: Flow) -> tuple[Array, Array]:
     return x.ravel(), y.ravel()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Family:
-    """What shifts a shot may have: linear in M parameters (mm)."""
-
-    centre_mm: tuple[float, float]
-    """x, y about which it turns."""
-    turns: bool = True
-    """Whether it turns about the camera's axis."""
-    height_mm: Array | None = None
-    """(h, w) rough height of the finger on the nodes: where it rolls or pitches, high skin moves more than low skin.
-    None: it does neither."""
-    hats_mm: float = 0.0
-    """Spacing of control points of a small elastic shift; 0 = rigid."""
-    extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """First and last x, first and last y of the finger."""
-
-    def basis(self, x: Array, y: Array) -> Array:
-        """(N, 2, M) shift of every parameter at places (N,)."""
-        one, none = np.ones_like(x), np.zeros_like(x)
-        parts = [(one, none), (none, one)]
-        if self.turns:
-            parts.append((-(y - self.centre_mm[1]) / TURN_MM, (x - self.centre_mm[0]) / TURN_MM))
-        if self.height_mm is not None:
-            high = _at_nodes(self.height_mm, x, y) / TURN_MM
-            parts += [(high, none), (none, high)]
-        if self.hats_mm > 0:
-            hats = self._hats(x, 0)[:, :, None] * self._hats(y, 2)[:, None, :]
-            for hat in hats.reshape(len(x), -1).T:
-                parts += [(hat, none), (none, hat)]
-        return np.stack([np.stack(part, axis=-1) for part in parts], axis=-1)
-
-    @property
-    def rigid(self) -> int:
-        """Number of its parameters that are not elastic; they come first."""
-        return 2 + self.turns + 2 * (self.height_mm is not None)
-
-    def _hats(self, place: Array, first: int) -> Array:
-        """(N, K) quadratic B-splines that cover the finger along one axis."""
-        low, high = self.extent_mm[first], self.extent_mm[first + 1]
-        count = max(2, round((high - low) / self.hats_mm) + 1)
-        step = max((high - low) / (count - 1), 1e-6)
-        t = np.abs((place[:, None] - low) / step - np.arange(count))
-        inner, outer = 0.75 - t**2, 0.5 * (1.5 - t) ** 2
-        return np.where(t < 0.5, inner, np.where(t < 1.5, outer, 0.0))
-
-
-def finger_family(
-    mask: BoolArray, px_per_mm: float, *, turns: bool = True, tilts: bool = False, hats_mm: float = 0.0
-) -> Family:
-    """Family for the finger under `mask`: shifts, turns, tilts about the other axes, and elastic shifts, as asked."""
+def rigid_shifts(mask: BoolArray, px_per_mm: float, *, turns: bool) -> Basis:
+    """What shifts a shot of the finger under `mask` may have: right, down and, with `turns`, about its middle."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     left, right = columns[0] / px_per_mm, columns[-1] / px_per_mm
     top, bottom = rows[0] / px_per_mm, rows[-1] / px_per_mm
     centre = (0.5 * (left + right), 0.5 * (top + bottom))
-    height = _rough_height(mask, px_per_mm) if tilts else None
-    return Family(centre, turns, height, hats_mm, (float(left), float(right), float(top), float(bottom)))
 
+    def basis(x: Array, y: Array) -> Array:
+        one, none = np.ones_like(x), np.zeros_like(x)
+        parts = [(one, none), (none, one)]
+        if turns:
+            parts.append((-(y - centre[1]) / TURN_MM, (x - centre[0]) / TURN_MM))
+        return np.stack([np.stack(part, axis=-1) for part in parts], axis=-1)
 
-def _rough_height(mask: BoolArray, px_per_mm: float) -> Array:
-    """(h, w) height in mm on the nodes of a body that is round across the finger under `mask`; mean zero."""
-    shape = still(1, (mask.shape[0], mask.shape[1]), px_per_mm).nodes_mm.shape[2:]
-    beyond = np.pad(mask.astype(np.uint8), ((0, 1), (0, 1)), mode="edge")  # the border is no edge of the finger
-    depth = cv2.distanceTransform(beyond, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[:-1, :-1] / px_per_mm
-    radius = max(float(depth.max()), 1e-6)
-    height = np.sqrt(np.maximum(radius**2 - (radius - depth) ** 2, 0.0))
-    step = np.float32(px_per_mm * NODE_MM)
-    columns, rows = np.meshgrid(np.arange(shape[1], dtype=np.float32), np.arange(shape[0], dtype=np.float32))
-    smooth = cv2.GaussianBlur(height.astype(np.float32), (0, 0), 0.5 * px_per_mm)
-    nodes = cv2.remap(smooth, columns * step, rows * step, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(nodes - height[mask].mean(), dtype=np.float64)
+    return basis
 
 
 # Details of one size in all shots, at the pixels that matter, and the shifts they imply.
@@ -250,17 +172,6 @@ def gram(columns: FloatArray) -> Array:
     return np.asarray((parts @ parts.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
 
 
-def _at_samples(field: FloatArray, level: Level, extent_mm: tuple[float, float]) -> FloatArray:
-    """(..., N) values of fields (..., h, w) whose nodes lie evenly over an image of `extent_mm`, ends included."""
-    height, width = field.shape[-2:]
-    x, y = level.places()
-    columns = (x * (width - 1) / max(extent_mm[0], 1e-9)).astype(np.float32)
-    rows = (y * (height - 1) / max(extent_mm[1], 1e-9)).astype(np.float32)
-    flat = np.ascontiguousarray(field, dtype=np.float32).reshape(-1, height, width)
-    found = [sampled_at(part, columns, rows) for part in flat]
-    return np.asarray(np.stack(found).reshape(*field.shape[:-2], x.size), dtype=np.float32)
-
-
 # What surfaces may show under lights that differ from place to place.
 
 
@@ -274,7 +185,13 @@ def lights_on(lights: Array, level: Level, shape: tuple[int, ...], px_per_mm: fl
     """(L, 3, N) light vectors at the pixels of a level of images of `shape`; (L, 3, 1) where all have the same."""
     if lights.ndim == 2:
         return lights[..., None].astype(np.float32)
-    return _at_samples(lights.astype(np.float32), level, ((shape[1] - 1) / px_per_mm, (shape[0] - 1) / px_per_mm))
+    height, width = lights.shape[2:]  # of nodes that lie evenly over the image, ends included
+    x, y = level.places()
+    columns = (x * (width - 1) / max((shape[1] - 1) / px_per_mm, 1e-9)).astype(np.float32)
+    rows = (y * (height - 1) / max((shape[0] - 1) / px_per_mm, 1e-9)).astype(np.float32)
+    flat = np.ascontiguousarray(lights, dtype=np.float32).reshape(-1, height, width)
+    found = np.stack([sampled_at(part, columns, rows) for part in flat])
+    return np.asarray(found.reshape(-1, 3, x.size), dtype=np.float32)
 
 
 def shown_by_surfaces(lights: FloatArray) -> FloatArray:

@@ -27,26 +27,26 @@ from splitknit.finger.registration import (
     BLOCK_MM,
     COARSE_MM,
     FINE_MM,
+    ITERATIONS,
     RIM_MM,
     SETTLED_MM,
     SETTLED_PX,
     SURROUND_MM,
     WORKING_PX_PER_MM,
-    RegistrationSettings,
     register_shots,
     without_glare,
 )
 from splitknit.finger.registration_flow import (
     Array,
-    Family,
+    Basis,
     Flow,
     Level,
     check_light_vectors,
     details_of,
-    finger_family,
     gram,
     lights_on,
     places_of,
+    rigid_shifts,
     robust_weight,
     still,
 )
@@ -69,30 +69,18 @@ class _RegisteredBand:
     """(K,) shot of every image."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _BandRegistration:
-    """Where the skin lies in every shot of another band."""
-
-    flow: Flow
-    likeness: NDArray[np.float64]
-    """(L,) correlation of each shot's details with the expected ones, with the motion undone."""
-    likeness_before: NDArray[np.float64]
-    """(L,) the same as they are."""
-
-
-def _register_band(  # noqa: PLR0917
+def _register_band(
     first: _RegisteredBand,
     stack: FloatArray,
     lights: NDArray[np.float64],
     mask: BoolArray,
     px_per_mm: float,
-    settings: RegistrationSettings | None = None,
-) -> _BandRegistration:
+) -> tuple[Flow, NDArray[np.float64], NDArray[np.float64]]:
     """Find where the skin of the registered band `first` lies in every image of another band, `stack` (L, H, W), each
-    image a shot; `lights`: (L, 3), or (L, 3, h, w) if those of `first` are such. Raises BadInput if the two bands'
-    images differ in size, or lights and images in number.
+    image a shot; `lights`: (L, 3), or (L, 3, h, w) if those of `first` are such. Returns the flow, and the correlation
+    (L,) of each shot's details with the expected ones with the motion undone, and as they are. Raises BadInput if the
+    two bands' images differ in size, or lights and images in number.
     """
-    settings = settings or RegistrationSettings()
     stack = check_stack(stack)
     mask = check_mask(mask, (stack.shape[1], stack.shape[2]))
     require(first.stack.shape[1:] == stack.shape[1:], "the images of both bands must have one size.")
@@ -108,12 +96,11 @@ def _register_band(  # noqa: PLR0917
             details_of(images, region, px_per_mm, band, WORKING_PX_PER_MM) for images in (stack, first.stack)
         )
         expected = _expected(first, level, known, lights, mask.shape, px_per_mm)
-        flow = _followed(level, expected, flow, finger_family(mask, px_per_mm, turns=step > 0), settings.iterations)
+        flow = _followed(level, expected, flow, rigid_shifts(mask, px_per_mm, turns=step > 0))
     aligned = (level.sampled(f.at(*level.places()).astype(np.float32))[:, 0] for f in (flow, unmoved))
     likeness, before = (_likeness(level.weight, expected, images) for images in aligned)
     better = likeness > before  # a shot that went astray stays as it was
-    flow = Flow(flow.nodes_mm * better[:, None, None, None])
-    return _BandRegistration(flow, np.maximum(likeness, before), before)
+    return Flow(flow.nodes_mm * better[:, None, None, None]), np.maximum(likeness, before), before
 
 
 def _expected(  # noqa: PLR0917
@@ -134,15 +121,15 @@ def _expected(  # noqa: PLR0917
     return np.asarray((now * surface).sum(axis=1), dtype=np.float32)
 
 
-def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, iterations: int) -> Flow:
+def _followed(level: Level, expected: FloatArray, flow: Flow, basis_at: Basis) -> Flow:
     """Move every shot, by itself, towards the details that are expected of it, whatever their strength."""
     x, y = level.places()
-    first, basis = flow.at(x, y), family.basis(x, y)
+    first, basis = flow.at(x, y), basis_at(x, y)
     parameters = np.zeros((len(first), basis.shape[2]))
     most, least = 1.0 / level.px_per_mm, max(SETTLED_MM, SETTLED_PX / level.px_per_mm)
     for k in range(len(first)):
         alone = replace(level, images=level.images[k : k + 1])
-        for _ in range(iterations):
+        for _ in range(ITERATIONS):
             shifts = first[k] + np.einsum("m,ncm->cn", parameters[k], basis)
             step = np.clip(
                 _step(level, expected[k], alone.sampled(shifts[None].astype(np.float32))[0], basis), -most, most
@@ -150,7 +137,7 @@ def _followed(level: Level, expected: FloatArray, flow: Flow, family: Family, it
             parameters[k] += step
             if float(np.abs(step).max()) < least:
                 break
-    moved = np.einsum("km,ncm->kcn", parameters, family.basis(*places_of(flow)))
+    moved = np.einsum("km,ncm->kcn", parameters, basis_at(*places_of(flow)))
     return Flow(flow.nodes_mm + moved.reshape(flow.nodes_mm.shape))
 
 
@@ -246,7 +233,6 @@ def seen_motion_mm(finger: Finger) -> float:
 
 def register(capture: Capture, finger: Finger, settings: FingerSettings, *, still_white: bool = False) -> _Registered:
     """Registration of the white band, unless `still_white`, of the others to it, and the report's facts on them."""
-    method = settings.motion.registration
     px_per_mm = capture.rig.camera.px_per_mm
     binning = max(1, int(px_per_mm / WORKING_PX_PER_MM))
     px = px_per_mm / binning
@@ -255,7 +241,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
     coloured = has_colour(white) and capture.material == "skin"
     grey, skin = _light_of(capture, white, window, binning, coloured)
     mask = reduced(finger.wider[window], grey.shape[1:])
-    lights = _lights_over(capture, white, window, BLOCK_MM)
+    lights = _lights_over(capture, white, window)
     shots = _shots(white)
     reference = len(white.pixels) // 2
     first = (window[1].start / px_per_mm, window[0].start / px_per_mm)
@@ -264,7 +250,7 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
     before, after = np.zeros(1), np.zeros(1)
     flow = still(len(white.pixels), (mask.shape[0], mask.shape[1]), px)
     if not still_white:
-        found = register_shots(skin, lights, mask, px, reference=reference, shots=shots, settings=method)
+        found = register_shots(skin, lights, mask, px, reference=reference, shots=shots)
         flow, before, after = found.flow, found.before, found.after
         flows["white"] = replace(flow, origin_mm=first)
         reported = _motion_facts(flows["white"], mask, px)
@@ -275,14 +261,16 @@ def register(capture: Capture, finger: Finger, settings: FingerSettings, *, stil
             continue
         alike, stack = (skin, _light_of(capture, band, window, binning, coloured)[1]) if crossed else (
             grey, linear_stack(band, capture.encoding, "grey", window, binning))  # fmt: skip
-        vectors = _lights_over(capture, band, window, BLOCK_MM)
-        other = _register_band(_RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px, method)
-        nodes = other.flow.nodes_mm
+        vectors = _lights_over(capture, band, window)
+        other, likeness, likeness_before = _register_band(
+            _RegisteredBand(alike, lights, flow, shots), stack, vectors, mask, px
+        )
+        nodes = other.nodes_mm
         if crossed and not coloured:  # gloss shifts each image by itself: their mean is what moved
             nodes = np.broadcast_to(nodes.mean(axis=0), nodes.shape).copy()
-        flows[name] = replace(other.flow, nodes_mm=nodes, origin_mm=first)
+        flows[name] = replace(other, nodes_mm=nodes, origin_mm=first)
         reported = _motion_facts(flows[name], mask, px)
-        reported |= {"likeness_before": _plain(other.likeness_before), "likeness_after": _plain(other.likeness)}
+        reported |= {"likeness_before": _plain(likeness_before), "likeness_after": _plain(likeness)}
         facts[f"motion_{name}"] = reported
     most = max(max(facts[f"motion_{name}"]["moved_mm"]) for name in flows)
     facts["motion"]["most_mm"] = most
@@ -402,11 +390,11 @@ def around(capture: Capture, finger: Finger) -> Window:
     )
 
 
-def _lights_over(capture: Capture, band: Band, window: Window, pitch_mm: float) -> NDArray[np.float64]:
-    """(L, 3, h, w) light vectors on the finger plane, on nodes about `pitch_mm` apart evenly over a window."""
+def _lights_over(capture: Capture, band: Band, window: Window) -> NDArray[np.float64]:
+    """(L, 3, h, w) light vectors on the finger plane, on nodes about 0.6 mm apart evenly over a window."""
     camera = capture.rig.camera
     rows, columns = (
-        np.linspace(part.start, part.stop - 1, max(2, round((part.stop - part.start) * camera.pitch_mm / pitch_mm) + 1))
+        np.linspace(part.start, part.stop - 1, max(2, round((part.stop - part.start) * camera.pitch_mm / BLOCK_MM) + 1))
         for part in window
     )
     pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
@@ -422,14 +410,9 @@ def take(  # noqa: PLR0917
     """Write a shot's image where a window of the reference has its skin, by cubic interpolation, into `out`."""
     place = out[window]
     affine = flow.affine(shot, px_per_mm)
-    if affine is None:
-        columns, rows = flow.maps(shot, px_per_mm, window)
-        moved = cv2.remap(image, columns, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    else:
-        first = np.array([window[1].start, window[0].start], dtype=np.float64)
-        affine[:, 2] += affine[:, :2] @ first
-        size = (place.shape[1], place.shape[0])
-        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-        moved = cv2.warpAffine(image, affine, size, dst=place, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    affine[:, 2] += affine[:, :2] @ np.array([window[1].start, window[0].start], dtype=np.float64)
+    size = (place.shape[1], place.shape[0])
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    moved = cv2.warpAffine(image, affine, size, dst=place, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     if not np.shares_memory(moved, out):
         place[...] = moved.reshape(place.shape)

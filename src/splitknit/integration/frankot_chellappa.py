@@ -62,21 +62,14 @@ def _mirror(column_slope: FloatArray, row_slope: FloatArray, transfer: Transfer 
     height, width = column_slope.shape
     row_frequency = np.pi * np.arange(height) / height
     column_frequency = np.pi * np.arange(width) / width
-    along_columns = _cosine(_sine(column_slope, 1), 0)  # (H, W): sine k + 1 at column k
-    along_rows = _cosine(_sine(row_slope, 0), 1)
+    # (H, W): sine k + 1 at column k; at row k
+    along_columns = scipy.fft.dct(scipy.fft.dst(column_slope, axis=1, workers=WORKERS), axis=0, workers=WORKERS)
+    along_rows = scipy.fft.dct(scipy.fft.dst(row_slope, axis=0, workers=WORKERS), axis=1, workers=WORKERS)
     spectrum = np.zeros((height, width), dtype=np.float32)
     spectrum[:, 1:] = along_columns[:, :-1] * column_frequency.astype(np.float32)[None, 1:]
     spectrum[1:] += along_rows[:-1] * row_frequency.astype(np.float32)[1:, None]
     spectrum *= -_radial_factor(row_frequency, column_frequency, transfer)
     return np.asarray(scipy.fft.idctn(spectrum, type=2, workers=WORKERS, overwrite_x=True), dtype=np.float32)
-
-
-def _sine(field: FloatArray, axis: int) -> FloatArray:
-    return np.asarray(scipy.fft.dst(field, type=2, axis=axis, workers=WORKERS))
-
-
-def _cosine(field: FloatArray, axis: int) -> FloatArray:
-    return np.asarray(scipy.fft.dct(field, type=2, axis=axis, workers=WORKERS))
 
 
 def _radial_factor(

@@ -320,10 +320,8 @@ def poisson(
 
     Parameters
     ----------
-    gradient_x, gradient_y : (H, W)
-        dz/dx and dz/dy, y up, dimensionless. Values outside the mask are ignored.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    gradient_x, gradient_y, mask
+        As of :func:`splitknit.integration.frankot_chellappa`.
     weights : (H, W), optional
         Trust in each pixel's gradient, in [0, 1].
     settings : PoissonSettings, optional

@@ -98,10 +98,8 @@ def shapelets(
 
     Parameters
     ----------
-    gradient_x, gradient_y : (H, W)
-        dz/dx and dz/dy, y up, dimensionless. Values outside the mask are ignored and count as flat.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    gradient_x, gradient_y, mask
+        As of :func:`splitknit.integration.frankot_chellappa`.
     settings : ShapeletSettings, optional
     gain : callable, optional
         A further radial gain of the height, from frequencies in rad/px (an array) to an array of the same shape: the
@@ -116,7 +114,7 @@ def shapelets(
     Raises
     ------
     BadInput
-        If shapes differ, the mask is empty, or a gradient inside the mask is not finite.
+        As :func:`splitknit.integration.frankot_chellappa`.
 
     References
     ----------

@@ -104,24 +104,17 @@ def load_network(name: str | os.PathLike[str]) -> Network:
     beside it. Raises BadInput if weights or card are missing or damaged, or onnxruntime is not installed.
     """
     text = os.fspath(name)
-    return _load(text) if text.endswith(".onnx") else _load_shipped(text, _running)
+    if text.endswith(".onnx"):
+        return network_of(*read_network(text))
+    network = _IN_USE.get((text, _running))
+    if network is None:
+        network = _IN_USE[text, _running] = network_of(*read_network(text))
+    return network
 
 
 _IN_USE: WeakValueDictionary[tuple[str, Running], Network] = WeakValueDictionary()
 """Networks of the package that somebody holds, by name and how they run: what they keep for running (0.3 GB) goes when
 nobody does."""
-
-
-def _load_shipped(name: str, how: Running) -> Network:
-    network = _IN_USE.get((name, how))
-    if network is None:
-        network = _IN_USE[name, how] = _load(name)
-    return network
-
-
-def _load(name: str) -> Network:
-    card, weights = read_network(name)
-    return network_of(card, weights)
 
 
 def network_of(card: Card, weights: bytes) -> Network:
@@ -198,16 +191,16 @@ def run_network(network: Network, images: FloatArray, *, tile: int = TILE) -> Fl
     )
     result = np.empty((count, network.card.channels_out, height, width), dtype=np.float32)
 
-    for k, part in product(range(count), tiles):
-        piece = stack[(k, slice(None), *part.source)]
-        beyond = [(0, s.stop - s.start - n) for s, n in zip(part.source, piece.shape[1:], strict=True)]
+    for k, (source, inner, target) in product(range(count), tiles):
+        piece = stack[(k, slice(None), *source)]
+        beyond = [(0, s.stop - s.start - n) for s, n in zip(source, piece.shape[1:], strict=True)]
         if any(more for _, more in beyond):
             piece = np.pad(piece, ((0, 0), *beyond), mode="reflect")
         if channels != network.card.channels_in:
             piece = np.broadcast_to(piece, (network.card.channels_in, *piece.shape[1:]))
         made = _infer(network, np.ascontiguousarray(piece)[None])[0]
-        room = result[(k, slice(None), *part.target)]
-        room[...] = made[(slice(None), *part.inner)][:, : room.shape[1], : room.shape[2]]
+        room = result[(k, slice(None), *target)]
+        room[...] = made[(slice(None), *inner)][:, : room.shape[1], : room.shape[2]]
     return result
 
 
@@ -261,25 +254,13 @@ def _first_line(error: BaseException) -> str:
 # least the reach on every side where the image goes on; the margin's result is thrown away.
 
 
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    """One piece of work, in pixels of the padded image."""
-
-    source: tuple[slice, slice]
-    """Rows and columns that the network sees."""
-    inner: tuple[slice, slice]
-    """Rows and columns of the network's result that count."""
-    target: tuple[slice, slice]
-    """Where these go."""
-
-
 def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -> list[_Tile]:
     """Cut a padded image into tiles of nearly one size, with their margins as small as squares of side `tile` at most.
 
     `shape`: rows, columns; both multiples of `stride`; `tile`: pixels without margins, rounded up to a multiple of
     `stride`; `reach`: distance in pixels over which the network looks; `stride`: grid of the network in pixels. Of all
-    regular cuts that with the fewest pixels computed. Returns list of Tile, row by row. The targets cover the image
-    without overlap.
+    regular cuts that with the fewest pixels computed. Returns, row by row, rows and columns that the network sees,
+    those of its result that count, and where they go: these cover the image without overlap.
     """
     require(tile >= 1, f"tile must be at least 1 pixel, but it is {tile}.")
     side = -(-tile // stride) * stride
@@ -296,14 +277,12 @@ def _plan_tiles(shape: tuple[int, int], tile: int, *, reach: int, stride: int) -
                     yield sum(map(_length, rows)) * sum(map(_length, columns)), rows, columns
 
     _, rows, columns = min(cuts(), key=lambda cut: cut[0])
-    return [
-        _Tile(source=(r[0], c[0]), inner=(r[1], c[1]), target=(r[2], c[2]))
-        for r in rows
-        for c in columns
-    ]  # fmt: skip
+    return [((r[0], c[0]), (r[1], c[1]), (r[2], c[2])) for r, c in product(rows, columns)]
 
 
 _Span = tuple[slice, slice, slice]
+_Part = tuple[slice, slice]
+_Tile = tuple[_Part, _Part, _Part]
 
 
 def _length(span: _Span) -> int:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_lights, check_mask, check_stack, require
+from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray, Led, Rig
 from splitknit.photometric.lambertian import lambertian
 
@@ -264,8 +265,7 @@ def _fit_turn(normals: FloatArray, inside: BoolArray) -> NDArray[np.float64] | N
 
 def _coarse_part(p: FloatArray, q: FloatArray, inside: BoolArray) -> float:
     """Rms of slopes (h, w) blurred over an eighth of the object, over their own; the same in every frame."""
-    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
-    within = inside[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    within = inside[bounding_box(inside)]
     cover = within.astype(np.float32)
 
     def blurred(values: FloatArray) -> FloatArray:
@@ -370,8 +370,7 @@ def _climbed(
 
 def _smooth_slopes(normals: FloatArray, inside: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slopes (h, w) of the object, y up, blurred inside the mask, and the weight that is left of every pixel."""
-    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
-    window = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    window = bounding_box(inside)
     part, cover = normals[window], inside[window].astype(np.float32)
     nz = np.maximum(part[..., 2], np.float32(1e-3))
     slopes = [-part[..., axis] / nz for axis in (0, 1)]

@@ -52,12 +52,8 @@ def hanrahan_krueger(
 
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; three at least.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    stack, lights, mask
+        As of :func:`splitknit.photometric.lambertian`.
     settings : HanrahanKruegerSettings, optional
 
     Returns
@@ -72,8 +68,7 @@ def hanrahan_krueger(
     Raises
     ------
     BadInput
-        If shapes or numbers disagree, values are not finite, the lights are fewer than three, duplicate or coplanar,
-        or all images are black.
+        As :func:`splitknit.photometric.lambertian`, or if all images are black.
 
     References
     ----------

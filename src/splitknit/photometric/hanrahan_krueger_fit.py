@@ -19,7 +19,7 @@ of its optical depth. The last two are held to what all skin has: seven images s
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, Protocol, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -209,19 +209,6 @@ class _NormalEquations:
     moments: Array
 
 
-class _Problem(Protocol):
-    """n least-squares problems of P parameters each."""
-
-    def equations(self, parameters: Array) -> _NormalEquations:
-        """Cost and normal equations at `parameters` (P, n)."""
-
-    def moved(self, parameters: Array, step: Array) -> Array:
-        """Parameters after `step`, shortened so that they stay where the model is defined."""
-
-    def take(self, kept: Array) -> Self:
-        """The problems of some indices."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
     """Where the fits ended."""
@@ -236,7 +223,7 @@ _STEEPER, _FLATTER = 8.0, 0.15
 _MIN, _MAX = 1e-7, 1e7
 
 
-def _levenberg_marquardt(problem: _Problem, start: Array, settings: LevenbergSettings) -> Minimum:
+def _levenberg_marquardt(problem: Pixels, start: Array, settings: LevenbergSettings) -> Minimum:
     """Minimise every problem from `start` (P, n).
 
     All arithmetic is elementwise over n: a problem's result depends on nothing but itself. Source: D. W. Marquardt, "An

@@ -66,20 +66,12 @@ def lambertian(stack: Any, lights: Any, mask: Any = None) -> tuple[FloatArray, F
         if not here.any():
             return
         unit, length = unit_normals(linear_map(inverse, images[:, chunk].reshape(count, -1)))
-        _store(normals, albedo, chunk, here, unit, length)
+        for axis in range(3):
+            np.multiply(unit[axis].reshape(here.shape), here, out=normals[chunk, :, axis])
+        np.copyto(albedo[chunk], length.reshape(here.shape), where=here)
 
     for_each_chunk(work, rows, columns, count)
     return normals, albedo
-
-
-def _store(  # noqa: PLR0917
-    normals: FloatArray, albedo: FloatArray, chunk: slice, here: Any, unit: FloatArray, length: FloatArray
-) -> None:
-    """Write unit normals (3, n) and albedo (n,) of all pixels of a chunk of rows, where the mask `here` is true."""
-    shape = here.shape
-    for axis in range(3):
-        np.multiply(unit[axis].reshape(shape), here, out=normals[chunk, :, axis])
-    np.copyto(albedo[chunk], length.reshape(shape), where=here)
 
 
 # Photometric stereo once for every light that is left out, from one least-squares problem.

@@ -36,7 +36,7 @@ _SHADOW = 0.03
 _TOLERANCE = 0.03
 """Residual, relative to the albedo, at which a light's weight has fallen to one half."""
 _ITERATIONS = 20
-"""Rounds of reweighting at most; 0 leaves out shadows only."""
+"""Rounds of reweighting at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,7 @@ def strengths(lights: FloatArray) -> FloatArray:
     return np.asarray(length[:, None] if lights.ndim == 2 else length)
 
 
-def _lit_weights(
-    images: FloatArray, lights: FloatArray, shadow: float
-) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+def _lit_weights(images: FloatArray, lights: FloatArray) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """One where a light reaches the pixel and zero in shadow, (L, n); the pixels with any shadow; the weak of these.
 
     A pixel is weak where its lit lights do not determine a normal (fewer than three, or all near one plane). It keeps
@@ -63,7 +61,7 @@ def _lit_weights(
     """
     relative = images / strengths(lights)
     peak = np.maximum(relative.max(axis=0), np.float32(1e-20))
-    lit = relative > np.float32(shadow) * peak
+    lit = relative > np.float32(_SHADOW) * peak
     weights = lit.astype(np.float32)
     shadowed = np.flatnonzero(np.add.reduce(lit.view(np.uint8), axis=0, dtype=np.uint16) < images.shape[0])
     weak = shadowed[:0]
@@ -80,19 +78,18 @@ def robust_fit(images: FloatArray, lights: FloatArray, settings: RobustSettings)
 
     `lights` is (L, 3), or (L, 3, n) where they differ from pixel to pixel.
     """
-    weights, shadowed, weak = _lit_weights(images, lights, _SHADOW)
+    weights, shadowed, weak = _lit_weights(images, lights)
     if lights.ndim == 2:  # one matrix serves all pixels that every light reaches
         g = linear_map(np.linalg.pinv(lights.astype(np.float64)), images)
         if shadowed.size:
             g[:, shadowed] = solve(images[:, shadowed], lights, weights[:, shadowed])
     else:
         g = solve(images, lights, weights if shadowed.size else None)
-    if _ITERATIONS > 0:
-        worst = _misfit(images, lights, weights, g, settings).max(axis=0)
-        worst[weak] = 0.0  # no light can be spared there
-        doubtful = np.flatnonzero(worst > _CLEAN)
-        if doubtful.size:
-            _reweight(images, lights, weights, g, doubtful, settings)
+    worst = _misfit(images, lights, weights, g, settings).max(axis=0)
+    worst[weak] = 0.0  # no light can be spared there
+    doubtful = np.flatnonzero(worst > _CLEAN)
+    if doubtful.size:
+        _reweight(images, lights, weights, g, doubtful, settings)
     return g, weights
 
 
@@ -145,25 +142,19 @@ def robust(
 
     Parameters
     ----------
-    stack : (L, H, W) float32
-        Linear light, one image a light; three at least, and five or more for an effect on highlights.
-    lights : (L, 3)
-        Directions towards the lights (x right, y up, z to the camera); the length is the relative strength.
-    mask : (H, W) bool, optional
-        The surface; everything by default.
+    stack, lights, mask
+        As of :func:`splitknit.photometric.lambertian`; five images or more for an effect on highlights.
     settings : RobustSettings, optional
 
     Returns
     -------
-    normals : (H, W, 3) float32
-        Unit vectors; zero outside the mask, (0, 0, 1) where all images are black.
-    albedo : (H, W) float32
-        In units of the images at a light of strength one; NaN outside the mask.
+    normals, albedo
+        As of :func:`splitknit.photometric.lambertian`: (H, W, 3) unit vectors, and (H, W).
 
     Raises
     ------
     BadInput
-        If shapes or numbers disagree, values are not finite, or the lights are fewer than three, duplicate or coplanar.
+        As :func:`splitknit.photometric.lambertian`.
 
     References
     ----------

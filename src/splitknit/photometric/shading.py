@@ -13,6 +13,7 @@ section 4: a table from intensities to gradients, made with balls.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -120,10 +121,7 @@ def facing_level(images: FloatArray) -> float:
 
 def term_count(lights: int, degree: int) -> int:
     """Number of monomials of so many variables up to a degree: a binomial coefficient."""
-    count = 1
-    for k in range(1, degree + 1):
-        count = count * (lights + k) // k
-    return count
+    return math.comb(lights + degree, degree)
 
 
 def shading_slopes(shading: Shading, images: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -23,7 +23,6 @@ from splitknit.imaging.geometry import bounding_box
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
-AnyArray = np.ndarray[Any, Any]
 REFERENCE_PX_PER_MM = 75.7
 """Scale at which the thesis gives the window."""
 _CHUNK = 20_000

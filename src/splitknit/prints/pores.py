@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
+from splitknit.finger.regions import blur
 from splitknit.model import BoolArray, FloatArray
 
 _DIAMETER_MM = 0.13
@@ -31,36 +32,16 @@ def find_pores(
     The direction of the ridges is that of the structure tensor; along it the image is smoothed, which keeps ridges and
     loses pores. A pore is a minimum of the difference, at a pore's size, on a crest.
 
-    Parameters
-    ----------
-    image : (H, W) float32
-        Relief (``ridge_mm``) or a photograph on which pores are dark.
-    mask : (H, W) bool
-    pitch_mm : float
-        Side of a pixel, at most 0.034: a pore has 0.06 to 0.25 mm.
-    crests : (H, W) float32, optional
-        Relief whose crests hold the pores, where `image` is a photograph.
-    least : float
-        Depth of a pore, in standard deviations of the ridges around it.
+    `image`: (H, W) float32, a relief (``ridge_mm``) or a photograph on which pores are dark; `mask`: (H, W) bool;
+    `pitch_mm`: side of a pixel, at most 0.034, as a pore has 0.06 to 0.25 mm; `crests`: (H, W) float32, relief whose
+    crests hold the pores, where `image` is a photograph; `least`: depth of a pore, in standard deviations of the ridges
+    around it. Returns (N, 3) float32: column, row and depth, the deepest first. Raises BadInput if shapes disagree or
+    pixels are too large for pores.
 
-    Returns
-    -------
-    (N, 3) float32
-        Column, row and depth, the deepest first.
+    Source: Q. Zhao, D. Zhang, L. Zhang and N. Luo, "Adaptive fingerprint pore modeling and extraction", Pattern
+    Recognition 43, 2010 (pores differ from the ridge along its direction); A. K. Jain, Y. Chen and M. Demirkus, "Pores
+    and ridges", IEEE Trans. PAMI 29, 2007 (a band-pass at a pore's scale).
 
-    Raises
-    ------
-    BadInput
-        If shapes disagree or pixels are too large for pores.
-
-    References
-    ----------
-    Q. Zhao, D. Zhang, L. Zhang and N. Luo, "Adaptive fingerprint pore modeling and extraction", Pattern Recognition 43,
-    2010 (pores differ from the ridge along its direction); A. K. Jain, Y. Chen and M. Demirkus, "Pores and ridges",
-    IEEE Trans. PAMI 29, 2007 (a band-pass at a pore's scale).
-
-    Examples
-    --------
     >>> across = np.cos(2 * np.pi * np.arange(200, dtype=np.float32) / 30)[:, None] * np.ones((1, 200), np.float32)
     >>> pit = np.exp(-((np.arange(200) - 100) ** 2 + (np.arange(200)[:, None] - 90) ** 2) / 18).astype(np.float32)
     >>> find_pores(0.03 * (across - pit), np.ones((200, 200), bool), 0.015)[:, :2].tolist()
@@ -73,13 +54,11 @@ def find_pores(
         0 < pitch_mm <= _MAX_PITCH_MM,
         f"pores need pixels of at most {1000 * _MAX_PITCH_MM:g} um, but these have {1000 * pitch_mm:.0f}.",
     )
-    weight = _blur(mask.astype(np.float32), _CONTRAST_MM / pitch_mm) + np.float32(1e-6)
+    weight = blur(mask.astype(np.float32), _CONTRAST_MM / pitch_mm) + np.float32(1e-6)
     ridges, values = (_ridges(plane, mask, weight, pitch_mm) for plane in (relief, image))
     turn = _directions(ridges, pitch_mm)
     crest = _along(ridges, turn, pitch_mm)
-    rest = _blur(
-        values - (crest if crests is None else _along(values, turn, pitch_mm)), _DIAMETER_MM / 2.355 / pitch_mm
-    )
+    rest = blur(values - (crest if crests is None else _along(values, turn, pitch_mm)), _DIAMETER_MM / 2.355 / pitch_mm)
     depth = -rest
     reach = 2 * round(_DIAMETER_MM / pitch_mm / 2) + 1
     peak = depth >= cv2.dilate(depth, np.ones((reach, reach), np.uint8))
@@ -89,24 +68,20 @@ def find_pores(
     return found[np.argsort(-found[:, 2], kind="stable")]
 
 
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
-
-
 def _ridges(image: FloatArray, mask: BoolArray, weight: FloatArray, pitch_mm: float) -> FloatArray:
     """What is faster than ridges' surroundings, in local standard deviations; 0 outside."""
     inside = np.where(mask & np.isfinite(image), image, np.float32(0)).astype(np.float32)
-    flat = np.where(mask, inside - _blur(inside, _CONTRAST_MM / pitch_mm) / weight, np.float32(0)).astype(np.float32)
-    amplitude = np.sqrt(_blur(flat * flat, 2 * _CONTRAST_MM / pitch_mm)) + np.float32(1e-9)
+    flat = np.where(mask, inside - blur(inside, _CONTRAST_MM / pitch_mm) / weight, np.float32(0)).astype(np.float32)
+    amplitude = np.sqrt(blur(flat * flat, 2 * _CONTRAST_MM / pitch_mm)) + np.float32(1e-9)
     return np.asarray(flat / amplitude, dtype=np.float32)
 
 
 def _directions(ridges: FloatArray, pitch_mm: float) -> NDArray[np.intp]:
     """(H, W) number of the direction along the ridges, of :data:`_DIRECTIONS` in half a turn, rows running down."""
-    smooth = _blur(ridges, 0.06 / pitch_mm)
+    smooth = blur(ridges, 0.06 / pitch_mm)
     right, down = (cv2.Sobel(smooth, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1)))
     sigma = _DIRECTION_MM / pitch_mm
-    twice = np.arctan2(2 * _blur(right * down, sigma), _blur(right * right - down * down, sigma))
+    twice = np.arctan2(2 * blur(right * down, sigma), blur(right * right - down * down, sigma))
     along = 0.5 * twice + np.pi / 2
     return np.asarray(np.rint(along * _DIRECTIONS / np.pi).astype(np.intp) % _DIRECTIONS)
 

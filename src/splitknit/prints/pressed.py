@@ -16,6 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from splitknit.finger.regions import blur, fill_holes
 from splitknit.model import BoolArray, FloatArray
 
 # lengths in pixels at 500 ppi
@@ -103,9 +104,9 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
     unit = 0.5 * _WINDOW_PX**2 * float(np.square(_TAPER).sum())  # power of noise of variance one
     direction, frequency, agreement, part = _field(weighed / total, total / (total + np.float32(_WEAK * unit)))
     wave = _filtered(spectra, direction, frequency, agreement)[: even.shape[0], : even.shape[1]]
-    wave /= np.sqrt(_blur(wave * wave, 0.7 * _CONTRAST_PX)) + np.float32(0.02)
+    wave /= np.sqrt(blur(wave * wave, 0.7 * _CONTRAST_PX)) + np.float32(0.02)
     places = [(np.arange(side, dtype=np.float32) + (_WINDOW_PX / 2 - _STEP_PX + 0.5)) / _STEP_PX for side in even.shape]
-    sure = np.clip((_blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
+    sure = np.clip((blur(part, 1.0) / _PURE - _NOISE) / (1 - _NOISE), 0, 1)
     confidence: FloatArray = np.asarray(
         cv2.remap(sure, *np.meshgrid(places[1], places[0]), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
         dtype=np.float32,
@@ -118,20 +119,16 @@ def pressed_ridges(image: NDArray[np.uint8]) -> PressedRidges:
     return PressedRidges(np.round(255.0 * grey).astype(np.uint8), inside, np.where(inside, confidence, np.float32(0)))
 
 
-def _blur(image: FloatArray, sigma: float) -> FloatArray:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
-
-
 def _evened(image: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray]:
     """(H, W) the print with even mean and contrast, and its contrast; the sensor's frame does not count."""
     known = (~_frame(image)).astype(np.float32)
     grey = image.astype(np.float32)
     grey = np.minimum(grey, np.float32(np.percentile(grey[known > 0], 99)))  # paper is flat
-    weight = np.maximum(_blur(known, _CONTRAST_PX), np.float32(1e-3))
+    weight = np.maximum(blur(known, _CONTRAST_PX), np.float32(1e-3))
     centred: FloatArray = grey
     for _ in range(2):  # the second pass takes out what a one-sided window leaves at the frame
-        centred = np.asarray((centred - _blur(centred * known, _CONTRAST_PX) / weight) * known, dtype=np.float32)
-    contrast = np.sqrt(_blur(centred * centred, _CONTRAST_PX) / weight)
+        centred = np.asarray((centred - blur(centred * known, _CONTRAST_PX) / weight) * known, dtype=np.float32)
+    contrast = np.sqrt(blur(centred * centred, _CONTRAST_PX) / weight)
     level = np.maximum(np.float32(_LEVEL), np.float32(_RAISED) * _usual(contrast))
     return np.clip(centred / np.maximum(contrast, level), -3.0, 3.0).astype(np.float32), contrast
 
@@ -222,7 +219,7 @@ def _field(weighed: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArr
     turn = np.exp(-0.5 * (_apart(_ANGLES[:, None], _ANGLES) / np.deg2rad(_TURN_DEG)) ** 2).astype(np.float32)
     belief = said
     for reach in _REACHES:
-        around = _blur(belief, reach) @ turn
+        around = blur(belief, reach) @ turn
         around /= around.sum(axis=2, keepdims=True) + np.float32(1e-12)
         belief = said * around
         belief *= strength / (belief.sum(axis=2, keepdims=True) + np.float32(1e-12))
@@ -234,7 +231,7 @@ def _field(weighed: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArr
     agreement = np.abs((belief * np.exp(2j * _ANGLES)).sum(axis=2)).astype(np.float32)
     near = np.exp(-0.5 * (_apart(direction[..., None], _ANGLES) / np.deg2rad(1.5 * _DIRECTION_DEG)) ** 2)
     along = np.matmul(near.astype(np.float32)[:, :, None], weighed)[:, :, 0]
-    period = _blur(along * usual * trust[..., 0], 1.5) ** 2
+    period = blur(along * usual * trust[..., 0], 1.5) ** 2
     frequency = (period @ _LOGS) / (period.sum(axis=2) + np.float32(1e-20))
     of_period = np.exp(-0.5 * ((frequency[..., None] - _LOGS) / (2 * _PERIOD_WIDTH)) ** 2)
     return direction, frequency, agreement, (along * of_period).sum(axis=2).astype(np.float32)
@@ -284,8 +281,4 @@ def _extent(confidence: FloatArray) -> BoolArray:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
     sizes = stats[:, cv2.CC_STAT_AREA].copy()
     sizes[0] = 0
-    found = (sizes > 0.1 * sizes.max())[labels]
-    _, labels, stats, _ = cv2.connectedComponentsWithStats((~found).astype(np.uint8), connectivity=4)
-    left, top, width, height = (stats[:, k] for k in range(4))
-    enclosed = (left > 0) & (top > 0) & (left + width < found.shape[1]) & (top + height < found.shape[0])
-    return np.asarray(found | enclosed[labels])
+    return fill_holes(np.asarray((sizes > 0.1 * sizes.max())[labels]))

@@ -148,8 +148,18 @@ def rolled_facts(rolled: Rolled) -> dict[str, Any]:
 
 
 def write_rolled(target: Path, rolled: Rolled) -> dict[str, Any]:
-    """Write ``rolled.ply`` into a folder and return the facts."""
-    return {**rolled_facts(rolled), "mesh_points": _write_rolled_mesh(target / "rolled.ply", rolled)}
+    """Write the skin into a folder as a mesh, ``rolled.ply``: mm, x right, y to the tip, z to the camera; return the
+    facts.
+    """
+    points = _skin_points(rolled)
+    vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)
+    used = index >= 0
+    normals = (rolled.normals.astype(np.float64) @ rolled.chart.axes.T)[used].astype(np.float32)
+    relief = rolled.blended.relief_mm[used]
+    shade = np.clip(0.5 + relief / np.float32(6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
+    words = ["rolled-equivalent finger, mm; quality is the relief"]
+    write_ply(target / "rolled.ply", vertices, normals, shade, faces, words)
+    return {**rolled_facts(rolled), "mesh_points": len(vertices)}
 
 
 def _evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
@@ -160,18 +170,6 @@ def _evened(rolled: Rolled, sigma_mm: float = 0.3) -> FloatArray:
     size = sigma_mm / rolled.chart.pitch_mm
     mean = cv2.GaussianBlur(rolled.blended.relief_mm * weight, (0, 0), size)
     return np.asarray(mean / np.maximum(cv2.GaussianBlur(weight, (0, 0), size), 1e-3), dtype=np.float32)
-
-
-def _write_rolled_mesh(path: Path, rolled: Rolled) -> int:
-    """Write the skin as a mesh in mm, x right, y to the tip, z to the camera; return the number of its points."""
-    points = _skin_points(rolled)
-    vertices, faces, index = surface_mesh(points[..., 0], points[..., 1], points[..., 2], rolled.blended.known)
-    used = index >= 0
-    normals = (rolled.normals.astype(np.float64) @ rolled.chart.axes.T)[used].astype(np.float32)
-    relief = rolled.blended.relief_mm[used]
-    shade = np.clip(0.5 + relief / np.float32(6.0 * max(float(relief.std()), 1e-6)), 0.0, 1.0).astype(np.float32)
-    write_ply(path, vertices, normals, shade, faces, ["rolled-equivalent finger, mm; quality is the relief"])
-    return len(vertices)
 
 
 def _coverage_deg(chart: Chart, known: BoolArray, normals: Array) -> Array:

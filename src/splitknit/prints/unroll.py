@@ -160,14 +160,12 @@ def _lengths(points: Array, known: NDArray[np.bool_], axis: int) -> Array:
     return np.moveaxis(result, 1, axis)
 
 
-def _relaxed(
-    grid: SurfaceGrid, start: Array, iterations: int, centre_weight: float, tolerance_mm: float = 2e-4
-) -> Array:
+def _relaxed(grid: SurfaceGrid, start: Array, iterations: int, centre_weight: float) -> Array:
     """As-rigid-as-possible flattening of the sheet of nodes, from `start` (n, m, 2).
 
     Triangles weigh with their area times the cosine of their slant to the power `centre_weight`; extrapolated ones
-    hardly weigh. Stops when no node moves by more than `tolerance_mm`. The result is turned back to
-    the mean direction of `start`.
+    hardly weigh. Stops when no node moves by more than 0.2 um. The result is turned back to the mean direction of
+    `start`.
     """
     triangles, weight = _triangles(grid, start, centre_weight)
     nodes = np.unique(triangles)
@@ -203,7 +201,7 @@ def _relaxed(
         moved = solver.solve(right[free] - pull)
         step = float(np.abs(moved - flat[free]).max())
         flat[free] = moved
-        if step < tolerance_mm:
+        if step < 2e-4:
             break
     result = np.full((start.shape[0] * start.shape[1], 2), np.nan)
     result[nodes] = flat
@@ -320,7 +318,7 @@ def _from_axis(points: Array, p: Array) -> tuple[Array, Array, Array]:
     return np.hypot(x, z), np.arctan2(x, z), rest @ axis
 
 
-def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
+def _on_tube(grid: SurfaceGrid) -> Array:
     """Lay each cross-section on its own circle: (n, m, 2) u to the right, v to the tip, mm.
 
     A circle is fitted to every row of nodes (least squares of x^2 + z^2 = a x + b z + c), and middles and radii are
@@ -337,7 +335,7 @@ def _on_tube(grid: SurfaceGrid, smooth_mm: float = 2.0) -> Array:
         radius = np.sqrt(max(c + 0.25 * (a * a + b * b), 0.25))
         circles.append((0.5 * a, shift + 0.5 * b, min(radius, 40.0)))
         weights.append(float(np.ptp(x)))
-    sigma = smooth_mm / grid.pitch_mm
+    sigma = _SMOOTH_MM / grid.pitch_mm
     weight = np.zeros(len(points))
     weight[rows] = weights
     values = np.zeros((len(points), 3))
@@ -409,7 +407,7 @@ def unroll(grid: SurfaceGrid, settings: UnrollSettings | None = None) -> Unrolle
     if settings.kind == "cylinder":
         flat = _on_cylinder(grid)
     elif settings.kind == "tube":
-        flat = _on_tube(grid, _SMOOTH_MM)
+        flat = _on_tube(grid)
     else:
         flat = _arc_lengths(grid)
         if settings.kind == "free":

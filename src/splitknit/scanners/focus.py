@@ -16,25 +16,18 @@ from splitknit.io.clouds import Cloud
 from splitknit.model import FloatArray
 from splitknit.scanners.views import View, cloud_of
 
+_LEAST = 0.2
+"""By which the peak of sharpness rises over its mean through the stack, as a fraction of the peak."""
 
-def depth(stack: NDArray[np.floating], window_px: float, least: float = 0.2) -> tuple[FloatArray, FloatArray]:
+
+def depth(stack: NDArray[np.floating], window_px: float) -> tuple[FloatArray, FloatArray]:
     """Find the sharpest picture of each pixel.
 
-    Parameters
-    ----------
-    stack : (N, H, W) linear light, focused at N equally spaced depths, all at one magnification
-    window_px : standard deviation of the window in which sharpness is summed; about a ridge period
-    least : how far the peak of sharpness must rise over its mean through the stack, as a fraction of the peak
-
-    Returns
-    -------
-    number : (H, W) of the picture, with its fraction; NaN where nothing is sharp
-    sharp : (H, W) light of the sharpest picture
-
-    Raises
-    ------
-    BadInput
-        If the stack has fewer than three pictures.
+    `stack`: (N, H, W) linear light, focused at N equally spaced depths, three at least, all at one magnification;
+    `window_px`: standard deviation of the window in which sharpness is summed, about a ridge period. Returns the number
+    of the picture, with its fraction, (H, W), NaN where the peak of sharpness rises over its mean through the stack by
+    less than a fifth of the peak; and the light of the sharpest picture (H, W). Raises BadInput if the stack has fewer
+    than three pictures.
     """
     require(stack.ndim == 3 and len(stack) >= 3, "a stack of focus needs three pictures at least.")
     kernel = np.array([[-1.0, 2.0, -1.0]], dtype=np.float32)
@@ -50,7 +43,7 @@ def depth(stack: NDArray[np.floating], window_px: float, least: float = 0.2) -> 
     bend = a - 2.0 * b + c
     fraction = np.divide(0.5 * (a - c), bend, out=np.full_like(bend, np.nan), where=bend < -1e-6)
     peak = sharpness.max(axis=0)
-    known = (best == middle) & (np.abs(fraction) <= 1.0) & (peak - sharpness.mean(axis=0) > least * peak)
+    known = (best == middle) & (np.abs(fraction) <= 1.0) & (peak - sharpness.mean(axis=0) > _LEAST * peak)
     sharp = np.take_along_axis(stack, best[None], 0)[0]
     return np.where(known, middle + fraction, np.nan).astype(np.float32), sharp.astype(np.float32)
 

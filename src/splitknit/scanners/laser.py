@@ -22,22 +22,10 @@ from splitknit.scanners.views import View, cloud_of, on_planes
 def peaks(frames: Iterable[NDArray[np.floating]], least: float = 0.05) -> FloatArray:
     """Find when each pixel is brightest: a Gaussian through the brightest frame and its neighbours.
 
-    Parameters
-    ----------
-    frames : (H, W) linear light, 0 to 1, one after another; only three are held
-    least : smallest brightness of a peak that counts
+    `frames`: (H, W) linear light, 0 to 1, one after another, of which only three are held; `least`: smallest brightness
+    of a peak that counts. Returns (H, W) the number of the frame, with its fraction; NaN where nothing passed or the
+    peak lies at an end of the sweep. Raises BadInput if there are fewer than three frames.
 
-    Returns
-    -------
-    (H, W) number of the frame, with its fraction; NaN where nothing passed or the peak lies at an end of the sweep.
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than three frames.
-
-    Examples
-    --------
     >>> times = np.arange(9)[:, None, None]
     >>> peaks(np.exp(-((times - 4.3) ** 2) / 2) * np.ones((9, 1, 1))).round(3).tolist()
     [[4.300000190734863]]

@@ -29,17 +29,9 @@ _ROUNDS, _LARGEST_STEP_PX = 4, 0.5
 def scan(pictures: Sequence[FloatArray], views: Sequence[View], middle_mm: Array, depth_mm: float) -> Cloud:
     """Match each camera with its neighbour and collect the points.
 
-    Parameters
-    ----------
-    pictures : two to five (H, W), 0 to 1, in the order of the cameras around the finger; 0 beside the finger
-    views : of the cameras
-    middle_mm : (3,) a point in the middle of the surface
-    depth_mm : how far the surface reaches before and behind it
-
-    Raises
-    ------
-    BadInput
-        If there are other than two to five pictures, or nothing matches.
+    `pictures`: two to five (H, W), 0 to 1, in the order of the cameras around the finger, 0 beside the finger; `views`:
+    of the cameras; `middle_mm`: (3,) a point in the middle of the surface; `depth_mm`: how far the surface reaches
+    before and behind it. Raises BadInput if there are other than two to five pictures, or nothing matches.
     """
     require(2 <= len(pictures) == len(views) <= 5, "stereo takes two to five pictures, each with its view.")
     pairs = zip(pictures, pictures[1:], views, views[1:], strict=False)
@@ -123,17 +115,9 @@ def _refined(fields: Sequence[FloatArray], disparity: FloatArray) -> tuple[Float
 def hull(masks: Sequence[BoolArray], views: Sequence[View], box_mm: Array, pitch_mm: float) -> Cloud:
     """Upper side of the visual hull: the highest points that lie within all silhouettes.
 
-    Parameters
-    ----------
-    masks : (H, W) silhouettes; what leaves a picture goes on beyond its border
-    views : of the cameras
-    box_mm : (2, 3) lowest and highest corner of what is searched
-    pitch_mm : of the grid, sideways; along z it is four times that, and interpolated
-
-    Raises
-    ------
-    BadInput
-        If there are fewer than two silhouettes, or they have nothing in common.
+    `masks`: (H, W) silhouettes; what leaves a picture goes on beyond its border; `views`: of the cameras; `box_mm`: (2,
+    3) lowest and highest corner of what is searched; `pitch_mm`: of the grid, sideways; along z it is four times that,
+    and interpolated. Raises BadInput if there are fewer than two silhouettes, or they have nothing in common.
     """
     require(2 <= len(masks) == len(views), "a visual hull needs two silhouettes at least, each with its view.")
     steps = (pitch_mm, pitch_mm, 4.0 * pitch_mm)

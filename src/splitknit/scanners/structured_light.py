@@ -54,18 +54,10 @@ def fringes(row: NDArray[np.floating], period: float, step: int, steps: int) -> 
 def decode(images: NDArray[np.floating], periods: Sequence[float], least: float = 0.03) -> Decoded:
     """Find the projector's row of every pixel from phase-shifted fringes.
 
-    Parameters
-    ----------
-    images : (F, N, H, W) linear light without ambient light, NaN where a pixel is saturated: F periods, N equal
-        steps as :func:`fringes` has them.
-        Three-colour fringes are N = 3 channels, each over that of an evenly lit exposure.
-    periods : F periods in projector rows, descending; the first spans the whole field, from row 0
-    least : smallest modulation that counts
-
-    Raises
-    ------
-    BadInput
-        If the numbers do not fit, or there are fewer than three steps.
+    `images`: (F, N, H, W) linear light without ambient light, NaN where a pixel is saturated: F periods, N equal steps,
+    three at least, as :func:`fringes` has them. Three-colour fringes are N = 3 channels, each over that of an evenly
+    lit exposure. `periods`: F in projector rows, descending; the first spans the whole field, from row 0; `least`:
+    smallest modulation that counts. Raises BadInput if the numbers do not fit, or there are fewer than three steps.
     """
     require(images.ndim == 4 and images.shape[1] >= 3, "phase shifting needs at least three steps a period.")
     require(
@@ -96,12 +88,8 @@ def decode(images: NDArray[np.floating], periods: Sequence[float], least: float 
 
 
 def scan(camera: View, projector: View, decoded: Decoded, largest_mm: float = 0.1) -> tuple[Cloud, FloatArray]:
-    """Triangulate decoded rows.
-
-    Returns
-    -------
-    cloud : points whose standard deviation is below `largest_mm`
-    sigma_mm : (H, W) standard deviation of each pixel's point along its ray, by noise alone
+    """Triangulate decoded rows: points whose standard deviation is below `largest_mm`, and the standard deviation (H,
+    W) of each pixel's point along its ray, mm, by noise alone.
     """
     points, slope = on_planes(camera, projector, decoded.row)
     sigma = (slope * decoded.sigma).astype(np.float32)

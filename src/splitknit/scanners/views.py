@@ -48,21 +48,12 @@ def resection(points_mm: Array, pixels: Array) -> View:
 
     A projector's pixels are decoded from fringes in both directions on a board that stands at several heights.
 
-    Parameters
-    ----------
-    points_mm : (N, 3) of six points at least, not all in one plane
-    pixels : (N, 2) column and row of each
+    `points_mm`: (N, 3) of six points at least, not all in one plane; `pixels`: (N, 2) column and row of each. Raises
+    BadInput if there are fewer than six points, or they lie in one plane.
 
-    Raises
-    ------
-    BadInput
-        If there are fewer than six points, or they lie in one plane.
-
-    References
-    ----------
-    Hartley and Zisserman, Multiple View Geometry, 2004, algorithm 7.1 (direct linear transformation; the last row is
-    then the weight of a second round, which makes the residual that of the picture); S. Zhang and P. Huang, "Novel
-    method for structured light system calibration", Optical Engineering 45(8), 2006.
+    Source: Hartley and Zisserman, Multiple View Geometry, 2004, algorithm 7.1 (direct linear transformation; the last
+    row is then the weight of a second round, which makes the residual that of the picture); S. Zhang and P. Huang,
+    "Novel method for structured light system calibration", Optical Engineering 45(8), 2006.
     """
     require(points_mm.shape == (len(pixels), 3) and len(pixels) >= 6, "calibration needs six points and their pixels.")
     scale, middle = float(points_mm.std()), points_mm.mean(axis=0)
@@ -96,18 +87,10 @@ def resection(points_mm: Array, pixels: Array) -> View:
 def on_planes(camera: View, projector: View, row: NDArray[np.floating]) -> tuple[Array, Array]:
     """Where a camera's rays meet the planes of light of a projector's rows.
 
-    Parameters
-    ----------
-    row : (H, W) the projector's row, in its pixels, that lights each pixel of the camera; NaN where unknown
-
-    Returns
-    -------
-    points_mm : (H, W, 3), NaN where unknown
-    slope : (H, W) mm along the ray a row: times the uncertainty of `row` it is that of the point
-
-    References
-    ----------
-    Hartley and Zisserman, Multiple View Geometry, 2004, result 8.2 (a line's plane is P^T l).
+    `row`: (H, W) the projector's row, in its pixels, that lights each pixel of the camera; NaN where unknown. Returns
+    the points (H, W, 3), mm, NaN where unknown, and the mm along the ray a row (H, W): times the uncertainty of `row`
+    it is that of the point. Source: Hartley and Zisserman, Multiple View Geometry, 2004, result 8.2 (a line's plane is
+    P^T l).
     """
     rays, centre = camera.directions((row.shape[0], row.shape[1])), camera.centre_mm
     _, second, third = projector.matrix @ np.column_stack([projector.rotation, projector.shift_mm])
@@ -120,15 +103,11 @@ def on_planes(camera: View, projector: View, row: NDArray[np.floating]) -> tuple
     return centre + far[..., None] * rays, np.abs(turn) * np.linalg.norm(rays, axis=-1)
 
 
-def cloud_of(points_mm: NDArray[np.floating], kind: str, notes: tuple[str, ...] = ()) -> Cloud:
+def cloud_of(points_mm: NDArray[np.floating], kind: str) -> Cloud:
     """The known ones of points (..., 3) as a cloud, which :func:`splitknit.scanners.cloud.result_of_cloud` takes.
-
-    Raises
-    ------
-    BadInput
-        If none is known.
+    Raises BadInput if none is known.
     """
     flat: FloatArray = np.asarray(points_mm, dtype=np.float32).reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
     require(len(flat) > 0, "nothing of the finger was measured; check light, exposure and calibration.")
-    return Cloud(flat, kind, notes=notes)
+    return Cloud(flat, kind)

@@ -82,7 +82,7 @@ def direct_light(
 
 
 def direct_of_enhanced(
-    enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK, *, tile: int = TILE
+    enhanced: Any, images: Any, network: Network | str | os.PathLike[str] = DEFAULT_NETWORK
 ) -> FloatArray:
     """Direct part (N, H, W) of enhanced grey images, by the direct fraction of their colour images (N, 3, H, W).
 
@@ -95,7 +95,7 @@ def direct_of_enhanced(
         grey.ndim == 3 and colours.shape == (grey.shape[0], 3, *grey.shape[1:]),
         f"enhanced images (N, H, W) and colours (N, 3, H, W) do not match: {grey.shape} and {colours.shape}.",
     )
-    direct = direct_light(colours, network, tile=tile)
+    direct = direct_light(colours, network)
     weights = GREY_WEIGHTS[:, None, None]
     of_all = np.maximum((np.maximum(colours, 0.0) * weights).sum(axis=1), np.float32(1e-12))
     fraction = np.clip((direct * weights).sum(axis=1) / of_all, 0.0, 1.0)

@@ -142,28 +142,12 @@ def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
     patterns: FloatArray | None = light.patterns
     if plan.method in ("checkerboard", "occluder") and plan.patterns == ESTIMATE:
         patterns = estimate_patterns(light.stack, **common)
+    grid = {"dark": plan.dark, "check_px": plan.check_px, "shifts": plan.shifts, "period": plan.period, **common}
+    alpha = 0.5 if plan.alpha is None else plan.alpha
     if plan.method == "checkerboard":
-        alpha = 0.5 if plan.alpha is None else plan.alpha
-        return checkerboard(
-            light.stack,
-            alpha=alpha,
-            dark=plan.dark,
-            patterns=patterns,
-            check_px=plan.check_px,
-            shifts=plan.shifts,
-            period=plan.period,
-            **common,
-        )
+        return checkerboard(light.stack, alpha=alpha, patterns=patterns, **grid)
     if plan.method == "symmetry":
-        return by_symmetry(
-            light.stack,
-            white=light.white,
-            dark=plan.dark,
-            check_px=plan.check_px,
-            shifts=plan.shifts,
-            period=plan.period,
-            **common,
-        )
+        return by_symmetry(light.stack, white=light.white, **grid)
     if plan.method == "sinusoid":
         return sinusoid(light.stack, _phases(plan), dark=plan.dark, noise_std=plan.noise_std, **common)
     if plan.method == "occluder":
@@ -177,7 +161,7 @@ def _separate(plan: PatternFolder, light: _PatternLight) -> Separation:
         light.stack[0],
         plan.block or 0,
         check_px=plan.check_px,
-        alpha=0.5 if plan.alpha is None else plan.alpha,
+        alpha=alpha,
         dark=plan.dark,
         pattern=None if patterns is None else patterns[0],
         settings=settings,

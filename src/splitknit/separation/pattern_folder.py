@@ -137,7 +137,10 @@ def _read_document(folder: Path) -> dict[str, Any]:
         if given.has(key):
             found[key] = given.number(key, 0.0, high)
     if given.has("block"):
-        found["block"] = _whole(given, "block")
+        block = given.number("block", 1, 1e6)
+        if block != int(block):
+            given.refuse("block", "a whole number")
+        found["block"] = int(block)
     if given.has("patterns"):
         value = given.get("patterns")
         found["patterns"] = (
@@ -148,13 +151,6 @@ def _read_document(folder: Path) -> dict[str, Any]:
     if given.has("shifts"):
         found["shifts"] = _shifts(given)
     return found
-
-
-def _whole(given: Fields, key: str) -> int:
-    value = given.number(key, 1, 1e6)
-    if value != int(value):
-        given.refuse(key, "a whole number")
-    return int(value)
 
 
 def _shifts(given: Fields) -> tuple[tuple[float, ...], ...]:

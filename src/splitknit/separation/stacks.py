@@ -163,17 +163,17 @@ def from_extremes(
     return direct, (unlit - dark * lit) / (k * (1.0 - dark))
 
 
-def by_rows(count: int, height: int, work: Callable[[slice], None], budget: int = 2_000_000) -> None:
+def by_rows(count: int, height: int, work: Callable[[slice], None]) -> None:
     """Call `work` for slices of rows, so that arrays of `count` values a row in float64 stay small."""
-    step = max(1, budget // max(1, count))
+    step = max(1, 2_000_000 // max(1, count))
     for top in range(0, height, step):
         work(slice(top, min(top + step, height)))
 
 
-def _thinned(values: NDArray[Any], mask: BoolArray, most: int = 200_000) -> NDArray[Any]:
-    """Values inside the mask, thinned to about `most` of them."""
+def _thinned(values: NDArray[Any], mask: BoolArray) -> NDArray[Any]:
+    """Values inside the mask, thinned to about 200,000 of them."""
     inside = values[mask]
-    return np.asarray(inside[:: max(1, inside.size // most)])
+    return np.asarray(inside[:: max(1, inside.size // 200_000)])
 
 
 def percent(fraction: float) -> str:
@@ -247,14 +247,12 @@ def odd_twins(similar: BoolArray) -> tuple[int, int] | None:
     return int(min(first, second)), int(max(first, second))
 
 
-def _differences(
-    light: FloatArray, mask: BoolArray, pixels: int = 60_000
-) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+def _differences(light: FloatArray, mask: BoolArray) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     """Mean square of each difference of two images, less their means (N, N); its largest covariance with itself, moved
     (N, N); pixels: on rows spread over the image.
     """
     height, width = light.shape[1:3]
-    rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, pixels // width))).astype(int))
+    rows = np.unique(np.linspace(0, max(height - 3, 0), min(height, max(2, 60_000 // width))).astype(int))
     change = light.mean(axis=-1, dtype=np.float64)
     change -= change.mean(axis=0)
     change *= mask
@@ -262,11 +260,11 @@ def _differences(
     covariance = np.zeros((len(light), len(light)))
     for down, right in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (2, 2)):
         there = change[:, np.minimum(rows + down, height - 1)][:, :, np.minimum(np.arange(width) + right, width - 1)]
-        covariance = np.maximum(covariance, np.abs(_of_differences(here, there)))
-    return _of_differences(here, here), covariance, here[0].size
+        covariance = np.maximum(covariance, np.abs(difference_products(here, there)))
+    return difference_products(here, here), covariance, here[0].size
 
 
-def _of_differences(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
+def difference_products(here: NDArray[np.float64], there: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean of (here_i - here_j) (there_i - there_j) for all pairs of images (N, N)."""
     product = here.reshape(len(here), -1) @ there.reshape(len(there), -1).T
     own = np.diag(product)

@@ -10,7 +10,19 @@ from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
 from splitknit.model import FloatArray
-from splitknit.separation.stacks import DEFAULTS, EDGE, LightStack, StackSettings, light_stack, odd_twins, percent
+from splitknit.separation.stacks import (
+    DEFAULTS,
+    EDGE,
+    LightStack,
+    StackSettings,
+    difference_products,
+    light_stack,
+    odd_twins,
+    percent,
+)
+
+_DECIDED = 1 - 2 * 0.2
+"""Part of half the range of its neighbours beyond which a pixel's state is decided."""
 
 
 def checkerboard_patterns(size: tuple[int, int], check_px: float, shifts_px: Any) -> FloatArray:
@@ -39,24 +51,19 @@ def _square_wave(count: int, half_period: float, shift: float) -> NDArray[np.flo
     return np.asarray(np.diff(integral))
 
 
-def estimate_patterns(
-    stack: Any, *, smooth_px: float = 1.0, edge: float = 0.2, mask: Any = None, settings: StackSettings = DEFAULTS
-) -> FloatArray:
+def estimate_patterns(stack: Any, *, mask: Any = None, settings: StackSettings = DEFAULTS) -> FloatArray:
     """Find the states (N, H, W) of unknown patterns from the images themselves: 1 lit, 0 dark, 0.5 undecided.
 
-    A pixel's state is read from the mean of its *neighbours* (a Gaussian of `smooth_px` without its centre), relative
-    to their own maximum and minimum over the images; nearer to the middle than 0.5 - `edge` it is undecided. The
+    A pixel's state is read from the mean of its *neighbours* (a Gaussian of one pixel without its centre), relative
+    to their own maximum and minimum over the images; in the middle three fifths of that range it is undecided. The
     neighbours share its state and not its noise, so that least squares with these states is unbiased in all but the
     faintest pixels; there it falls short, towards zero, where maximum and minimum would invent direct light. Checks
-    must be wider than about five times `smooth_px`.
+    must be wider than about five pixels.
     """
-    require(0.3 <= smooth_px <= 50, f"smooth_px must lie in [0.3, 50], but it is {smooth_px}.")
-    require(0 < edge < 0.5, f"edge must lie in (0, 0.5), but it is {edge}.")
     images = light_stack(stack, least=2, mask=mask, settings=settings)
-    centre = np.zeros((2 * int(np.ceil(4 * smooth_px)) + 1,), dtype=np.float64)
-    centre[centre.size // 2] = 1.0
-    kernel = cv2.getGaussianKernel(centre.size, smooth_px, cv2.CV_64F)
-    around = (kernel @ kernel.T) * (1.0 - np.outer(centre, centre))
+    kernel = cv2.getGaussianKernel(9, 1.0, cv2.CV_64F)
+    around = kernel @ kernel.T
+    around[4, 4] = 0.0
     around /= around.sum()
     means = np.stack(
         [
@@ -68,8 +75,8 @@ def estimate_patterns(
     middle = (high + low) / 2
     half = np.maximum((high - low) / 2, np.float32(1e-20))
     states = np.full(means.shape, 0.5, dtype=np.float32)
-    states[means >= middle + (1 - 2 * edge) * half] = 1.0
-    states[means <= middle - (1 - 2 * edge) * half] = 0.0
+    states[means >= middle + _DECIDED * half] = 1.0
+    states[means <= middle - _DECIDED * half] = 0.0
     return states
 
 
@@ -140,16 +147,16 @@ def check_patterns(patterns: Any, images: LightStack, *, distinct: bool = True) 
     return states
 
 
-def _check_order(images: LightStack, states: FloatArray, pixels: int = 40_000) -> None:
+def _check_order(images: LightStack, states: FloatArray) -> None:
     """Each image must resemble its own pattern most."""
-    step = max(1, int(np.count_nonzero(images.mask)) // pixels)
+    step = max(1, int(np.count_nonzero(images.mask)) // 40_000)
     seen = images.light.mean(axis=-1)[:, images.mask][:, ::step].astype(np.float64)
     known = states[:, images.mask][:, ::step].astype(np.float64)
     decided = np.abs(known - 0.5) > 0.5 - EDGE  # the rest does not count in the result either
     number = np.maximum(decided.sum(axis=0), 1)
     known = np.where(decided, known - np.where(decided, known, 0.0).sum(axis=0) / number, 0.0)
     seen -= seen.mean(axis=0)
-    apart = _squared_distances(known) / known.shape[1]
+    apart = difference_products(known, known)
     twins = odd_twins(np.triu(apart <= 1e-4, 1))
     if twins is not None:
         raise BadInput(f"patterns {twins[0]} and {twins[1]} are the same: a shift is repeated; remove one of them.")
@@ -165,9 +172,3 @@ def _check_order(images: LightStack, states: FloatArray, pixels: int = 40_000) -
             found == k or likeness[k, found] < likeness[k, k] + 0.02,
             f"image {k} shows pattern {found} instead of its own: a shift is repeated, missing or out of order.",
         )
-
-
-def _squared_distances(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    product = rows @ rows.T
-    own = np.diag(product)
-    return np.asarray(own[:, None] + own[None, :] - 2 * product)

@@ -23,7 +23,6 @@ from splitknit.settings import Limits, check_fields
 from splitknit.training.networks import fields_network, load_torch
 from splitknit.training.scenes import SceneRanges
 from splitknit.training.trainer import (
-    Architecture,
     Entry,
     LearningCurve,
     NetworkKind,
@@ -62,8 +61,6 @@ class FieldsTask:
     kind: NetworkKind
     channels: int
     """Of a sample."""
-    outputs: int
-    """Of the network."""
     symmetry: Symmetry
     """Of a sample."""
     losses: Callable[[Any, Any], dict[str, Any]]
@@ -175,7 +172,7 @@ class FieldsTrainer(Trainer):
         scale = field_scale(task, samples, settings, whole)
 
         def build() -> Any:
-            network = fields_network(settings.widths, len(scale), task.outputs)
+            network = fields_network(settings.widths, len(scale), task.kind.channels[1])
             network.scale.copy_(load_torch().from_numpy(scale))
             return network
 
@@ -202,7 +199,7 @@ class FieldsTrainer(Trainer):
         """Network and card, see :func:`splitknit.training.trainer.packed`."""
         task, widths = self._task, self._fields.widths
         words = f"U-Net of {len(widths)} levels, widths {', '.join(map(str, widths))}"
-        return packed(task.kind, self.network, Architecture(words, (FIELDS, task.outputs), len(widths) - 1), facts)
+        return packed(task.kind, self.network, words, len(widths) - 1, facts)
 
 
 def draw_batch(

@@ -28,6 +28,7 @@ NETWORK = NetworkKind(
     "relief and glare of skin: the fields of splitknit.skin.learned to the relief in 0.02 mm, seven "
     "waves of the glare over the light's azimuth in 0.05 of the green level, and the logarithm of the relief's "
     "variance",
+    (FIELDS, 9),  # the relief, seven waves of the glare, the logarithm of the relief's variance
 )
 FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("relief", "slope", "likelihood", "glare")
@@ -136,7 +137,6 @@ def _shoot(kind: str, number: int, data: ReliefData) -> Sequence[Stored]:
 TASK = FieldsTask(
     kind=NETWORK,
     channels=CHANNELS,
-    outputs=9,  # the relief, seven waves of the glare, the logarithm of the relief's variance
     symmetry=SYMMETRY,
     losses=_relief_losses,
     judge=_judge_middle,

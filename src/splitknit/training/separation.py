@@ -33,7 +33,6 @@ from splitknit.training.separation_data import (
 from splitknit.training.trainer import (
     FREE,
     HELD_OUT_FROM,
-    Architecture,
     LearningCurve,
     NetworkKind,
     Sample,
@@ -54,7 +53,9 @@ from splitknit.training.trainer import (
 )
 
 NETWORK = NetworkKind(
-    "direct", "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its direct part"
+    "direct",
+    "direct light of skin: a photograph, or its CLAHE-enhanced grey image three times, to its direct part",
+    (3, 3),
 )
 FILES = files_of(NETWORK.name, "photographs")
 
@@ -115,10 +116,6 @@ class SeparationTrainer(Trainer):
             error = error[:, :, rim:-rim, rim:-rim]
         return {"loss": (error * error).mean()}
 
-    def total(self, parts: dict[str, Any]) -> Any:
-        """The only part."""
-        return parts["loss"]
-
     def loss_of(self, patches: Patches, enhanced: bool) -> float:
         """Mean squared error over all patches as they are, nothing dropped."""
         self.network.eval()
@@ -133,7 +130,7 @@ class SeparationTrainer(Trainer):
         """Network and card, see :func:`splitknit.training.trainer.packed`."""
         settings = self.settings
         words = f"U-Net of the thesis (figure 3.19), depth {settings.depth}, width {settings.width}"
-        return packed(NETWORK, self.network, Architecture(words, (3, 3), settings.depth), facts)
+        return packed(NETWORK, self.network, words, settings.depth, facts)
 
 
 def _learning_factor(done: float, decay: float) -> float:

@@ -26,6 +26,7 @@ NETWORK = NetworkKind(
     "shape",
     "slopes that a finger's shape lacks: the fields of splitknit.skin.learned on the coarse grid to slopes "
     "along x and y in units of 0.1",
+    (FIELDS, 2),
 )
 FILES = files_of(NETWORK.name, "fingers")
 PARTS = ("slope", "wide")
@@ -136,7 +137,6 @@ def _mean(field: Any) -> Any:
 TASK = FieldsTask(
     kind=NETWORK,
     channels=CHANNELS,
-    outputs=2,
     symmetry=SYMMETRY,
     losses=_shape_losses,
     judge=_judge_whole,

@@ -122,9 +122,9 @@ class Trainer(ABC):
     def losses(self, batch: Any) -> dict[str, Any]:
         """The parts of a batch's loss, torch scalars."""
 
-    @abstractmethod
     def total(self, parts: dict[str, Any]) -> Any:
-        """The weighted sum of the parts."""
+        """The weighted sum of the parts; plain unless weights are given."""
+        return sum(parts.values())
 
     def train(self, count: int, tick: Callable[[float], None] | None = None) -> dict[str, float]:
         """Train `count` epochs or iterations; return the mean of each part of the loss; BadInput if not finite."""
@@ -425,32 +425,24 @@ class NetworkKind:
 
     name: str
     what: str
-
-
-@dataclass(frozen=True, slots=True)
-class Architecture:
-    """Of a U-Net."""
-
-    words: str
     channels: tuple[int, int]
     """Of input and output."""
-    depth: int
-    """Times that it halves the scale."""
 
 
 def packed(
-    kind: NetworkKind, network: Any, architecture: Architecture, facts: Mapping[str, Any]
+    kind: NetworkKind, network: Any, architecture: str, depth: int, facts: Mapping[str, Any]
 ) -> tuple[bytes, bytes]:
-    """The files of a finished network: ONNX, with weights in half precision, and card with `facts`."""
-    channels, depth = architecture.channels, architecture.depth
-    weights = export_onnx(network, channels[0], 2**depth)
+    """The files of a finished network: ONNX, with weights in half precision, and card with `facts`.
+    `architecture`: of the U-Net, in words; `depth`: times that it halves the scale.
+    """
+    weights = export_onnx(network, kind.channels[0], 2**depth)
     head = {
-        "channels_in": channels[0],
-        "channels_out": channels[1],
+        "channels_in": kind.channels[0],
+        "channels_out": kind.channels[1],
         "stride": 2**depth,
         "reach": unet_reach(depth),
         "what": kind.what,
-        "architecture": architecture.words,
+        "architecture": architecture,
         "licence": "Apache-2.0",
         "software": f"splitknit {provenance()['version']}",
     }
