@@ -26,7 +26,7 @@ SHORT = {
     "room": "no room",
     "printer": "printer",
     "beam": "beam",
-    "glare": "specular reflection",
+    "glare": "specular",
     "exposure_white": "exposure",
     "exposure_nir": "exposure",
 }
