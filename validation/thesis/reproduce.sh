@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The thesis's experiment at a tenth of its size: 17 people, one finger, four sessions, whole views, all impostors; by the
-# processor's time of its steps about 15 minutes of two quiet cores. Ends with the table of claims, with intervals as wide as so few fingers make them.
+# The thesis's experiment at a tenth of its size: 17 people, one finger, four sessions, whole views, all impostors; 12 minutes
+# of two cores. Ends with the table of claims, with intervals as wide as so few fingers make them.
 #
 #   validation/thesis/reproduce.sh [--dry-run] [FOLDER]     # FOLDER: validation/out/reproduce unless given
 #
