@@ -87,7 +87,8 @@ def _local_wiener(
     for row in range(0, padded.shape[0] - side + 1, hop):
         strip = np.stack([padded[row : row + side, column : column + side] for column in starts]) * window
         spectrum = scipy.fft.rfft2(strip, workers=2)
-        power = _smooth((spectrum.real**2 + spectrum.imag**2).astype(np.float32))
+        raw = (spectrum.real**2 + spectrum.imag**2).astype(np.float32)
+        power = scipy.ndimage.uniform_filter(raw, (1, 3, 3), mode=("wrap", "wrap", "nearest"))
         excess = np.maximum(power - np.float32(settings.caution) * noise_power, np.float32(0.0))
         gain = excess / (excess + noise_power + np.float32(1e-30))
         kept = scipy.fft.irfft2(spectrum * gain, (side, side), workers=2) * window
@@ -108,11 +109,6 @@ def _local_wiener(
 def _window(side: int) -> FloatArray:
     hann = np.sin(np.pi * (np.arange(side) + 0.5) / side).astype(np.float32)
     return np.asarray(np.outer(hann, hann), dtype=np.float32)
-
-
-def _smooth(power: NDArray[np.float32]) -> NDArray[np.float32]:
-    along = scipy.ndimage.uniform_filter1d(power, 3, axis=1, mode="wrap")
-    return np.asarray(scipy.ndimage.uniform_filter1d(along, 3, axis=2, mode="nearest"), dtype=np.float32)
 
 
 CROSSOVER_MM = 0.3

@@ -183,7 +183,9 @@ class _Part:
         by_depth = self.spread @ depths
         moved = self.modes[..., 0] * by_depth[:, None] + self.modes[..., 1:] @ pose
         column, row = self.columns + moved[:, 0], self.rows + moved[:, 1]
-        seen, across, down = (_read(field, column, row) for field in self.fields)
+        seen, across, down = (
+            ndimage.map_coordinates(f, [row, column], order=1).astype(np.float64) for f in self.fields
+        )
         score = float(np.corrcoef(seen, self.target)[0, 1]) if seen.std() > 0 else 0.0
         jacobian = across[:, None] * self.modes[:, 0] + down[:, None] * self.modes[:, 1]  # (K, 4)
         matrix: Any = scipy.sparse.hstack(
@@ -203,11 +205,6 @@ def _ridge_moves(
         _shifts_by(sight, points[at], rays[at], (right[at], down[at])) for sight in sights
     )
     return np.concatenate([(of_mirror - of_front)[..., None], by_pose], axis=-1)
-
-
-def _read(field: FloatArray, columns: Array, rows: Array) -> Array:
-    """(K,) values at places, zero outside."""
-    return np.asarray(ndimage.map_coordinates(field, [rows, columns], order=1, mode="constant"), dtype=np.float64)
 
 
 def _hats(columns: Array, rows: Array, knots: tuple[int, int]) -> scipy.sparse.csr_array:

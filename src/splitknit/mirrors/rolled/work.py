@@ -423,17 +423,13 @@ class Work:
 def _angles(reach_deg: float, radius_mm: float, pitch_mm: float) -> Array:
     """Angles to both sides of the front, `pitch_mm` apart at `radius_mm`."""
     low, high = np.deg2rad(-reach_deg), np.deg2rad(reach_deg)
-    return _even(low, high, max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1))
+    return np.linspace(low, high, max(2, int(np.ceil((high - low) * radius_mm / pitch_mm)) + 1))
 
 
 def _lengths(base_mm: float, tip_mm: float, pitch_mm: float) -> Array:
     """Lengths from the tip to the base."""
     rows = max(2, int(np.ceil((tip_mm - base_mm) / pitch_mm)) + 1)
-    return _even(tip_mm, tip_mm - pitch_mm * (rows - 1), rows)
-
-
-def _even(low: float, high: float, count: int) -> Array:
-    return np.asarray(np.linspace(low, high, count), dtype=np.float64)
+    return np.linspace(tip_mm, tip_mm - pitch_mm * (rows - 1), rows)
 
 
 def _sampled(chart: Chart, radius_mm: Array, other: Chart) -> Array:

@@ -246,12 +246,7 @@ class GroundScene(ABC):
     def _blur(self) -> FloatArray:
         camera, bench = self.camera, self.bench
         pitch = px_per_mm_at(camera, bench.focus_mm)
-        return blur_sigma_px(self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
-
-    @property
-    def _depth(self) -> Array:
-        """(H, W) height z of what each pixel sees."""
-        return self._hit[2]
+        return blur_sigma_px(self._points[2], bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
 
 
 def _switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:

@@ -302,9 +302,9 @@ _DRY_ROUGHNESS = 0.5
 
 _SCAR_ROUGHNESS = 0.15
 
-_SCAR = {"blood": 2.0, "scattering_factor": 1.3, "melanin": 0.5}
-"""A young scar beside its skin: more blood and collagen, less pigment (Tseng et al. 2012 measured that they differ; how
-far is our choice)."""
+_SCAR = {"blood": (2.0, 0.1), "scattering_factor": (1.3, 3.0), "melanin": (0.5, 0.05)}
+"""A young scar beside its skin, as a factor and a limit: more blood and collagen, less pigment (Tseng et al. 2012
+measured that they differ; how far is our choice)."""
 
 _TOP_MM = 0.006
 """The skin is sought from 8 um above the body on: nothing may stand higher."""
@@ -416,14 +416,11 @@ def _weathered(
         scales = _on_chart(weathered.reflectance, surface, laid)
         return Coat("dry", condition.severity, fraction, np.full(fraction.shape, rough, np.float32), scales=scales)
     smooth = skin.roughness + fraction * (min(_SCAR_ROUGHNESS, skin.roughness) - skin.roughness)
-    scar: dict[str, Any] = {name: _bounded(skin, name, factor) for name, factor in _SCAR.items()}
+    scar: dict[str, Any] = {
+        name: min(factor * float(getattr(skin, name)), most) for name, (factor, most) in _SCAR.items()
+    }
     tint = _tint(skin, replace(skin, **scar))
     return Coat("scarred", condition.severity, fraction, smooth.astype(np.float32), tint=tint)
-
-
-def _bounded(skin: SkinOptics, name: str, factor: float) -> float:
-    most = {"blood": 0.1, "scattering_factor": 3.0, "melanin": 0.05}[name]
-    return min(factor * float(getattr(skin, name)), most)
 
 
 def _tint(skin: SkinOptics, other: SkinOptics) -> dict[str, float]:
