@@ -246,7 +246,12 @@ class GroundScene(ABC):
     def _blur(self) -> FloatArray:
         camera, bench = self.camera, self.bench
         pitch = px_per_mm_at(camera, bench.focus_mm)
-        return blur_sigma_px(self._points[2], bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
+        return blur_sigma_px(self._depth.astype(np.float32), bench.focus_mm, camera.height_mm, bench.aperture_mm, pitch)
+
+    @property
+    def _depth(self) -> Array:
+        """(H, W) height z of what each pixel sees: of the ground, or of what stands on it."""
+        return self._hit[2]
 
 
 def _switched_on(leds: Sequence[Led], lit: Sequence[int]) -> Iterator[Led]:
