@@ -225,8 +225,10 @@ def differences(
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
     layout = _Layout(settings.targets)
     systems = [_make_cells(one.genuine, one.impostor) for one in (first, second)]
-    numbers = (np.arange(one.size) for one in (first.genuine, first.impostor))  # drawn one by one: the same for both
-    units = _plain_units(*numbers) if method == "plain" else _clusters(first, method)
+    if method == "plain":  # drawn one by one: the same for both
+        units = _plain_units(np.arange(first.genuine.size), np.arange(first.impostor.size))
+    else:
+        units = _clusters(first, method)
     rows = _rows(units, systems, layout, settings, progress)
     lows, highs = _limits(rows[0] - rows[1], CONFIDENCE)
     values = [_figure_values(one, settings.targets) for one in (first, second)]

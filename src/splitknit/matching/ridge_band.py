@@ -125,7 +125,7 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     sigma = settings.noise_mm / pitch_mm
     weight = gaussian_mean(mask.astype(np.float32), sigma)
     known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
-    smooth = gaussian_mean(known, sigma) / np.maximum(weight, np.float32(1e-3))
+    smooth: AnyArray = gaussian_mean(known, sigma) / np.maximum(weight, np.float32(1e-3))
     value = sampled_at(smooth, columns, rows, outside=0.0)
     inside = (sampled_at(weight, columns, rows, outside=0.0) > 0.5) & (
         slant_cos >= np.cos(np.deg2rad(settings.slant_deg))
@@ -224,7 +224,7 @@ def band_places(
     height = np.where(inside, height / np.maximum(weight, np.float32(0.5)), np.float32(np.nan)).astype(np.float32)
     slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
-    total = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), np.float32(1e-3))
+    total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), np.float32(1e-3))
     limit = np.float32(np.tan(np.deg2rad(settings.slant_deg)))
     x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
     there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
