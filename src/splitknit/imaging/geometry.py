@@ -137,7 +137,11 @@ _LINE = 128
 
 
 def sampled_at(
-    field: FloatArray, columns: FloatArray, rows: FloatArray, how: int = cv2.INTER_LINEAR, outside: float | None = None
+    field: FloatArray,
+    columns: NDArray[Any],
+    rows: NDArray[Any],
+    how: int = cv2.INTER_LINEAR,
+    outside: float | None = None,
 ) -> FloatArray:
     """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels.
 

@@ -229,9 +229,8 @@ def band_places(
     x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
     there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
     known = sampled_at(inside.astype(np.float32), *there, outside=0.0) > 0.5
-    right, up = (
-        sampled_at(gaussian_mean(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there, outside=0.0) for s in slopes
-    )
+    even_slopes: list[AnyArray] = [gaussian_mean(np.clip(s, -2 * limit, 2 * limit), sigma) / total for s in slopes]
+    right, up = (sampled_at(slope, *there, outside=0.0) for slope in even_slopes)
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
     along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
     slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
