@@ -91,7 +91,8 @@ def settings_without_words(source: str, dataclasses: set[str]) -> list[str]:
 def test_every_setting_has_words() -> None:
     sources = [file.read_text(encoding="utf-8") for file in (ROOT / "src").rglob("*.py")]
     dataclasses = {name for text in sources for name in re.findall(r"^@dataclass.*\nclass (\w+)", text, re.MULTILINE)}
-    assert [name for text in sources for name in settings_without_words(text, dataclasses)] == []
+    with_settings = [text for text in sources if re.search(r"^class \w+(Settings|Ranges)\b", text, re.MULTILINE)]
+    assert [name for text in with_settings for name in settings_without_words(text, dataclasses)] == []
 
 
 def test_a_setting_without_words_is_found() -> None:

@@ -55,12 +55,14 @@ def correlation(result, truth):
     return compare(result, truth).figures["ridge_correlation"]
 
 
+@pytest.mark.slow
 def test_motion_is_undone(still, moved, unmoved, undone):
     lost = correlation(unmoved, still[1]) - correlation(undone, moved[1])
     assert lost < 0.05
     assert correlation(reconstruct(moved[0], "ea", OFF), moved[1]) < correlation(undone, moved[1]) - 0.15
 
 
+@pytest.mark.slow
 def test_the_report_tells_the_motion(moved, undone):
     _, truth = moved
     told = {name: undone.facts[f"motion_{name}"] for name in ("white", "nir")}
@@ -89,6 +91,7 @@ def test_the_reference_shot_and_the_capture_given_are_not_touched(moved):
     assert other.bands["white"].pixels.dtype == before["white"].dtype
 
 
+@pytest.mark.slow
 def test_a_still_finger_is_left_alone(still, unmoved):
     capture, _ = still
     same, finger = steadied(capture)
@@ -157,6 +160,7 @@ def test_photographs_of_coloured_leds_are_brought_together():
     np.testing.assert_allclose(told["shift_mm"], flow * [1, -1], atol=0.06)
 
 
+@pytest.mark.slow
 def test_few_shots_are_left_alone(moved):
     capture, _ = moved
     white = capture.bands["white"]

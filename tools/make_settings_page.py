@@ -16,6 +16,7 @@ import re
 import sys
 import textwrap
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +51,11 @@ splitknit.reconstruct(capture, settings={"skin.scattering_factor": 1.2, "metric"
 """
 
 
-def field_words(settings: Any) -> dict[str, str]:
+@cache
+def field_words(settings: type) -> dict[str, str]:
     """Docstrings below the fields of a dataclass and its bases, by field."""
     words = {}
-    for kind in type(settings).__mro__[:-1]:
+    for kind in settings.__mro__[:-1]:
         body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
         assert isinstance(body, ast.ClassDef)
         for line, following in zip(body.body, [*body.body[1:], ast.Pass()], strict=True):
@@ -73,7 +75,7 @@ def rows(settings: Any, prefix: str = "") -> list[tuple[str, Any, str]]:
     ValueError
         If a setting has no docstring below it.
     """
-    words = field_words(settings)
+    words = field_words(type(settings))
     found: list[tuple[str, Any, str]] = []
     for field in fields(settings):
         value = getattr(settings, field.name)

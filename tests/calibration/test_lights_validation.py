@@ -19,6 +19,7 @@ def lights():
     return module
 
 
+@pytest.mark.slow
 def test_tables(lights, tmp_path, capsys):
     """The issue's aims: 1 deg for two positions, 0.4 deg for the joint fit over four."""
     out = tmp_path / "lights.json"

@@ -88,9 +88,10 @@ def test_a_known_nail_needs_no_circle():
     assert np.abs(np.array([one.position_mm for one in free.leds]) - in_order(leds)).max() > 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [ORTHOGRAPHIC, PERSPECTIVE], ids=["orthographic", "perspective"])
 def test_noise_stays_within_the_intervals(camera):
-    """One pixel on the tips, a tenth of a millimetre on the nail: the issue's figures, on three rigs."""
+    """One pixel on the tips, a tenth of a millimetre on the nail, on three rigs."""
     errors, inside = [], []
     for seed in range(3):
         leds = rig(seed)

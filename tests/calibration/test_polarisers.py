@@ -73,6 +73,7 @@ def check(folder: Path, films: Films, tmp_path: Path, capsys: pytest.CaptureFixt
     return found
 
 
+@pytest.mark.slow
 def test_good_films(bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = check(*bench, tmp_path, capsys)
     rig = read_rig(tmp_path / "rig.json")
@@ -86,6 +87,7 @@ def test_poor_films(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     check(tmp_path / "polarisers", films, tmp_path, capsys)
 
 
+@pytest.mark.slow
 def test_two_positions_give_the_leak_alone(
     bench: tuple[Path, Films], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -99,6 +101,7 @@ def test_two_positions_give_the_leak_alone(
     np.testing.assert_allclose(found.leak, bench[1].leak, rtol=0.05, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_leds_beside_each_other(bench: tuple[Path, Films]) -> None:
     folder, films = bench
     ball = _dark(folder / "ball")
@@ -175,6 +178,7 @@ def _same_angle(folder: Path) -> None:
     (folder / "ball_85").rename(folder / "ball_90")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -222,6 +226,7 @@ def test_rig_files_with_wrong_films(change: dict[str, Any], words: str) -> None:
         rig_from_json(document)
 
 
+@pytest.mark.slow
 def test_the_crossed_series_is_brought_onto_the_parallel_one(bench: tuple[Path, Films], tmp_path: Path) -> None:
     folder, films = bench
     capture = _dark(folder / "card")
@@ -246,6 +251,7 @@ def test_the_crossed_series_is_brought_onto_the_parallel_one(bench: tuple[Path, 
         aligned(_dark(tmp_path / "c"))
 
 
+@pytest.mark.slow
 def test_films_that_nobody_has_measured(bench: tuple[Path, Films]) -> None:
     capture = _dark(bench[0] / "card")
     same, facts = aligned(capture)
@@ -266,6 +272,7 @@ def test_light_that_clips_behind_a_darker_film() -> None:
         assert (light >= 0.985).all() == clips
 
 
+@pytest.mark.slow
 def test_contrast_is_that_of_the_highlights(bench: tuple[Path, Films]) -> None:
     folder, films = bench
     capture = _dark(folder / "ball")

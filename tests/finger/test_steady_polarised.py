@@ -70,6 +70,7 @@ def test_motion_between_the_series_is_undone(polarised: Capture) -> None:
     assert after < 0.3 * before
 
 
+@pytest.mark.slow
 def test_grey_images_show_it_less_exactly(polarised: Capture) -> None:
     def of_one_channel(band: Band) -> Band:
         last = band.pixels.shape[3] // 2
@@ -82,6 +83,7 @@ def test_grey_images_show_it_less_exactly(polarised: Capture) -> None:
     np.testing.assert_allclose(found, np.broadcast_to(MOVED_MM, found.shape), atol=0.04)
 
 
+@pytest.mark.slow
 def test_it_is_measured_where_it_is_not_undone(polarised: Capture) -> None:
     apart = moved(polarised, *MOVED_MM)
     steady, finger = find_steady_finger(apart, override(METRIC, {"motion.correct": "off"}))

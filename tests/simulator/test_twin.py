@@ -166,6 +166,7 @@ def test_background_dust_gradient_and_hand_shadow(egg, rig):
     assert 0 < background.mean() < 0.02
 
 
+@pytest.mark.slow
 def test_a_coloured_background_lights_the_flanks(egg, rig):
     black, truth = _photo(egg, rig, sensor=QUIET)
     green = BackgroundSettings(colour=(0.0, 0.4, 0.1, 0.7))
@@ -207,6 +208,7 @@ def test_seeds_repeat_and_workers_do_not_matter(egg, rig):
     assert one != _digest(*_photo(egg, rig, seed=2))
 
 
+@pytest.mark.slow
 def test_a_simulated_finger_end_to_end():
     settings = TwinSettings(scale=0.1, render=RenderSettings(workers=2))
     capture, truth = simulate_capture(11, "whorl", settings)

@@ -96,12 +96,14 @@ def test_the_order_of_the_lights_is_of_no_account(piece: Piece, straight) -> Non
     np.testing.assert_allclose(relief, straight[1], atol=2e-4)
 
 
+@pytest.mark.slow
 def test_a_mirrored_finger_is_mirrored(piece: Piece, straight) -> None:
     mask = piece.grid.mask[:, ::-1]
     shape, relief = piece.moved(lambda a: a[:, ::-1], lambda x, y: (-x, y), mask).surface()
     same_surface((shape[:, ::-1], relief[:, ::-1]), straight, piece.grid)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [137.0, *(pytest.param(a, marks=pytest.mark.slow) for a in (30.0, 90.0, 180.0))])
 def test_a_turned_finger_is_turned(piece: Piece, straight, turn_deg: float) -> None:
     side = piece.grid.shape[0]

@@ -134,6 +134,7 @@ def simulated() -> tuple[Capture, dict[str, FloatArray]]:
     return splitknit.simulate_capture(3, settings={"scale": 0.25, "films.kind": "analyser"})
 
 
+@pytest.mark.slow
 def test_a_polarised_capture_has_measured_heights(simulated: tuple[Capture, dict[str, FloatArray]]) -> None:
     capture, truth = simulated
     result = splitknit.reconstruct(capture, settings={"metric.rounds": 1})

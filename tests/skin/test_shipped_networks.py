@@ -42,6 +42,7 @@ def test_relief_and_shape_of_a_dome(networks, glare, scattering):
     assert 0.3 < ratio < 3
 
 
+@pytest.mark.slow
 def test_without_ridges_none_are_drawn(networks):
     scene = make_scene(depth=0.0)
     found = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS, networks=networks)

@@ -53,6 +53,7 @@ def test_shape_comes_out_beside_the_relief(scene, found):
     assert found.shape_mm[scene.grid.mask].mean() == pytest.approx(SETTINGS.plane_mm, abs=0.1)
 
 
+@pytest.mark.slow
 def test_matt_skin_has_less_glare_than_glossy_skin(found):
     scene = make_scene(glare=0.0)
     matt = metric_skin((scene.white, scene.nir), scene.grid, SkinSettings(), SETTINGS)
@@ -81,6 +82,7 @@ def test_colours_find_the_relief_of_skin_that_scatters_otherwise(scattering):
     assert correlation > 0.97
 
 
+@pytest.mark.slow
 def test_deviation_of_grey_skin_tells_what_wrong_scattering_does():
     """Matt skin in grey: its relief is off by as much as is told, and the deviation holds it."""
     true, stronger = make_scene(glare=0.0), make_scene(glare=0.0, scattering=1.3)

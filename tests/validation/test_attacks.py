@@ -23,6 +23,7 @@ def presented():
     }
 
 
+@pytest.mark.slow
 def test_a_photograph_is_flat_and_shows_the_finger(presented):
     capture, truth = presented["photo-matt"]
     live = presented["live"][1]
@@ -36,6 +37,7 @@ def test_a_photograph_is_flat_and_shows_the_finger(presented):
     assert picture.std() / picture.mean() > 0.1  # it shows shading that its surface does not have
 
 
+@pytest.mark.slow
 def test_a_cast_has_lower_relief_and_a_normal_for_each_slope(presented):
     _, truth = presented["silicone"]
     live = presented["live"][1]
@@ -44,6 +46,7 @@ def test_a_cast_has_lower_relief_and_a_normal_for_each_slope(presented):
     assert np.allclose(np.linalg.norm(truth["normals"][truth["mask"]], axis=1), 1, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_screen_shines_with_the_lights_off_but_not_in_near_infrared(presented):
     capture, truth = presented["screen"]
     inside = truth["mask"]
@@ -51,6 +54,7 @@ def test_a_screen_shines_with_the_lights_off_but_not_in_near_infrared(presented)
     assert white > 20.0 and nir < 0.2 * white
 
 
+@pytest.mark.slow
 def test_skin_without_blood_keeps_its_ridges_and_loses_its_red(presented):
     (pale, truth), (capture, live) = presented["bloodless"], presented["live"]
     inside = truth["mask"]
@@ -64,6 +68,7 @@ def test_skin_without_blood_keeps_its_ridges_and_loses_its_red(presented):
     assert red_over_green(pale) < 0.9 * red_over_green(capture)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_another_instrument(presented):
     again = simulate_attack(1, "silicone", SETTINGS)[0].bands["white"].pixels
     other = simulate_attack(1, "silicone", SETTINGS, impression=1)[0].bands["white"].pixels

@@ -53,6 +53,7 @@ def test_ridges_lay_one_impression_on_the_other(fingers: Path) -> None:
     assert back.turn_rad == pytest.approx(-found.turn_rad, abs=0.01)
 
 
+@pytest.mark.slow
 def test_other_fingers_are_told_by_their_similarity(fingers: Path) -> None:
     found, _, _ = aligned(fingers / "a", fingers / "other")
     assert found.similarity is not None and found.similarity < 0.5

@@ -298,6 +298,9 @@ TIP_TRUST = 0.1
 """Weight of a view from beyond the tip: it sees the largest sections only."""
 COMMON_MM = 4.0
 """Points of an outline that are nearer to each other than this err together."""
+EDGE_MM = 0.1
+"""Standard deviation of the error that a whole edge of a view has in common, at its middle and from there to its end:
+shading, blur and the threshold move it as a whole, which a mirror's pose would otherwise explain."""
 _END_SURE = 2
 """Corrections before points of an outline may be left out altogether."""
 _END_SETTLED = 2e-4
@@ -358,20 +361,23 @@ def fit_body(
     estimate, names, ends = start, outlines.names, outlines.ends
     parameters = _global_names(names, slopes is not None, settings.section == "oval")
     count = start.body.coefficients.size
+    common = _common_errors(estimate, outlines)
     for turn in range(settings.rounds):
         residual, spline = _linearised(estimate, outlines)
         by_global = np.column_stack([_change(estimate, name, size, outlines, residual) for name, size in parameters])
         weight = _robust_weights(residual, ends, OUTLINE_MM, sure=turn >= sure_from)
         weight *= min(1.0, 2.0 * ROW_MM / COMMON_MM) / OUTLINE_MM**2
-        jacobian = np.column_stack([spline, by_global])
+        jacobian = np.column_stack([spline, by_global, common])
         normal = jacobian.T @ (weight[:, None] * jacobian)
         right = -jacobian.T @ (weight * residual)
+        free = normal.shape[0] - common.shape[1]
+        normal[free:, free:] += np.eye(common.shape[1]) / EDGE_MM**2
         equations = _Equations(normal, right, parameters)
         _add_priors(equations, estimate, outlines.mirrors, start.body.tip_mm, settings)
         if slopes is not None:
             _add_slopes(equations, estimate, slopes)
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal) + 1e-9), right)
-        estimate = estimate.stepped(np.asarray(step, dtype=np.float64), parameters)
+        estimate = estimate.stepped(np.asarray(step[:free], dtype=np.float64), parameters)
         if turn > sure_from and float(np.abs(step[:count]).max()) < SETTLED:
             break
     residual = estimate.residual(outlines)
@@ -428,6 +434,22 @@ def _change(estimate: Estimate, name: str, size: float, outlines: Outlines, resi
     k = 1 + outlines.names.index(mirror)  # a mirror's pose changes the residuals of its own view alone
     changes[k] = (moved.residual_in(mirror, outlines) - parts[k]) / size
     return np.concatenate(changes)
+
+
+def _common_errors(estimate: Estimate, outlines: Outlines) -> Array:
+    """What one error of an edge does to the residuals (n, 4 of each view): even and linear along the finger, for both
+    edges.
+    """
+    body, ends = estimate.body, [0, *outlines.ends, None]
+    planes = [part for part, _ in estimate.planes(outlines)]
+    errors = np.zeros((sum(len(part.offset_mm) for part in planes), 4 * len(planes)))
+    for k, part in enumerate(planes):
+        normal, direction = (body.to_frame(of, place=False) for of in (part.normal, part.direction))
+        along = 1.0 + 2.0 * (body.to_frame(part.point, place=True)[:, 1] - body.tip_mm) / body.length_mm
+        right = normal[:, 0] * direction[:, 2] > normal[:, 2] * direction[:, 0]
+        columns = np.column_stack([right, ~right, right * along, ~right * along])
+        errors[ends[k] : ends[k + 1], 4 * k : 4 * k + 4] = columns
+    return errors
 
 
 def _linearised(estimate: Estimate, outlines: Outlines) -> tuple[Array, Array]:

@@ -62,6 +62,7 @@ def test_the_reference_shot_shows_what_a_still_finger_shows(still, moved):
     assert np.abs(two - ratio * one)[truth["mask"]].mean() > 3.0
 
 
+@pytest.mark.slow
 def test_the_truth_tells_where_the_skin_went(moved):
     capture, truth = moved
     flow, rows, columns = truth["motion_flow_px"], truth["motion_rows"], truth["motion_columns"]
@@ -84,6 +85,7 @@ def test_the_truth_tells_where_the_skin_went(moved):
     assert detail[1][core].std() > 1.15 * detail[0][core].std()
 
 
+@pytest.mark.slow
 def test_no_motion_changes_nothing(still):
     capture, _ = still
     again, _ = simulate_capture(5, None, twin(amplitude_mm=0.0, yaw_deg_per_mm=3.0))
@@ -108,6 +110,7 @@ def test_a_smear_is_as_long_as_the_path():
     assert (_smear_kernel(np.zeros(2)) == np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0]])).all()
 
 
+@pytest.mark.slow
 def test_coloured_leds_that_share_an_exposure_show_the_finger_at_one_place():
     rig = coloured_rig(0.12, 0)
     rig = replace(rig, leds=rig.leds[:6])

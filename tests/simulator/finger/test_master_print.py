@@ -76,6 +76,7 @@ def test_an_ink_print_is_mirrored_and_dark_on_ridges(prints: list[MasterPrint]) 
     assert np.corrcoef(image[rows, columns].ravel(), prints[0].ridge[i, j].ravel())[0, 1] < -0.8
 
 
+@pytest.mark.slow
 def test_the_mean_period_is_23_ridges_a_centimetre() -> None:
     periods = [
         master_print("arch", seed, MasterPrintSettings(half_width_mm=2, distal_mm=3, proximal_mm=1)).period_mm
@@ -105,6 +106,7 @@ def test_ridges_are_flat_and_wider_than_valleys(prints: list[MasterPrint]) -> No
         assert np.percentile(print_.ridge, 90) > 0.9
 
 
+@pytest.mark.slow
 def test_minutiae_sit_on_broken_ridges_at_the_density_of_people() -> None:
     densities = []
     for seed, pattern in enumerate(PATTERNS):

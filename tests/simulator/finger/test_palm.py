@@ -132,6 +132,7 @@ def test_beyond_the_patch_there_is_nothing(palms):
     assert surface.mask[100, 120] and not surface.mask[0, 0]
 
 
+@pytest.mark.slow
 def test_a_triradius_turns_the_direction_by_half_a_turn():
     palm = draw_palm(0, PalmSettings(size_mm=(20.0, 16.0), delta_share=1.0))
     turn = np.linspace(0, 2 * np.pi, 200)
