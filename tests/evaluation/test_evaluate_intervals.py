@@ -19,7 +19,6 @@ from splitknit.evaluation.intervals import (
     _figures_of,
     _Layout,
     _make_cells,
-    _pair_units,
     _plain_units,
     bootstrap,
     differences,
@@ -153,7 +152,10 @@ def test_fingers_of_one_subject_come_along_together() -> None:
 def test_plain_draws_are_as_many_as_there_are() -> None:
     genuine, impostor = np.repeat([1.0, 2.0], 50), np.arange(30.0)
     cells = _make_cells(genuine, impostor)
-    for units in (_plain_units(cells), _pair_units(100, 30)):
+    for units in (
+        _plain_units(cells.genuine, cells.impostor, cells.count + 1),
+        _plain_units(np.arange(100), np.arange(30)),
+    ):
         for batch in _cell_weights(units, [cells], 70, 3):
             assert (batch[0][0].sum(axis=0) == 100).all() and (batch[0][1].sum(axis=0) == 30).all()
 

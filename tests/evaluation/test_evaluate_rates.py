@@ -84,12 +84,6 @@ def test_equal_error_by_hand(genuine: list[float], impostor: list[float], value:
     assert equal_error(genuine, impostor).value == pytest.approx(value)
 
 
-def test_equal_error_interpolated() -> None:
-    # from (FAR, FRR) = (1, 0) to (0, 2/3): the chord meets FAR = FRR at 2/5
-    assert equal_error([1.0, 1.0, 2.0], [1.0, 1.0], interpolate=True).value == pytest.approx(0.4)
-    assert equal_error([0.9, 0.8, 0.7, 0.3], [0.1, 0.2, 0.4, 0.5], interpolate=True).value == 0.25
-
-
 def test_roc_by_hand() -> None:
     found = roc([1.0, 2.0], [0.0, 1.0, 1.5])
     corners = list(zip(found.far.tolist(), found.gar.tolist(), strict=True))

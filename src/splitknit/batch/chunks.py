@@ -9,7 +9,7 @@ from typing import Any
 from splitknit.batch.objects import Location, files_below, stored_file, whole_file
 from splitknit.errors import importing, refusing, require
 from splitknit.io.fields import parse_json
-from splitknit.io.provenance import canonical_json
+from splitknit.io.provenance import canonical_json, settings_hash
 
 # Packages that only the batch engine needs, imported when it needs them.
 
@@ -119,6 +119,11 @@ def _schema(path: Location) -> Any:
     pq = load("pyarrow.parquet", "batch")
     with stored_file(path, _MAX_BYTES) as stream, refusing(_damaged(path)):
         return pq.read_schema(stream)
+
+
+def chunk_name(number: str, source: Sequence[Any]) -> str:
+    """Name of a chunk's file without suffix: its number, and a hash of what its content follows from."""
+    return f"{number}-{settings_hash(source)[:12]}"
 
 
 def chunk_files(folder: Location) -> list[Location]:

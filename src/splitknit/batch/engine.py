@@ -22,7 +22,6 @@ from splitknit.batch.chunks import load, read_chunk
 from splitknit.batch.execution import Cluster, connected, run_tasks
 from splitknit.batch.features import FeatureTask, reconstruct_group
 from splitknit.batch.matchers import READY, Matcher, matcher
-from splitknit.batch.matchers import matcher as matcher_named
 from splitknit.batch.objects import MEMORY, Location, Objects, location, whole_file
 from splitknit.batch.population import (
     Block,
@@ -306,7 +305,7 @@ def _anywhere(folder: Location) -> Location:
 
 def _wanted_solids(settings: BatchSettings) -> tuple[str, ...]:
     """Features in space that the matchers read."""
-    sources = {matcher_named(name, settings.matching).source for name in settings.matchers}
+    sources = {matcher(name, settings.matching).source for name in settings.matchers}
     return tuple(sorted(sources & set(SOLIDS)))
 
 
@@ -322,16 +321,16 @@ def _extraction_tasks(run: _Run, case: Case, kind: str) -> list[ExtractionTask]:
 
 
 def _score_tasks(
-    store: Store, population: Population, settings: BatchSettings, case: Case, matcher: Matcher
+    store: Store, population: Population, settings: BatchSettings, case: Case, using: Matcher
 ) -> _ScoreTasks:
     """Comparisons that are not in the store. Raises BadInput if there are captures of one session only."""
     features = stored_places(store.files("features", case.name))
-    places = features if matcher.source == "features" else stored_places(store.files(matcher.source, case.name))
+    places = features if using.source == "features" else stored_places(store.files(using.source, case.name))
     captures = [capture for capture in population.captures if capture.name in places]
     pairs = missing_pairs(
         all_pairs(captures, settings.impostors, settings.seed),
         len(captures),
-        _done(store, case.name, matcher.name, captures),
+        _done(store, case.name, using.name, captures),
     )
 
     case_sha256 = case.document()["settings_sha256"]
@@ -342,7 +341,7 @@ def _score_tasks(
             case=case.name,
             case_sha256=case_sha256,
             population_sha256=population.sha256,
-            matcher=matcher.name,
+            matcher=using.name,
             matching=settings.matching,
             block=block.number,
             database=f"{case.name}, {captures[int(block.pairs.a[0])].session}, {block.number // 10_000 % 10_000}",
@@ -352,7 +351,7 @@ def _score_tasks(
             seed=settings.seed,
         )
 
-    return _ScoreTasks(blocks_of(pairs, captures, matcher.blocks_for(settings.impostors)), task)
+    return _ScoreTasks(blocks_of(pairs, captures, using.blocks_for(settings.impostors)), task)
 
 
 @dataclass(frozen=True, slots=True)

@@ -125,22 +125,19 @@ def _found_in(folder: Path) -> list[_Source]:
 
 def _waiting(gallery: Gallery | None, places: Sequence[_Source], *, replace: bool) -> list[_Source]:
     """What is not in the gallery; of what is, the files are compared by their hash."""
-    earlier = {}
-    if gallery is not None:
-        for one in gallery.entries():
-            earlier[one.entry.person, one.entry.finger, one.entry.session] = one.entry.source_sha256
+    entries = [] if gallery is None else [one.entry for one in gallery.entries()]
+    earlier = {(one.person, one.finger, one.session): one.source_sha256 for one in entries}
     waiting = []
     for place in places:
         known = earlier.get((place.person, place.finger, place.session))
-        if known is None:
-            waiting.append(place)
-        elif known != source_hash(place.path):
-            require(
-                replace,
-                f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}; "
-                "give --replace, or name another gallery.",
-            )
-            waiting.append(place)
+        if known is not None and known == source_hash(place.path):
+            continue
+        require(
+            known is None or replace,
+            f"'{place.path}' is not what was enrolled as {place.person}, {place.finger}, session {place.session}; "
+            "give --replace, or name another gallery.",
+        )
+        waiting.append(place)
     return waiting
 
 

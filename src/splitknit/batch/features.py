@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, chunk_name, column_type, load, write_chunk, write_timings
 from splitknit.batch.execution import TaskDone
 from splitknit.batch.objects import Location, captures_at_hand
 from splitknit.batch.population import CaptureRef
@@ -20,7 +19,7 @@ from splitknit.batch.surfaces import pack_surface
 from splitknit.errors import BadInput
 from splitknit.io.capture import read_capture
 from splitknit.io.prints import encode_print_png, provenance_texts
-from splitknit.io.provenance import canonical_json, provenance, settings_hash
+from splitknit.io.provenance import provenance, settings_hash
 from splitknit.matching.surface import MatchingSettings, surface_template
 from splitknit.matching.template import pack
 from splitknit.model import Reconstruction, surface_of
@@ -64,12 +63,6 @@ def _feature_schema() -> Any:
     return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
-def _chunk_name(group: int, captures: tuple[str, ...], settings_sha256: str) -> str:
-    """Name of a chunk's file without suffix: where its captures lie in the population, and what it follows from."""
-    content = canonical_json([settings_sha256, list(captures)])
-    return f"{group:05d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
-
-
 def reconstruct_group(task: FeatureTask) -> TaskDone:
     """Reconstruct the captures of a task and write a chunk for each case; finished chunks are whole on the disk."""
     rows: dict[str, list[dict[str, Any]]] = {case.name: [] for case, _ in task.cases}
@@ -95,7 +88,7 @@ def reconstruct_group(task: FeatureTask) -> TaskDone:
     schema = _feature_schema()
     for case, wanted in task.cases:
         document = case.document()
-        name = _chunk_name(task.group, wanted, document["settings_sha256"])
+        name = chunk_name(f"{task.group:05d}", [document["settings_sha256"], list(wanted)])
         columns = {column: [row[column] for row in rows[case.name]] for column in schema.names}
         origin = provenance(document, {row["capture"]: row["input_sha256"] for row in rows[case.name]})
         origin |= {"kind": "features", "kind_version": VERSION, "case": case.name}
@@ -151,9 +144,5 @@ def _print_png(result: Reconstruction) -> bytes:
 
 
 def _quality(quality: Mapping[str, Any]) -> dict[str, float | None]:
-    figures = {}
-    for band in BANDS:
-        for name in QUALITY:
-            value = quality.get(band, {}).get(name)
-            figures[f"{name}_{band}"] = None if value is None else float(value)
-    return figures
+    found = {f"{name}_{band}": quality.get(band, {}).get(name) for band in BANDS for name in QUALITY}
+    return {name: None if value is None else float(value) for name, value in found.items()}

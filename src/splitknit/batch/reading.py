@@ -13,7 +13,7 @@ from typing import Any
 from splitknit.batch.chunks import read_chunk
 from splitknit.batch.objects import Location, Objects
 from splitknit.batch.surfaces import unpack_surface
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, naming, require
 from splitknit.matching.surface import surface_images
 from splitknit.matching.thesis import FingerImages
 from splitknit.model import Surface
@@ -41,10 +41,7 @@ def surface_of(place: Place) -> Surface | None:
             f"'{place.file}' holds no surfaces: it was made without them; delete it and run the same again with them.",
         )
         return None
-    try:
-        return unpack_surface(payload)
-    except BadInput as error:
-        raise BadInput(f"'{place.file}': {error}") from error
+    return naming(f"'{place.file}'", lambda: unpack_surface(payload))
 
 
 def images_of(place: Place) -> FingerImages | None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from splitknit.batch.chunks import SUFFIX, column_type, load, write_chunk, write_timings
+from splitknit.batch.chunks import SUFFIX, chunk_name, column_type, load, write_chunk, write_timings
 from splitknit.batch.execution import TaskDone
 from splitknit.batch.matchers import READY, matcher
 from splitknit.batch.objects import Location
@@ -49,12 +48,6 @@ def score_schema(columns: tuple[str, ...]) -> Any:
     return load("pyarrow", "batch").schema([(name, column_type(name)) for name in names])
 
 
-def _chunk_name(task: ScoreTask, settings: Any) -> str:
-    """Name of a chunk's file without suffix: its block, and what its content follows from."""
-    content = canonical_json([task.case_sha256, task.matcher, settings, [[a, b] for a, b, _ in task.pairs]])
-    return f"{task.block:012d}-{hashlib.sha256(content.encode('ascii')).hexdigest()[:12]}"
-
-
 def score_block(task: ScoreTask) -> TaskDone:
     """Make the comparisons of a task and write its chunk."""
     started = time.thread_time()
@@ -76,7 +69,8 @@ def score_block(task: ScoreTask) -> TaskDone:
     origin = provenance(using.document, {name: small_column(task.origins[name], "input_sha256") for name in captures})
     origin |= {"kind": "scores", "kind_version": VERSION, "case": task.case, "case_sha256": task.case_sha256}
     origin |= {"matcher": task.matcher, "population_sha256": task.population_sha256, "seed": task.seed}
-    name = _chunk_name(task, using.document)
+    pairs = [[a, b] for a, b, _ in task.pairs]
+    name = chunk_name(f"{task.block:012d}", [task.case_sha256, task.matcher, using.document, pairs])
     seconds = time.thread_time() - started
     facts = {"pairs": len(rows), "processor_s": round(seconds, 3)}
     write_timings(task.store / "timings" / task.case / task.matcher, name, facts)

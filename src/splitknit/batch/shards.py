@@ -2,28 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 from splitknit.batch.execution import run_tasks
 from splitknit.errors import require
-from splitknit.gallery.shards import Found, Hits, Probe, Shards, merged, rescored_count, scan_shard
+from splitknit.gallery.shards import Hits, Shards, merged, rescored_count, scan_shard
 from splitknit.matching.code import ProbeSettings
 from splitknit.matching.template import Template
-
-
-@dataclass(frozen=True, slots=True)
-class _Scan:
-    """One shard to scan."""
-
-    file: Path
-    probe: Probe
-    count: int
-
-
-def _scan(task: _Scan) -> Found:
-    return scan_shard(task.file, task.probe, task.count)
 
 
 def search_shards(
@@ -42,5 +28,5 @@ def search_shards(
     """
     require(k >= 1, f"k must be at least 1, but it is {k}.")
     probe, count = shards.probe(template, settings), rescored_count(len(shards))
-    tasks = [_Scan(file.resolve(), probe, count) for file in shards.files]
-    return merged(list(run_tasks(_scan, tasks, jobs, client)), k, len(shards))
+    scan, files = partial(scan_shard, probe=probe, count=count), [file.resolve() for file in shards.files]
+    return merged(list(run_tasks(scan, files, jobs, client)), k, len(shards))

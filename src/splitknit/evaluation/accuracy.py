@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import bounding_box, height_gradients
+from splitknit.imaging.geometry import bounding_box, gaussian_mean, height_gradients
 from splitknit.io.npz import read_npz
 from splitknit.model import BoolArray, Capture, FloatArray, Reconstruction
 
@@ -141,8 +141,8 @@ def compare(result: Reconstruction, truth: Mapping[str, NDArray[Any]]) -> Compar
 
 def high_passed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Return `values` minus their Gaussian mean over the mask, zero outside it."""
-    weight = _gauss(mask.astype(np.float32), sigma_px)
-    mean = _gauss(np.where(mask, values, np.float32(0.0)), sigma_px) / np.maximum(weight, np.float32(1e-3))
+    weight = gaussian_mean(mask.astype(np.float32), sigma_px)
+    mean = gaussian_mean(np.where(mask, values, np.float32(0.0)), sigma_px) / np.maximum(weight, np.float32(1e-3))
     return np.where(mask, values - mean, np.float32(0.0)).astype(np.float32)
 
 
@@ -195,11 +195,6 @@ def _centred(error: FloatArray, where: BoolArray) -> FloatArray:
 
 def _rms(values: NDArray[Any]) -> float:
     return float(np.sqrt(np.mean(np.square(values.astype(np.float64)))))
-
-
-def _gauss(image: FloatArray, sigma: float) -> FloatArray:
-    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)
 
 
 def _mean(image: FloatArray, window: int) -> FloatArray:

@@ -356,11 +356,8 @@ def _newton(x: Table, y: Table, fraction: Table, hold: Table) -> Table:
 def _spread(scores: Table) -> tuple[Table, Table]:
     """Mean and standard deviation of each system's scores (S,)."""
     require(scores.ndim == 2, f"scores must have the shape (N, S), but they have {scores.shape}.")
-    known = ~np.isnan(scores)
-    number = known.sum(axis=0)
-    filled = np.where(known, scores, 0.0)
-    mean = filled.sum(axis=0) / np.maximum(number, 1)
-    spread = np.sqrt(np.where(known, (filled - mean) ** 2, 0.0).sum(axis=0) / np.maximum(number, 1))
+    known: Any = np.ma.masked_invalid(scores)
+    mean, spread = (np.asarray(found.filled(0.0)) for found in (known.mean(axis=0), known.std(axis=0)))
     flat = spread <= 1e-12 * np.maximum(1.0, np.abs(mean))
     require(
         not bool(flat.any()),

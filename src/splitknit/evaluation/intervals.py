@@ -195,7 +195,9 @@ def bootstrap(
     values = _figure_values(scores, settings.targets)
     layout = _Layout(settings.targets, _curve(scores, settings))
     cells = _make_cells(scores.genuine, scores.impostor)
-    units = _plain_units(cells) if method == "plain" else _clusters(scores, method)
+    units = (
+        _plain_units(cells.genuine, cells.impostor, cells.count + 1) if method == "plain" else _clusters(scores, method)
+    )
     rows = _rows(units, [cells], layout, settings, progress)[0]
     possible = _bounds(scores, method, settings.targets)
     lows, highs = _limits(rows, CONFIDENCE)
@@ -223,8 +225,8 @@ def differences(
     require(same, f"'{first.name}' and '{second.name}' did not score the same pairs; their labels differ.")
     layout = _Layout(settings.targets)
     systems = [_make_cells(one.genuine, one.impostor) for one in (first, second)]
-    if method == "plain":
-        units = _pair_units(int(first.label.sum()), int((~first.label).sum()))
+    if method == "plain":  # drawn one by one: the same for both
+        units = _plain_units(np.arange(first.genuine.size), np.arange(first.impostor.size))
     else:
         units = _clusters(first, method)
     rows = _rows(units, systems, layout, settings, progress)
@@ -439,19 +441,10 @@ class _Units:
         return max(1, min(32, BATCH // largest))
 
 
-def _plain_units(cells: _Cells) -> _Units:
-    """Comparisons are drawn; those of one cell are equivalent and need not be separated."""
-    sizes = (
-        np.bincount(cells.genuine, minlength=cells.count + 1),
-        np.bincount(cells.impostor, minlength=cells.count + 1),
-    )
-    return _Units(cells.genuine, cells.impostor, min(cells.genuine.size, cells.impostor.size), sizes)
-
-
-def _pair_units(genuine: int, impostor: int) -> _Units:
-    """Comparisons are drawn one by one, so that several systems can be given the same ones."""
-    sizes = (np.ones(genuine, dtype=np.int64), np.ones(impostor, dtype=np.int64))
-    return _Units(np.arange(genuine), np.arange(impostor), min(genuine, impostor), sizes)
+def _plain_units(genuine: NDArray[np.int64], impostor: NDArray[np.int64], least: int = 0) -> _Units:
+    """Comparisons (N,), (M,) are drawn; those of one number are equivalent and need not be separated."""
+    sizes = np.bincount(genuine, minlength=least), np.bincount(impostor, minlength=least)
+    return _Units(genuine, impostor, min(genuine.size, impostor.size), sizes)
 
 
 def _cluster_units(label: NDArray[np.bool_], ids: Ids) -> _Units:

@@ -1,7 +1,7 @@
 """Error rates of a matcher from its genuine and impostor scores: ROC, EER, GAR at FAR, d', AUC.
 
 A higher score means more similar and a pair is accepted if score >= t. A rate is a step function of t that changes
-only at scores, so that every figure here is exact and nothing is interpolated unless asked. NaN stands for a
+only at scores, so that every figure here is exact and nothing is interpolated. NaN stands for a
 comparison that gave no score, a *failure to acquire*, and there are two conventions for counting it:
 
 - ``all``: it is a rejection, as a user at the door sees it. FAR and FRR = 1 - GAR, over all attempts.
@@ -102,7 +102,7 @@ class _EqualError:
     """Where FAR and FRR meet."""
 
     value: float
-    """(FAR + FRR) / 2 at `threshold`, or where the chord crosses the diagonal if interpolated."""
+    """(FAR + FRR) / 2 at `threshold`."""
     far: float
     frr: float
     threshold: float | None
@@ -146,15 +146,14 @@ def roc(genuine: Any, impostor: Any, *, counting: Counting = "all") -> Roc:
     )
 
 
-def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", interpolate: bool = False) -> _EqualError:
+def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all") -> _EqualError:
     """Equal error rate, exactly, for step functions.
 
     With t over all scores and infinity, t1 the largest with FRR(t) <= FAR(t) and t2 the smallest with FRR(t) >= FAR(t),
     that of the two where FAR + FRR is smaller (t1 if neither) is taken, and EER = (FAR + FRR) / 2 there. Where rates
     meet, t1 = t2. Where failures keep FRR above FAR everywhere there is no t1. `genuine`, `impostor`: (N,) and (M,)
-    scores, NaN = failure to acquire; `counting`: ``all`` or ``made``; `interpolate`: draw a straight line between t1
-    and t2 instead. Source: D. Maio et al., "FVC2000: Fingerprint Verification Competition", IEEE Transactions on
-    Pattern Analysis and Machine Intelligence 24(3), 2002, section 3.2.
+    scores, NaN = failure to acquire; `counting`: ``all`` or ``made``. Source: D. Maio et al., "FVC2000: Fingerprint
+    Verification Competition", IEEE Transactions on Pattern Analysis and Machine Intelligence 24(3), 2002, section 3.2.
 
     >>> equal_error([0.9, 0.8, 0.7, 0.3], [0.1, 0.2, 0.4, 0.5]).value
     0.25
@@ -175,12 +174,6 @@ def equal_error(genuine: Any, impostor: Any, *, counting: Counting = "all", inte
     far2, frr2 = point(t2)
     t1 = t2 if far2 == frr2 or not lower else float(max(lower))
     far1, frr1 = point(t1)
-    if interpolate and far1 != frr1:
-        fraction = (far1 - frr1) / ((far1 - frr1) + (frr2 - far2)) if t1 != t2 else Fraction(0)
-        far, frr = far1 + fraction * (far2 - far1), frr1 + fraction * (frr2 - frr1)
-        return _EqualError(
-            float(far + frr) / 2, float(far), float(frr), _finite(t1 if fraction < Fraction(1, 2) else t2)
-        )
     t, far, frr = (t1, far1, frr1) if far1 + frr1 <= far2 + frr2 else (t2, far2, frr2)
     return _EqualError(float((far + frr) / 2), float(far), float(frr), _finite(t))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splitknit.errors import BadInput, require
+from splitknit.errors import BadInput, naming, require
 from splitknit.gallery.enrol import MINUTIAE_HASH, known_finger, templates_hash
 from splitknit.gallery.entry import Enrolled, check_person, session_order
 from splitknit.gallery.gallery import Gallery
@@ -348,10 +348,7 @@ def _codes(gallery: Gallery, progress: Progress) -> tuple[dict[int, NDArray[np.i
 
 
 def _unpacked(gallery: Gallery, row: int, payload: bytes) -> Template:
-    try:
-        return unpack(payload)
-    except BadInput as error:
-        raise BadInput(f"row {row} of '{gallery.path}': {error}") from error
+    return naming(f"row {row} of '{gallery.path}'", lambda: unpack(payload))
 
 
 def _order(one: _Found) -> tuple[Any, ...]:

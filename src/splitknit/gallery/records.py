@@ -21,6 +21,7 @@ from splitknit.errors import BadInput, naming, open_file, require
 from splitknit.gallery.entry import Entry
 from splitknit.gallery.gallery import Gallery
 from splitknit.gallery.key import Key
+from splitknit.imaging.geometry import gaussian_mean
 from splitknit.io.atomic import atomic_folder
 from splitknit.io.capture import photographs_hint, read_capture
 from splitknit.io.fields import read_json
@@ -35,7 +36,6 @@ from splitknit.io.targets import check_target
 from splitknit.io.templates import read_template
 from splitknit.matching.minutiae import extract
 from splitknit.matching.minutiae_record import PPI, holds_minutiae, no_minutiae, unpack_minutiae
-from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.template import VERSION, Template, unpack
 from splitknit.model import Led, Progress, no_progress
 from splitknit.pipeline import reconstruct
@@ -316,7 +316,7 @@ def _template_print(template: Template) -> Print:
     require(not template.empty, "the template is a failure to acquire: it holds no ridges.")
     scale, sigma = PPI * template.pitch_mm / 25.4, _WINDOW_MM / template.pitch_mm
     value = template.value()
-    spread = np.sqrt(np.maximum(gaussian_blur(value * value, sigma) - gaussian_blur(value, sigma) ** 2, np.float32(0)))
+    spread = np.sqrt(np.maximum(gaussian_mean(value * value, sigma) - gaussian_mean(value, sigma) ** 2, np.float32(0)))
     there = (template.valid & (spread > _LEAST_SPREAD)).astype(np.uint8)  # rims are of one level, and no ridges
     radius = round(_CLOSED_MM / template.pitch_mm)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))

@@ -5,6 +5,8 @@ Rows run downwards, so a derivative along y is minus the derivative along the ro
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +95,14 @@ def rotation_about(centre: tuple[float, float], angle_rad: float) -> NDArray[np.
     return np.asarray(back @ turn @ to_origin)
 
 
+def gaussian_mean(image: NDArray[Any], sigma: float) -> FloatArray:
+    """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels, none below 0.2."""
+    if sigma < 0.2:
+        return np.asarray(image, dtype=np.float32)
+    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred, dtype=np.float32)
+
+
 def smoothed(values: FloatArray, mask: BoolArray, sigma_px: float) -> FloatArray:
     """Gaussian mean (H, W) over what lies inside the mask; zero outside it.
 
@@ -127,7 +137,11 @@ _LINE = 128
 
 
 def sampled_at(
-    field: FloatArray, columns: FloatArray, rows: FloatArray, how: int = cv2.INTER_LINEAR, outside: float | None = None
+    field: FloatArray,
+    columns: NDArray[Any],
+    rows: NDArray[Any],
+    how: int = cv2.INTER_LINEAR,
+    outside: float | None = None,
 ) -> FloatArray:
     """Values (...) or (..., C) of a field (H, W) or (H, W, C) at places (...) between its pixels.
 
@@ -137,7 +151,7 @@ def sampled_at(
     padded = (np.append(part, np.zeros(missing)).astype(np.float32) for part in (columns, rows))
     x, y = (part.reshape(-1, _LINE) for part in padded)
     border = cv2.BORDER_REPLICATE if outside is None else cv2.BORDER_CONSTANT
-    taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=outside or 0.0) if x.size else np.zeros(0)
+    taken = cv2.remap(field, x, y, how, borderMode=border, borderValue=(outside or 0.0,) * 4) if x.size else np.zeros(0)
     return np.asarray(taken.reshape(-1, *field.shape[2:])[: columns.size].reshape(shape), dtype=np.float32)
 
 

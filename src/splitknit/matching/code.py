@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.matching.ridge_band import gaussian_blur
+from splitknit.imaging.geometry import gaussian_mean
 from splitknit.matching.template import Template
 from splitknit.model import FloatArray
 from splitknit.settings import Checked, Limits, check_fields
@@ -70,7 +70,7 @@ def code_field(template: Template) -> _CodeField:
     require(not template.empty, "a failure to acquire has no ridges; test template.empty first.")
     pitch = template.pitch_mm
     valid = template.valid.astype(np.uint8)
-    value = gaussian_blur(template.value(), 0.6)
+    value = gaussian_mean(template.value(), 0.6)
     # gradients beside the border of the valid skin are those of the border
     inside = cv2.erode(valid, np.ones((5, 5), np.uint8), borderValue=0).astype(np.float32)
     right = cv2.sepFilter2D(value, cv2.CV_32F, _DERIVATIVE, _HERE) * inside
@@ -79,7 +79,7 @@ def code_field(template: Template) -> _CodeField:
     small = max(1, valid.shape[1] // _REDUCED), max(1, valid.shape[0] // _REDUCED)
     sigma = _WINDOW_MM / (pitch * _REDUCED)
     xx, yy, xy, power, weight = (
-        gaussian_blur(np.asarray(cv2.resize(part, small, interpolation=cv2.INTER_AREA)), sigma) for part in parts
+        gaussian_mean(np.asarray(cv2.resize(part, small, interpolation=cv2.INTER_AREA)), sigma) for part in parts
     )
     total = np.maximum(xx + yy, np.float32(1e-6))
     frequency = 0.5 * np.log(total / np.maximum(power, np.float32(1e-6)))

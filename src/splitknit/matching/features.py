@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_image, require
-from splitknit.matching.ridge_band import gaussian_blur
+from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -302,7 +302,7 @@ def gabor_features(image: FloatArray, px_per_mm: float) -> Vector:
     size = max(1, round(image.shape[1] / shrink)), max(1, round(image.shape[0] / shrink))
     small: AnyArray = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     quarter = max(1, size[0] // 4), max(1, size[1] // 4)  # enough for what is as smooth as this mean
-    mean = gaussian_blur(
+    mean = gaussian_mean(
         cv2.resize(small, quarter, interpolation=cv2.INTER_AREA), 0.75 * _GABOR_PERIODS_PX[-1] * factor / shrink
     )
     small = small - cv2.resize(mean, size, interpolation=cv2.INTER_LINEAR)
@@ -354,7 +354,7 @@ def shape_context_features(image: FloatArray, px_per_mm: float) -> Vector:
     cell = cell_px(px_per_mm)
     rows, columns = image.shape[0] // cell, image.shape[1] // cell
     require(rows > 0 and columns > 0, f"the image of {image.shape} pixels is smaller than a cell of {cell} pixels.")
-    positive = (image - gaussian_blur(image, float(cell))) > 0
+    positive = (image - gaussian_mean(image, float(cell))) > 0
     flank = np.zeros(image.shape, dtype=np.float32)
     flank[:, 1:] += positive[:, 1:] != positive[:, :-1]
     flank[1:] += positive[1:] != positive[:-1]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import gaussian_mean
 from splitknit.matching.elastic import (
     Affine,
     Agreement,
@@ -26,7 +27,6 @@ from splitknit.matching.elastic import (
     spectrum_of,
 )
 from splitknit.matching.minutia_pairs import Cylinders, minutia_cylinders
-from splitknit.matching.ridge_band import gaussian_blur
 from splitknit.matching.score import prepared_side, prepared_sides
 from splitknit.matching.template import Template, pack
 from splitknit.model import BoolArray, FloatArray
@@ -135,7 +135,7 @@ def _median(values: FloatArray) -> float:
 
 def _softened(value: FloatArray, pitch_mm: float) -> FloatArray:
     """A ridge band (H, W) with less of what the coarse grid cannot hold."""
-    return gaussian_blur(value, 0.4 * _PITCH_MM / pitch_mm)
+    return gaussian_mean(value, 0.4 * _PITCH_MM / pitch_mm)
 
 
 def _ridge_view(soft: FloatArray, pitch_mm: float, angle_deg: float) -> Spectra:
@@ -273,7 +273,7 @@ class Prepared:
     @cached_property
     def value(self) -> FloatArray:
         """(H, W) ridge band with the steps of its levels smoothed away, zero outside."""
-        smooth = gaussian_blur(self.template.value(), 0.6)
+        smooth = gaussian_mean(self.template.value(), 0.6)
         return np.where(self.template.valid, smooth, np.float32(0.0)).astype(np.float32)
 
     @cached_property

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.imaging.geometry import height_gradients
+from splitknit.imaging.geometry import gaussian_mean, height_gradients, sampled_at
 from splitknit.model import BoolArray, FloatArray
 from splitknit.settings import Checked, Limits
 
@@ -123,11 +123,13 @@ def ridge_band(  # noqa: PLR0917 - as the guide calls it
     )
 
     sigma = settings.noise_mm / pitch_mm
-    weight = gaussian_blur(mask.astype(np.float32), sigma)
+    weight = gaussian_mean(mask.astype(np.float32), sigma)
     known = np.where(mask, ridge_mm, np.float32(0.0)).astype(np.float32)
-    smooth = gaussian_blur(known, sigma) / np.maximum(weight, np.float32(1e-3))
-    value = _sample(smooth, columns, rows)
-    inside = (_sample(weight, columns, rows) > 0.5) & (slant_cos >= np.cos(np.deg2rad(settings.slant_deg)))
+    smooth: AnyArray = gaussian_mean(known, sigma) / np.maximum(weight, np.float32(1e-3))
+    value = sampled_at(smooth, columns, rows, outside=0.0)
+    inside = (sampled_at(weight, columns, rows, outside=0.0) > 0.5) & (
+        slant_cos >= np.cos(np.deg2rad(settings.slant_deg))
+    )
     return even(value, inside, settings)
 
 
@@ -136,12 +138,12 @@ def even(value: FloatArray, inside: BoolArray, settings: RidgeBandSettings) -> R
     pitch = settings.pitch_mm
     weight = inside.astype(np.float32)
     narrow, window = settings.ridge_mm / pitch, settings.window_mm / pitch
-    total = np.maximum(gaussian_blur(weight, narrow), np.float32(1e-3))
+    total = np.maximum(gaussian_mean(weight, narrow), np.float32(1e-3))
     ridges: AnyArray = np.where(inside, value, np.float32(0.0)).astype(np.float32)
     for _ in range(2):  # twice: the first pass leaves something of a slope beside the edge
-        ridges = (ridges - gaussian_blur(ridges, narrow) / total) * weight
-    fraction = np.maximum(gaussian_blur(weight, window), np.float32(1e-3))
-    spread = np.sqrt(np.maximum(gaussian_blur(ridges * ridges, window) / fraction, np.float32(0.0)))
+        ridges = (ridges - gaussian_mean(ridges, narrow) / total) * weight
+    fraction = np.maximum(gaussian_mean(weight, window), np.float32(1e-3))
+    spread = np.sqrt(np.maximum(gaussian_mean(ridges * ridges, window) / fraction, np.float32(0.0)))
     typical = float(np.median(spread[inside])) if bool(inside.any()) else 0.0
     empty = np.zeros(value.shape, dtype=np.float32)
     if typical <= 0.0:
@@ -172,8 +174,8 @@ def print_band(
     require(bool(np.isfinite(ppi)) and ppi > 0, f"ppi must be a positive number, but it is {ppi}.")
     pitch = MM_PER_INCH / ppi
     ink = np.ascontiguousarray(255.0 - image[:, ::-1].astype(np.float32))
-    detail = ink - gaussian_blur(ink, settings.ridge_mm / pitch)
-    spread = np.sqrt(gaussian_blur(detail * detail, 0.5 * settings.window_mm / pitch))
+    detail = ink - gaussian_mean(ink, settings.ridge_mm / pitch)
+    spread = np.sqrt(gaussian_mean(detail * detail, 0.5 * settings.window_mm / pitch))
     finger = spread > 0.3 * float(np.quantile(spread, 0.9))
     if inside is not None:
         finger &= inside[:, ::-1]
@@ -188,7 +190,7 @@ def _ridge_direction(ridges: AnyArray, sigma: float) -> tuple[FloatArray, FloatA
     """
     across = cv2.Sobel(ridges, cv2.CV_32F, 1, 0)
     up = -cv2.Sobel(ridges, cv2.CV_32F, 0, 1)
-    xx, yy, xy = (gaussian_blur(part, sigma) for part in (across * across, up * up, across * up))
+    xx, yy, xy = (gaussian_mean(part, sigma) for part in (across * across, up * up, across * up))
     difference, total = xx - yy, xx + yy
     strength = np.hypot(difference, 2 * xy)
     coherence = strength / np.maximum(total, np.float32(1e-6) * max(float(total.max()), 1e-30))
@@ -222,12 +224,13 @@ def band_places(
     height = np.where(inside, height / np.maximum(weight, np.float32(0.5)), np.float32(np.nan)).astype(np.float32)
     slopes = height_gradients(height, pitch_mm * factor)
     sigma = 0.6 / (pitch_mm * factor)
-    total = np.maximum(gaussian_blur(inside.astype(np.float32), sigma), np.float32(1e-3))
+    total: AnyArray = np.maximum(gaussian_mean(inside.astype(np.float32), sigma), np.float32(1e-3))
     limit = np.float32(np.tan(np.deg2rad(settings.slant_deg)))
     x, y = _to_input(np.broadcast_to(column, (grid_rows, grid_columns)), row, transform)
     there = (x + 0.5) / factor - 0.5, (y + 0.5) / factor - 0.5
-    known = _sample(inside.astype(np.float32), *there) > 0.5
-    right, up = (_sample(gaussian_blur(np.clip(s, -2 * limit, 2 * limit), sigma) / total, *there) for s in slopes)
+    known = sampled_at(inside.astype(np.float32), *there, outside=0.0) > 0.5
+    even_slopes: list[AnyArray] = [gaussian_mean(np.clip(s, -2 * limit, 2 * limit), sigma) / total for s in slopes]
+    right, up = (sampled_at(slope, *there, outside=0.0) for slope in even_slopes)
     across = np.where(known, transform[0, 0] * right - transform[1, 0] * up, 0.0)
     along = np.where(known, transform[0, 1] * right - transform[1, 1] * up, 0.0)
     slant_cos = (1.0 / np.sqrt(1.0 + across**2 + along**2)).astype(np.float32)
@@ -241,33 +244,9 @@ def band_places(
     first, last = float(arc[:, 0].min()), float(arc[:, -1].max())
     wanted = np.arange(np.floor(first), np.ceil(last) + 1.0)
     source = np.stack([np.interp(wanted, line, column, left=-1e6, right=-1e6) for line in arc])
-    slant_cos = _sample(
-        slant_cos,
-        (source / step).astype(np.float32),
-        np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape),
-    )
+    own = np.broadcast_to(np.arange(grid_rows, dtype=np.float32)[:, None], source.shape)
+    slant_cos = sampled_at(slant_cos, (source / step).astype(np.float32), own, outside=0.0)
     return (*_to_input(source, row, transform), slant_cos)
-
-
-def _sample(image: AnyArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
-    """Bilinear values of `image` at places; zero beyond its border."""
-    result = cv2.remap(
-        np.ascontiguousarray(image, dtype=np.float32),
-        np.ascontiguousarray(columns, dtype=np.float32),
-        np.ascontiguousarray(rows, dtype=np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=0.0,
-    )
-    return np.asarray(result, dtype=np.float32)
-
-
-def gaussian_blur(image: AnyArray, sigma: float) -> FloatArray:
-    """Gaussian mean (H, W) with zeros beyond the border; `sigma` in pixels."""
-    if sigma < 0.2:
-        return np.asarray(image, dtype=np.float32)
-    result = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(result, dtype=np.float32)
 
 
 def _to_input(

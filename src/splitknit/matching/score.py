@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from splitknit.errors import require
 
+_ENTRIES = 64
+"""Of a table of false match rates, at most."""
 Side = TypeVar("Side", bound=Any)
 
 
@@ -75,7 +77,7 @@ class FmrTable:
         return float(self.fmr[place]) if place >= 0 else 1.0
 
 
-def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
+def calibrate_scores(impostor: ArrayLike) -> FmrTable:
     """Table of false match rates from impostor similarities (N,).
 
     The rate at s is (k + 1) / (N + 1) with k scores at or above s: an upper estimate that is never zero. Raises
@@ -86,9 +88,8 @@ def calibrate_scores(impostor: ArrayLike, entries: int = 64) -> FmrTable:
     scores = np.sort(np.asarray(impostor, dtype=np.float64).ravel())
     require(scores.size >= 100, f"a calibration needs at least 100 impostor scores, but there are {scores.size}.")
     require(bool(np.isfinite(scores).all()), "impostor scores contain NaN or infinite values.")
-    require(entries >= 2, "a table needs at least 2 entries.")
     # thresholds whose rates are evenly spaced in their logarithm, and just above the largest score
-    above = np.unique(np.round(np.geomspace(1, scores.size, entries)).astype(np.int64))[::-1]
+    above = np.unique(np.round(np.geomspace(1, scores.size, _ENTRIES)).astype(np.int64))[::-1]
     thresholds = np.concatenate([scores[scores.size - above], [np.nextafter(scores[-1], np.inf)]])
     thresholds = np.unique(thresholds)
     # between two entries the lower one's (larger) rate holds

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
-from splitknit.imaging.geometry import height_gradients, smoothed
+from splitknit.imaging.geometry import height_gradients, sampled_at, smoothed
 from splitknit.io.minutiae3d import angles_of
 from splitknit.matching.minutiae_record import SpaceMinutiae, no_space_minutiae
 from splitknit.matching.surface_code import (
@@ -118,11 +118,5 @@ def in_space(
 
 def bilinear(field: FloatArray, places: Array) -> Array:
     """(N, ...) values of a field (H, W, ...) at places (N, 2; column, row); NaN outside and beside NaN."""
-    if len(places) == 0:
-        return np.zeros((0, *field.shape[2:]))
-    x, y = (np.ascontiguousarray(np.nan_to_num(places[:, d], nan=-10.0), dtype=np.float32) for d in range(2))
-    nowhere = (float("nan"),) * 4
-    values = cv2.remap(
-        field, x[:, None], y[:, None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nowhere
-    )
-    return np.asarray(values[:, 0], dtype=np.float64)
+    column, row = np.nan_to_num(places, nan=-10.0).T
+    return sampled_at(field, column, row, outside=float("nan")).astype(np.float64)

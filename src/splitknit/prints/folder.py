@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, naming, require
+from splitknit.imaging.geometry import sampled_at
 from splitknit.io.atomic import atomic_folder, write_file
 from splitknit.io.images import write_image
 from splitknit.io.iso19794 import write_iso19794
@@ -408,10 +409,7 @@ def distortion_picture(print_map: PrintMap, unrolled: Unrolled) -> ColourArray:
     ):
         known = np.isfinite(values_of)
         filled, fraction = np.where(known, values_of, 0.0).astype(np.float32), known.astype(np.float32)
-        values, weight = (
-            np.asarray(cv2.remap(part, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR), dtype=np.float32)
-            for part in (filled, fraction)
-        )
+        values, weight = (sampled_at(part, x, y, outside=0.0) for part in (filled, fraction))
         evened = (values / np.maximum(weight, np.float32(1e-3))).astype(np.float32)
         picture = colour(evened, low, high, diverging=low < 0)
         picture = on_paper(picture, (shown & (weight > 0.01)).astype(np.float32))

@@ -64,6 +64,11 @@ class Print:
     confidence: FloatArray | None = None
     """(h, w) 0 to 1, of such a print: how sure its ridges are."""
 
+    @property
+    def clearest(self) -> NDArray[np.uint8]:
+        """(h, w) the print of even contrast where there is one: in it ridges are followed."""
+        return self.image if self.even is None else self.even
+
 
 def make_print(
     source: Source, method: str, surface: str | None = None, ppi: float = 500.0,
@@ -150,11 +155,9 @@ def enhance(made: Print, ppi: float, settings: PrintingSettings | None = None) -
     """Enhance a print by the method in the settings."""
     settings = settings or PrintingSettings()
     require(settings.enhance in ("gabor", "stft"), f"enhance must be gabor or stft, but it is '{settings.enhance}'.")
-    if made.even is not None:
-        return gabor_enhance(made.even, ppi, made.weight > 0.5)  # it is filtered along the ridges already
-    if settings.enhance == "stft":
+    if made.even is None and settings.enhance == "stft":  # an even one is filtered along the ridges already
         return stft_enhance(made.image, ppi, made.weight > 0.5)
-    return gabor_enhance(made.image, ppi, made.weight > 0.5)
+    return gabor_enhance(made.clearest, ppi, made.weight > 0.5)
 
 
 def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
@@ -165,7 +168,7 @@ def measured(made: Print, enhanced: Enhanced, ppi: float) -> PrintQuality:
 
 def minutiae_by_phase(made: Print, enhanced: Enhanced, ppi: float) -> Minutiae:
     """Minutiae of a print; `enhanced` is what :func:`enhance` made of it."""
-    return by_phase(made.image if made.even is None else made.even, enhanced, ppi, made.confidence)
+    return by_phase(made.clearest, enhanced, ppi, made.confidence)
 
 
 def _needed(values: FloatArray | None) -> FloatArray:

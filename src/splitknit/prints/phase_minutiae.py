@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import require
+from splitknit.imaging.geometry import sampled_at
 from splitknit.matching.minutiae_record import Minutiae
 from splitknit.model import FloatArray
 from splitknit.prints.enhance import Enhanced
@@ -132,14 +133,9 @@ def _turns(ridges: Array, along: Array, wave_number: Array) -> Array:
 
 def _kinds(ridges: Array, place: Array, towards: Array, wave_number: Array) -> NDArray[np.uint8]:
     """A ridge ends where the side with one more has a ridge ahead, it forks where that has a valley."""
-    if not len(place):
-        return np.zeros(0, dtype=np.uint8)
     ahead = 0.5 * 2 * np.pi / wave_number
     column, row = place[:, 0] + ahead * np.cos(towards), place[:, 1] - ahead * np.sin(towards)
-    there = cv2.remap(
-        ridges.astype(np.float32), column.astype(np.float32)[None], row.astype(np.float32)[None], cv2.INTER_LINEAR
-    )
-    ending = np.reshape(there, (-1,))[: len(place)] > 0
+    ending = sampled_at(ridges.astype(np.float32), column, row, outside=0.0) > 0
     return np.asarray(np.where(ending, ENDING, BIFURCATION), dtype=np.uint8)
 
 

@@ -15,9 +15,9 @@ import scipy
 from numpy.typing import NDArray
 
 from splitknit.errors import check_mask, require
-from splitknit.imaging.geometry import bounding_box
+from splitknit.imaging.geometry import bounding_box, gaussian_mean
 from splitknit.model import BoolArray, FloatArray
-from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean, upright_from_print
+from splitknit.prints.ridges import MM_PER_INCH, upright_from_print
 from splitknit.prints.unroll import Unrolled
 from splitknit.prints.unroll_grid import SurfaceGrid, extrapolated, slant_cos
 

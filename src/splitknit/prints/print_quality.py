@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, require
+from splitknit.imaging.geometry import gaussian_mean
 from splitknit.model import BoolArray, FloatArray
 from splitknit.prints.enhance import node_amplitudes
 from splitknit.prints.ridge_field import RidgeField
-from splitknit.prints.ridges import MM_PER_INCH, gaussian_mean
+from splitknit.prints.ridges import MM_PER_INCH
 
 # Figures of a print's quality: strength, direction, period, sharpness and extent of its ridges.
 #

@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.errors import BadInput, check_mask, require
-from splitknit.imaging.geometry import bounding_box, warp
+from splitknit.imaging.geometry import bounding_box, gaussian_mean, warp
 from splitknit.model import BoolArray, FloatArray, Reconstruction, Surface
 from splitknit.settings import Checked, Limits
 
@@ -115,14 +114,6 @@ def _centred(values: FloatArray, weight: FloatArray, sigma: float) -> tuple[Floa
     for _ in range(2):  # the second pass takes out what a one-sided window leaves of a slope near the edge
         centred = (centred - gaussian_mean(centred * weight, sigma) / total) * (weight > 0)
     return centred, np.sqrt(np.maximum(gaussian_mean(centred * centred * weight, sigma) / total, np.float32(0.0)))
-
-
-def gaussian_mean(image: FloatArray, sigma: float) -> FloatArray:
-    """Gaussian mean (h, w), zero beyond the border; `sigma` in pixels, 0 for none."""
-    if sigma <= 0.0:
-        return image
-    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(blurred, dtype=np.float32)
 
 
 def surface_print(surface: Surface | Reconstruction, ppi: float = 500.0) -> NDArray[np.uint8]:
