@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, spline_filter
 
-from splitknit.calibration.radiometry_folder import residual_tile
+from splitknit.calibration.radiometry_folder import residual_tile, rounded
 from splitknit.calibration.sensor import noise_model, noise_samples
 from splitknit.errors import naming, require
 from splitknit.imaging.band import GREY_WEIGHTS, block_means, linear_channels, pick_channel
@@ -166,11 +166,11 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
     rms = [100 * float(np.sqrt(np.nanmean(one**2))) for one in rest]
     count = [int(np.isfinite(one).sum()) for one in rest]
     facts = {
-        "shift_interval_px": [_round(2.0 * one) for one in deviation[:2]],
-        "scale_interval": _round(2.0 * deviation[2]),
-        "brightness_interval": [_round(2.5 * 0.01 * one / np.sqrt(n)) for one, n in zip(rms, count, strict=True)],
-        "residual_rms_percent": [_round(one) for one in rms],
-        "residual_largest_percent": [_round(100 * float(np.nanmax(np.abs(one)))) for one in rest],
+        "shift_interval_px": [rounded(2.0 * one) for one in deviation[:2]],
+        "scale_interval": rounded(2.0 * deviation[2]),
+        "brightness_interval": [rounded(2.5 * 0.01 * one / np.sqrt(n)) for one, n in zip(rms, count, strict=True)],
+        "residual_rms_percent": [rounded(one) for one in rms],
+        "residual_largest_percent": [rounded(100 * float(np.nanmax(np.abs(one)))) for one in rest],
         "warnings": [
             f"the card's crossed image {k} departs by {one:.1f} % (rms) from a parallel one of other brightness; use a "
             "matt card."
@@ -179,7 +179,7 @@ def measure_card(card: Capture) -> tuple[Films, dict[str, Any], list[Array]]:
         ],
     }
     leds = tuple(group[0] for group in near.leds)
-    rows = tuple(tuple(_round(float(one)) for one in row) for row in brightness)
+    rows = tuple(tuple(rounded(float(one)) for one in row) for row in brightness)
     return replace(films, leds=leds, brightness=rows), facts, rest
 
 
@@ -219,7 +219,9 @@ def _shift(parallel: FloatArray, crossed: FloatArray) -> tuple[Films, Array]:
     )
     # blurred noise is alike over 4 pi sigma^2 pixels
     variance = np.diag(np.linalg.pinv(normal)) * float((rest**2).mean()) * 4.0 * np.pi * (sigma / every) ** 2
-    films = replace(films, shift_px=(_round(films.shift_px[0]), _round(films.shift_px[1])), scale=round(films.scale, 7))
+    films = replace(
+        films, shift_px=(rounded(films.shift_px[0]), rounded(films.shift_px[1])), scale=round(films.scale, 7)
+    )
     return films, np.sqrt(variance[:3])
 
 
@@ -320,7 +322,7 @@ def _of_ball(films: Films, degrees: Array, light: Array) -> tuple[Films, dict[st
     leak = light[:, 1, 0] / both
     error = np.hypot(light[:, 1, 1], leak * light[:, 0, 1]) / both
     facts: dict[str, Any] = {
-        "leak_interval": [[_round(max(a - 2 * b, 0.0)), _round(a + 2 * b)] for a, b in zip(leak, error, strict=True)],
+        "leak_interval": [[rounded(max(a - 2 * b, 0.0)), rounded(a + 2 * b)] for a, b in zip(leak, error, strict=True)],
         "warnings": [
             f"light {k}: {100 * one:.1f} % of the specular light is left in the crossed image; turn its film or the "
             "analyser."
@@ -328,7 +330,7 @@ def _of_ball(films: Films, degrees: Array, light: Array) -> tuple[Films, dict[st
             if one > _MAX_LEAK
         ],
     }
-    films = replace(films, leak=tuple(_round(float(one)) for one in np.clip(leak, 0.0, 0.499)))
+    films = replace(films, leak=tuple(rounded(float(one)) for one in np.clip(leak, 0.0, 0.499)))
     if len(degrees) == 2:
         return films, facts
     require(
@@ -360,15 +362,11 @@ def _of_ball(films: Films, degrees: Array, light: Array) -> tuple[Films, dict[st
     deviation = float(np.sqrt(max(1.0, excess) / weight.sum()))
     low, high = mean - 2 * deviation, max(mean + 2 * deviation, 1e-9)
     facts |= {
-        "extinction_interval": [_round(1.0 / high), None if low <= 0 else _round(1.0 / low)],
-        "angle_interval_deg": [_round(2.0 * float(np.rad2deg(one))) for one in turn_error],
-        "malus_rms_percent": [_round(100 * float(one)) for one in rms],
+        "extinction_interval": [rounded(1.0 / high), None if low <= 0 else rounded(1.0 / low)],
+        "angle_interval_deg": [rounded(2.0 * float(np.rad2deg(one))) for one in turn_error],
+        "malus_rms_percent": [rounded(100 * float(one)) for one in rms],
     }
-    ratio = _round(1.0 / max(mean, deviation, 1e-9))
+    ratio = rounded(1.0 / max(mean, deviation, 1e-9))
     return replace(
-        films, extinction_ratio=ratio, angle_deg=tuple(_round(float(np.rad2deg(one))) for one in turn)
+        films, extinction_ratio=ratio, angle_deg=tuple(rounded(float(np.rad2deg(one))) for one in turn)
     ), facts
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.5g}")

@@ -249,21 +249,21 @@ def _camera_json(camera: _CameraFacts) -> dict[str, Any]:
         and {
             "frames": dark.frames,
             "hot_pixels": dark.hot_pixels,
-            "hot_share": _round(dark.hot_share),
+            "hot_share": rounded(dark.hot_share),
             **{f"{name}_percent": _percent(getattr(dark, name)) for name in levels},
         },
         "response": response
         and {
             "encoding": response.encoding,
-            "linear_departure_percent": _round(response.linear_percent),
-            "srgb_departure_percent": _round(response.srgb_percent),
-            "residual_percent": _round(response.residual_percent),
+            "linear_departure_percent": rounded(response.linear_percent),
+            "srgb_departure_percent": rounded(response.srgb_percent),
+            "residual_percent": rounded(response.residual_percent),
             "black_level_percent": _percent(response.black_level),
             "values_percent": _percent(response.span),
         },
         "noise": {
             name: {
-                "electrons_at_full_scale": _round(model.electrons),
+                "electrons_at_full_scale": rounded(model.electrons),
                 "read_noise_percent": _percent(model.read_noise),
                 "light_percent": _percent(model.span),
             }
@@ -274,7 +274,7 @@ def _camera_json(camera: _CameraFacts) -> dict[str, Any]:
 
 def _percent(parts: float | tuple[float, ...] | None) -> Any:
     """Parts of full scale in per cent."""
-    return [_round(100 * one) for one in parts] if isinstance(parts, tuple) else parts and _round(100 * parts)
+    return [rounded(100 * one) for one in parts] if isinstance(parts, tuple) else parts and rounded(100 * parts)
 
 
 def _black_level_of(camera: _CameraFacts, capture: Capture) -> float | None:
@@ -299,7 +299,8 @@ def _black_level_warning(black_level: float | None, capture: Capture) -> list[st
     ]
 
 
-def _round(value: float) -> float:
+def rounded(value: float) -> float:
+    """A number for a report, to five digits."""
     return float(f"{value:.5g}")
 
 

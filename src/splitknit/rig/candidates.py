@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from splitknit.errors import require
 from splitknit.model import Camera, Led, Rig
 from splitknit.settings import Checked, Limits
+from splitknit.simulator.calibration_set.solids import unit
 from splitknit.simulator.light.lighting import irradiance
 
 Array = NDArray[np.float64]
@@ -385,8 +386,8 @@ def _glaring(
     points = finger.points_mm
     view = np.array([0.0, 0.0, 1.0])
     if build.view == "perspective":
-        view = _unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
-    halves = [_unit(_unit(np.asarray(led.position_mm) - points) + view) for led in leds]
+        view = unit(np.array([0.0, 0.0, candidate.height_mm]) - points)
+    halves = [unit(unit(np.asarray(led.position_mm) - points) + view) for led in leds]
     limit = np.cos(_glare_lobe_rad(roughness))
     return np.array([np.sum(half * finger.normals, axis=1) > limit for half in halves])
 
@@ -397,10 +398,6 @@ def _glare_lobe_rad(roughness: float) -> float:
     """
     squared = min(roughness**2, 0.6)
     return float(np.arctan(np.sqrt(squared * (np.sqrt(2) - 1) / (1 - np.sqrt(2) * squared))))
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def planned_exposure(leds: Sequence[Led], band: str, photons: PhotonSettings) -> PlannedExposure | None:

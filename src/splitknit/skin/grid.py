@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splitknit.finger.regions import largest_component
+from splitknit.imaging.geometry import nearest_known
 from splitknit.imaging.view import View
 from splitknit.model import BoolArray, FloatArray, Rig
 
@@ -145,10 +146,7 @@ def coarsen(grid: Grid, factor: int) -> Grid:
 
 def refine(field: FloatArray, mask: BoolArray, factor: int, shape: tuple[int, int]) -> FloatArray:
     """Smooth copy of a coarse field on the fine grid, continued beyond its mask by the nearest values."""
-    _, nearest = cv2.distanceTransformWithLabels(
-        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    filled = np.asarray(field, dtype=np.float32)[mask][nearest - 1]  # the mask's pixels are numbered row by row
+    filled = nearest_known(field, mask)
     rows, columns = filled.shape
     large = cv2.resize(filled, (columns * factor, rows * factor), interpolation=cv2.INTER_CUBIC)
     large = cv2.GaussianBlur(large, (0, 0), factor / 2)

@@ -17,7 +17,7 @@ from splitknit.imaging.geometry import height_gradients, normals_from_gradients
 from splitknit.mirrors.rolled.chart import Sight
 from splitknit.mirrors.rolled.reflection import Plane, facing_fraction, led_image, mirrored_fraction
 from splitknit.model import FloatArray, Led, Mirror, Rig, Shade
-from splitknit.skin.grid import Grid
+from splitknit.skin.grid import Grid, smooth_step
 
 Array = NDArray[np.float64]
 EDGE_BAND_MM = 0.3
@@ -125,8 +125,7 @@ def _inner(light: _Light, pitch_mm: float) -> NDArray[np.float32]:
     lit = (light.through > 0.5).astype(np.uint8)
     edge = cv2.morphologyEx(lit, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) * (light.facing > 0.5)
     away = cv2.distanceTransform(1 - edge.astype(np.uint8), cv2.DIST_L2, 5) * pitch_mm
-    t = np.clip((away - EDGE_BAND_MM) / EDGE_BAND_MM, 0.0, 1.0)
-    return np.asarray(t * t * (3.0 - 2.0 * t), dtype=np.float32)
+    return smooth_step((away - EDGE_BAND_MM) / EDGE_BAND_MM)
 
 
 def _in_view(light: _Light, skin: Skin) -> Led:
