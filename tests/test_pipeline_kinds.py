@@ -75,7 +75,7 @@ KINDS: dict[str, tuple[Callable[[Capture], Capture], float, tuple[str, str]]] = 
 """How a capture is made from the rig's, the factor by which the surface's rms may grow, and two presets: `metric` and
 `snk` see every kind, each of the others two kinds that differ."""
 
-METRIC = ("grey skin", "grey opaque", "distant leds", "perspective")
+METRIC = ("grey skin", "grey opaque", "perspective")
 """Kinds that the metric recipe treats in another way; the presets tell that other numbers of lights and images do."""
 
 

@@ -31,6 +31,7 @@ def photographed() -> Photographed:
     return simulate_capture(9002, settings=TwinSettings(scale=0.2, mirrors=mirrors, pose=pose))
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_the_shape_from_the_mirror(
     photographed: Photographed, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,7 @@ def test_each_field_is_reduced_once_for_all_pictures(
     assert Counter(reduced) == {(): 4, (3,): 1}  # mask, height, relief, shape; normals
 
 
+@pytest.mark.slow
 def test_a_run_loads_no_part_of_scipy(capture: Capture, tmp_path: Path) -> None:
     write_capture(capture, tmp_path / "capture")
     code = (

@@ -78,6 +78,7 @@ def test_what_a_name_means() -> None:
         assert SECRET not in str(error.value)
 
 
+@pytest.mark.slow
 def test_objects_give_the_tables_of_folders(memory: Objects, people: Path, tmp_path: Path) -> None:
     run_batch(people, tmp_path / "store", RIDGE, jobs=1)
     facts = run_batch(str(memory / "people"), memory / "store", RIDGE, jobs=1)

@@ -29,6 +29,7 @@ def payloads(out: Path, kind: str, column: str) -> dict[str, bytes]:
     return found
 
 
+@pytest.mark.slow
 def test_codes_from_stored_surfaces_are_those_of_the_reconstruction(people: Path, store: Path, tmp_path: Path) -> None:
     before = chunks(store)
     run_batch(people, store, CODES, jobs=1)

@@ -17,6 +17,7 @@ from splitknit.simulator.finger.finger import FingerPose, draw_finger, finger_su
 from splitknit.steps import Memory
 
 
+@pytest.mark.slow
 def test_kumar_is_ea_smoothed(twin_capture: Capture, twin_memory: Memory) -> None:
     assert override(PRESETS["kumar"], {"smooth.sigma_mm": 0.0}) == PRESETS["ea"]
     plain, smooth = (reconstruct(twin_capture, preset, memory=twin_memory) for preset in ("ea", "kumar"))

@@ -143,6 +143,7 @@ def test_crossed_images_are_a_case_of_their_own(tmp_path: Path, thesis: Script, 
     assert {row["case"] for row in read(out / "cases.csv")} == {"snk", "ea", "snk-crossed"}
 
 
+@pytest.mark.slow
 def test_all_parts_on_a_made_up_store(tmp_path: Path, thesis: Script, monkeypatch: pytest.MonkeyPatch) -> None:
     run = thesis("run")
     store = MadeUpStore()
